@@ -1,0 +1,1 @@
+"""Evaluation plugins and callbacks of ahnn, named only in YAML."""
