@@ -1,0 +1,61 @@
+"""One progress bar over all optimiser steps of a training, with loss and time left."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from lightning import LightningModule, Trainer
+from lightning.pytorch.callbacks import ProgressBar
+from rich.progress import Progress, TaskID, TextColumn
+
+from ahnn.progress import progress_bar
+
+REFRESH_SECONDS = 0.5
+
+
+class TrainingProgress(ProgressBar):
+    """A bar for the whole fit; it reads the loss twice a second and costs nothing in between."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._bar: Progress | None = None
+        self._task = TaskID(0)
+        self._due = 0.0
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Open the bar at the step where training begins or goes on."""
+        del pl_module
+        self._bar = progress_bar(TextColumn("{task.fields[note]}"))
+        total = int(trainer.num_training_batches) * int(trainer.max_epochs or 1)
+        self._task = self._bar.add_task("training", total=total, completed=trainer.global_step, note="")
+        self._bar.start()
+
+    def on_train_batch_end(
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
+    ) -> None:
+        """Move the bar when it is due."""
+        del pl_module, batch, batch_idx
+        if self._bar is None or time.monotonic() < self._due:
+            return
+        self._due = time.monotonic() + REFRESH_SECONDS
+        validation = trainer.callback_metrics.get("val/loss")
+        note = f"epoch {trainer.current_epoch + 1}/{trainer.max_epochs}  loss {float(outputs['loss']):.2e}"
+        if validation is not None:
+            note += f"  val {float(validation):.2e}"
+        self._bar.update(self._task, completed=trainer.global_step, note=note)
+
+    def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Close the bar."""
+        del trainer, pl_module
+        self._close()
+
+    def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
+        """Close the bar, so that the message that follows is readable."""
+        del trainer, pl_module, exception
+        self._close()
+
+    def _close(self) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+            self._bar = None

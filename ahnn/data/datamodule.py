@@ -1,0 +1,154 @@
+"""The one DataModule that all models share: trajectories in, batches of windows out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from lightning import LightningDataModule
+
+from ahnn.data import store
+from ahnn.data.generate import generate
+from ahnn.data.loader import WindowLoader
+from ahnn.data.windows import Windows
+from ahnn.errors import UserError
+from ahnn.normalisation import Statistics
+from ahnn.systems import System
+from ahnn.types import Trajectories
+
+Split = Literal["train", "val", "test"]
+SPLITS: tuple[Split, ...] = ("train", "val", "test")
+
+
+class WindowDataModule(LightningDataModule):
+    """Sliding windows of generated trajectories, split by trajectory.
+
+    Args:
+        system: the ground truth.
+        trajectories: number of trajectories, over all splits.
+        split: shares of train, val and test.
+        window: W, steps of a window.
+        batch_size: windows of an optimiser step.
+        windows_per_epoch: windows drawn anew in each epoch; None takes all.
+        val_windows: evenly spread windows of a validation; None takes all.
+        precision: 32 or 64, bits of the batches.
+        seed: of the initial states; the same for all models and training seeds.
+        order_seed: of the order of the batches.
+        cache: folder of generated data.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        *,
+        trajectories: int,
+        split: list[float],
+        window: int,
+        batch_size: int,
+        windows_per_epoch: int | None,
+        val_windows: int | None,
+        precision: Literal[32, 64],
+        seed: int,
+        order_seed: int,
+        cache: str,
+    ) -> None:
+        super().__init__()
+        self.system = system
+        self.count = trajectories
+        self.sizes = split_sizes(trajectories, split)
+        self.window, self.batch_size = window, batch_size
+        self.windows_per_epoch, self.val_windows = windows_per_epoch, val_windows
+        self.dtype = {32: torch.float32, 64: torch.float64}.get(precision)
+        self.seed, self.order_seed = seed, order_seed
+        self.cache = Path(cache).expanduser()
+        self._splits: dict[Split, Trajectories] = {}
+        self._check()
+
+    def _check(self) -> None:
+        at_least_one = {
+            "batch_size": self.batch_size,
+            "windows_per_epoch": self.windows_per_epoch,
+            "val_windows": self.val_windows,
+        }
+        for name, value in at_least_one.items():
+            if value is not None and value < 1:
+                message = f"data: {name}: expected at least 1; received {value}"
+                raise UserError(message)
+        if self.dtype is None:
+            message = "data: precision: expected 32 or 64 bits"
+            raise UserError(message)
+        if not 1 <= self.window <= self.system.steps and getattr(self.system, "periods", None) is None:
+            message = (
+                f"window: expected 1 <= W <= {self.system.steps}, the steps of a {self.system.name} "
+                f"trajectory; received W={self.window}"
+            )
+            raise UserError(message)
+
+    def setup(self, stage: str | None = None) -> None:
+        """Load or generate the trajectories and split them; all stages share one data set."""
+        del stage
+        if self._splits:
+            return
+        wanted = store.recipe(self.system, self.count, self.seed)
+        data = store.load_or_make(self.cache, wanted, lambda: generate(self.system, self.count, self.seed))
+        states, lengths = data.states.split(self.sizes), data.lengths.split(self.sizes)
+        for name, part, part_lengths in zip(SPLITS, states, lengths, strict=True):
+            self._splits[name] = Trajectories(part, part_lengths, data.dt)
+
+    def trajectories(self, split: Split) -> Trajectories:
+        """Return the whole trajectories of a split."""
+        self.setup()
+        return self._splits[split]
+
+    def statistics(self) -> Statistics:
+        """Return the statistics of the training split, float64."""
+        states = self.trajectories("train").states
+        increments = (states[:, 1:] - states[:, :-1]).flatten(0, 1)
+        flat = states.flatten(0, 1)
+        return Statistics.of(
+            flat[flat.isfinite().all(-1)], increments[increments.isfinite().all(-1)], self.system.dt
+        )
+
+    def train_dataloader(self) -> WindowLoader:
+        """Return shuffled training batches."""
+        return self._loader("train", self.windows_per_epoch, self.order_seed)
+
+    def val_dataloader(self) -> WindowLoader:
+        """Return the validation batches, the same in every epoch."""
+        return self._loader("val", self.val_windows, None)
+
+    def transfer_batch_to_device(self, batch: Any, device: torch.device, dataloader_idx: int) -> Any:
+        """Return the batch as it is: windows are gathered on the device."""
+        del device, dataloader_idx
+        return batch
+
+    def _loader(self, split: Split, limit: int | None, seed: int | None) -> WindowLoader:
+        assert self.dtype is not None
+        windows = Windows(self.trajectories(split), self.window, self.dtype)
+        if self.trainer is not None:
+            windows.to(self.trainer.strategy.root_device)
+        return WindowLoader(windows, self.batch_size, limit, seed)
+
+
+def split_sizes(count: int, shares: list[float]) -> list[int]:
+    """Return how many trajectories each split gets; the first takes what rounding leaves.
+
+    Raises:
+        UserError: shares that are not three positive numbers of sum 1, or a split that stays empty.
+    """
+    if len(shares) != 3 or any(s <= 0 for s in shares) or abs(sum(shares) - 1) > 1e-9:
+        message = (
+            f"data: split: expected three positive shares of sum 1 (train, val, test); received {shares}"
+        )
+        raise UserError(message)
+    rest = [round(share * count) for share in shares[1:]]
+    sizes = [count - sum(rest), *rest]
+    if min(sizes) < 1:
+        named = ", ".join(f"{name} {size}" for name, size in zip(SPLITS, sizes, strict=True))
+        message = (
+            f"data: expected at least one trajectory in each split; received {count} trajectories with "
+            f"shares {shares}, which makes {named}. Ask for more trajectories."
+        )
+        raise UserError(message)
+    return sizes

@@ -1,0 +1,72 @@
+"""Batches of windows in an order that depends on (seed, epoch) alone, resumable inside an epoch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import torch
+
+from ahnn.data.windows import Windows
+from ahnn.types import Window
+
+
+class WindowLoader:
+    """An iterable of window batches that Lightning can shuffle by epoch, checkpoint and resume.
+
+    Args:
+        windows: what to draw from.
+        batch_size: windows in a batch; the last batch of an epoch may be smaller.
+        per_epoch: windows drawn in one epoch, all of them if None.
+        seed: makes the order, together with the epoch; None keeps the stored order, evenly thinned.
+    """
+
+    def __init__(self, windows: Windows, batch_size: int, per_epoch: int | None, seed: int | None) -> None:
+        self.windows = windows
+        self.batch_size = batch_size
+        self.count = min(per_epoch or len(windows), len(windows))
+        self.seed = seed
+        self.epoch = 0
+        self.position = 0
+        self.resume_epoch = 0
+
+    @property
+    def sampler(self) -> WindowLoader:
+        """Lightning calls `sampler.set_epoch` before each epoch."""
+        return self
+
+    @property
+    def batch_sampler(self) -> None:
+        """Lightning asks whether batches are drawn by a sampler of their own; they are not."""
+        return
+
+    def set_epoch(self, epoch: int) -> None:
+        """Choose the order of this epoch."""
+        self.epoch = epoch
+
+    def state_dict(self) -> dict[str, int]:
+        """Return the place in the current epoch, for a checkpoint."""
+        return {"epoch": self.epoch, "position": self.position}
+
+    def load_state_dict(self, state: dict[str, int]) -> None:
+        """Go on, in the epoch of the checkpoint, at the batch after the last one used."""
+        self.resume_epoch, self.position = state["epoch"], state["position"]
+
+    def __len__(self) -> int:
+        """Return the number of batches of a whole epoch."""
+        return -(-self.count // self.batch_size)
+
+    def order(self) -> torch.Tensor:
+        """Return the window indices of the current epoch, shape (count,)."""
+        total = len(self.windows)
+        if self.seed is None:
+            return torch.arange(self.count) * total // self.count
+        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)
+        return torch.randperm(total, generator=generator)[: self.count]
+
+    def __iter__(self) -> Iterator[Window]:
+        """Yield the batches that are left of the current epoch."""
+        begin = self.position if self.epoch == self.resume_epoch and self.position < len(self) else 0
+        batches = self.order().to(self.windows.flat.device).split(self.batch_size)
+        for self.position in range(begin + 1, len(batches) + 1):
+            yield self.windows.gather(batches[self.position - 1])
+        self.position = 0

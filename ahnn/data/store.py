@@ -1,0 +1,120 @@
+"""Generated trajectories on disk: one file per content hash, written atomically, verified on load.
+
+Files are in the safetensors format: reading one never executes anything.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor
+
+from ahnn.errors import UserError
+from ahnn.systems import System
+from ahnn.types import Trajectories
+
+log = logging.getLogger(__name__)
+
+FORMAT = 1
+"""Raise this number when the meaning of a stored file changes, for example after a fix of the generator."""
+
+
+def recipe(system: System, count: int, seed: int) -> dict[str, object]:
+    """Return everything that determines a data set, as plain values."""
+    return {
+        "format": FORMAT,
+        "system": type(system).__name__,
+        "parameters": asdict(system),
+        "integrator": system.integrator,
+        "count": count,
+        "seed": seed,
+    }
+
+
+def load_or_make(folder: Path, wanted: dict[str, object], make: Callable[[], Trajectories]) -> Trajectories:
+    """Return the stored trajectories of a recipe, made and stored first when missing or damaged.
+
+    Raises:
+        UserError: the folder cannot be written.
+    """
+    key = hashlib.sha256(json.dumps(wanted, sort_keys=True).encode()).hexdigest()[:16]
+    path = folder / f"{key}.safetensors"
+    if path.exists():
+        try:
+            return read(path)
+        except (SafetensorError, OSError, KeyError, ValueError) as error:
+            log.warning("data: %s is damaged (%s); it is generated again", path, error)
+    require_writable(folder)
+    trajectories = make()
+    write(path, trajectories, wanted)
+    return trajectories
+
+
+def write(path: Path, trajectories: Trajectories, made_from: dict[str, object]) -> None:
+    """Write trajectories with their recipe and a checksum; the file appears whole or not at all."""
+    metadata = {
+        "recipe": json.dumps(made_from, sort_keys=True),
+        "dt": repr(trajectories.dt),
+        "sha256": checksum(trajectories.states),
+    }
+    content = save({"states": trajectories.states, "lengths": trajectories.lengths}, metadata)
+    write_atomically(path, content)
+
+
+def read(path: Path) -> Trajectories:
+    """Read trajectories and verify their checksum.
+
+    Raises:
+        ValueError: the checksum does not fit.
+    """
+    with safe_open(path, framework="pt") as file:
+        metadata = file.metadata()
+        states, lengths = file.get_tensor("states"), file.get_tensor("lengths")
+    if checksum(states) != metadata["sha256"]:
+        message = "checksum mismatch"
+        raise ValueError(message)
+    return Trajectories(states, lengths, float(metadata["dt"]))
+
+
+def checksum(states: Tensor) -> str:
+    """Return the SHA-256 of a tensor's bytes."""
+    return hashlib.sha256(states.contiguous().numpy().data).hexdigest()
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Write bytes to a temporary file beside `path`, flush it to the disk, and rename it into place."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        Path(temporary).replace(path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def require_writable(folder: Path) -> None:
+    """Create a folder and make sure that a file can be written into it.
+
+    Raises:
+        UserError: it cannot.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        message = f"folder {folder}: expected a place that can be written; received: {error.strerror}"
+        raise UserError(message) from error

@@ -1,0 +1,75 @@
+"""The end of a run: best weights, evaluation, files, TensorBoard, table."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from lightning.pytorch.loggers import Logger, TensorBoardLogger
+from rich.console import Console
+
+from ahnn.checkpoints import flatten, read_checkpoint
+from ahnn.data import WindowDataModule
+from ahnn.evaluation.case import EvaluationPlugin, Findings
+from ahnn.evaluation.run import evaluate, make_case, write_findings
+from ahnn.evaluation.table import results_table
+from ahnn.models import AbstractDynamics
+
+log = logging.getLogger(__name__)
+
+
+def finish(
+    model: AbstractDynamics,
+    data: WindowDataModule,
+    plugins: Mapping[str, EvaluationPlugin],
+    about: dict[str, Any],
+    *,
+    loggers: Iterable[Logger],
+    label: str,
+    folder: Path,
+    seed: int,
+    save_predictions: bool,
+) -> float:
+    """Evaluate the best weights of a run and return their validation loss.
+
+    Args:
+        model: the module that was trained.
+        data: its data.
+        plugins: evaluations to run after the open-loop one.
+        about: numbers on the training, for metrics.json.
+        loggers: of the training; figures and scores go to TensorBoard.
+        label: name in tables.
+        folder: the run directory, with checkpoints/best.ckpt.
+        seed: of the perturbed starts.
+        save_predictions: whether to keep the predicted trajectories.
+    """
+    best = read_checkpoint(folder / "checkpoints" / "best.ckpt")
+    model.load_state_dict(best["state_dict"])
+    about["val_loss"] = best["ahnn"]["val_loss"]
+    case = make_case(model, data, label, seed, folder)
+    findings = evaluate(case, plugins)
+    write_findings(findings, case, about, save_predictions=save_predictions)
+    for logger in loggers:
+        if isinstance(logger, TensorBoardLogger):
+            publish(logger, model, findings, about)
+    Console().print(results_table(f"{label} on {data.system.name}", findings.rows, data.system))
+    log.info("run folder: %s", folder)
+    log.info("TensorBoard: tensorboard --logdir %s", folder)
+    return about["val_loss"]
+
+
+def publish(
+    logger: TensorBoardLogger, model: AbstractDynamics, findings: Findings, about: dict[str, Any]
+) -> None:
+    """Write hyper-parameters with their scores, and the figures, into TensorBoard."""
+    scores = {"hp/val_loss": about["val_loss"]}
+    for row in findings.rows:
+        if not row.floor:
+            scores[f"hp/{row.name}_{row.start}_position"] = row.scores.position
+            scores[f"hp/{row.name}_{row.start}_velocity"] = row.scores.velocity
+    logger.log_hyperparams(flatten(dict(model.hparams)), scores)
+    for name, figure in findings.figures.items():
+        logger.experiment.add_figure(name, figure, close=False)
+    logger.finalize("success")

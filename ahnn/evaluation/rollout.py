@@ -1,0 +1,29 @@
+"""Recursive prediction: a flow applied to its own output."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ahnn.progress import track
+from ahnn.types import Flow
+
+
+@torch.no_grad()
+def rollout(flow: Flow, start: Tensor, dt: float, samples: int, description: str | None = None) -> Tensor:
+    """Return the trajectories of a flow, shape (B, samples, D), beginning with `start`, shape (B, D).
+
+    Args:
+        flow: map of a state over one step.
+        start: states at time zero.
+        dt: time step.
+        samples: length of the result, start included.
+        description: text of a progress bar; None shows none.
+    """
+    out = start.new_empty(start.shape[0], samples, start.shape[1])
+    out[:, 0] = x = start
+    steps = range(1, samples)
+    for k in track(steps, description, len(steps)) if description else steps:
+        x = flow(x, dt)
+        out[:, k] = x
+    return out

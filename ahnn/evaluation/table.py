@@ -1,0 +1,40 @@
+"""The results as a table for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rich.table import Table
+
+from ahnn.evaluation.case import Row
+from ahnn.systems import System
+
+
+def results_table(title: str, rows: Iterable[Row], system: System) -> Table:
+    """Return the table of an evaluation, floors dimmed, units in the head."""
+    rows, units = list(rows), system.units
+    table = Table(title=title, title_justify="left", title_style="bold", header_style="bold")
+    table.add_column("prediction")
+    table.add_column("start")
+    for quantity in ("position", "velocity", "energy"):
+        table.add_column(f"{quantity}\n\\[{getattr(units, quantity)}]", justify="right", no_wrap=True)
+    for quantity in ("position", "velocity"):
+        table.add_column(f"pooled\n{quantity}", justify="right", no_wrap=True)
+    remarks = any(row.note for row in rows)
+    if remarks:
+        table.add_column("remark")
+    for row in rows:
+        s = row.scores
+        values = (s.position, s.velocity, s.energy, s.position_pooled, s.velocity_pooled)
+        cells = [row.name, row.start, *(number(value) for value in values), *([row.note] * remarks)]
+        table.add_row(*cells, style="dim" if row.floor else None)
+    table.caption = (
+        "RMSE over unseen trajectories: mean over trajectories of the rms vector norm;\n"
+        "pooled: over trajectories, times and components."
+    )
+    return table
+
+
+def number(value: float) -> str:
+    """Return a number with three digits, in the shorter of the two notations."""
+    return f"{value:.3g}" if value == 0 or 1e-2 <= abs(value) < 1e4 else f"{value:.2e}"

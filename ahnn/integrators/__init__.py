@@ -1,0 +1,72 @@
+"""One-step integrators: a method is a table of numbers, and one loop serves each family.
+
+Explicit Runge-Kutta methods, symmetric symplectic compositions and one implicit Gauss method, all batched,
+differentiable and free of state. Add a method by adding its numbers and a line to `INTEGRATORS`.
+"""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+
+from ahnn.errors import UserError
+from ahnn.integrators import compositions, tableaus
+from ahnn.integrators.base import Integrator, column
+from ahnn.integrators.explicit import ExplicitRungeKutta
+from ahnn.integrators.implicit import GaussLegendre4
+from ahnn.integrators.symplectic import SymmetricComposition
+
+INTEGRATORS: dict[str, Integrator] = {
+    method.name: method
+    for method in (
+        ExplicitRungeKutta("euler", 1, tableaus.EULER),
+        ExplicitRungeKutta("midpoint", 2, tableaus.MIDPOINT),
+        ExplicitRungeKutta("rk4", 4, tableaus.RK4),
+        ExplicitRungeKutta("dopri5", 5, tableaus.DOPRI5),
+        ExplicitRungeKutta("dopri8", 8, tableaus.DOPRI8),
+        GaussLegendre4(),
+        SymmetricComposition("leapfrog", 2, compositions.LEAPFROG),
+        SymmetricComposition("yoshida4", 4, compositions.YOSHIDA4),
+        SymmetricComposition("yoshida6", 6, compositions.YOSHIDA6),
+        SymmetricComposition("yoshida8", 8, compositions.YOSHIDA8),
+        SymmetricComposition("kahan_li6", 6, compositions.KAHAN_LI6),
+        SymmetricComposition("kahan_li8", 8, compositions.KAHAN_LI8),
+    )
+}
+
+
+def make_integrator(name: str, **options: float) -> Integrator:
+    """Return the integrator of this name.
+
+    Args:
+        name: a key of `INTEGRATORS`.
+        options: `tolerance` and `max_iterations` of gl4; no other method has options.
+
+    Raises:
+        UserError: unknown name or option.
+    """
+    if name not in INTEGRATORS:
+        close = get_close_matches(str(name), INTEGRATORS, n=1)
+        hint = f"; did you mean {close[0]}?" if close else ""
+        message = f"integrator: expected one of {', '.join(INTEGRATORS)}; received {name!r}{hint}"
+        raise UserError(message)
+    if not options:
+        return INTEGRATORS[name]
+    allowed = {"tolerance", "max_iterations"} if name == "gl4" else set()
+    if unknown := set(options) - allowed:
+        message = (
+            f"integrator {name}: unknown option {sorted(unknown)[0]!r}; it takes {sorted(allowed) or 'none'}"
+        )
+        raise UserError(message)
+    tolerance = float(options.get("tolerance", 1e-14))
+    return GaussLegendre4(tolerance, int(options.get("max_iterations", 50)))
+
+
+__all__ = [
+    "INTEGRATORS",
+    "ExplicitRungeKutta",
+    "GaussLegendre4",
+    "Integrator",
+    "SymmetricComposition",
+    "column",
+    "make_integrator",
+]

@@ -1,0 +1,77 @@
+"""The two-stage Gauss-Legendre method: implicit, symplectic for any Hamiltonian, order 4."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from ahnn.errors import UserError
+from ahnn.integrators.base import Integrator, column
+from ahnn.types import TimeStep, VectorField
+
+# Hairer, Lubich & Wanner, Geometric Numerical Integration (2006), table II.1.1.
+_A12 = 0.25 - math.sqrt(3) / 6
+_A21 = 0.25 + math.sqrt(3) / 6
+
+
+@dataclass(frozen=True)
+class GaussLegendre4(Integrator):
+    """Gauss-Legendre Runge-Kutta of order 4, its stages solved by fixed-point iteration.
+
+    Attributes:
+        tolerance: a member is solved when no component of dt * slope changes by more than this, relative
+            to max(1, |x|), or when the change has stopped shrinking at round-off level.
+        max_iterations: sweeps after which an unsolved member is an error.
+    """
+
+    tolerance: float = 1e-14
+    max_iterations: int = 50
+    name: str = "gl4"
+    order: int = 4
+
+    def __post_init__(self) -> None:
+        """Refuse settings under which nothing could converge."""
+        if not 0 < self.tolerance < 1 or self.max_iterations < 1:
+            message = (
+                "integrator gl4: expected 0 < tolerance < 1 and max_iterations >= 1; received "
+                f"tolerance={self.tolerance}, max_iterations={self.max_iterations}"
+            )
+            raise UserError(message)
+
+    def increment(self, field: VectorField, x: Tensor, dt: TimeStep) -> Tensor:
+        """Return the increment of one step, shape (..., D).
+
+        A member that is solved is frozen, so the result of one never depends on the others. A non-finite
+        member stays non-finite and does not hold up the rest.
+
+        Raises:
+            UserError: the iteration did not converge within `max_iterations`.
+        """
+        h = column(dt)
+        k1 = k2 = field(x)
+        scale = x.abs().clamp(min=1.0)
+        round_off = 64 * torch.finfo(x.dtype).eps * scale.amax(-1)
+        change = previous = torch.full_like(round_off, torch.inf)
+        waiting = torch.ones_like(round_off, dtype=torch.bool)
+        for _ in range(self.max_iterations):
+            new1 = field(x + h * (0.25 * k1 + _A12 * k2))
+            new2 = field(x + h * (_A21 * k1 + 0.25 * k2))
+            shift = (h * torch.maximum((new1 - k1).abs(), (new2 - k2).abs())).abs()
+            k1 = torch.where(waiting.unsqueeze(-1), new1, k1)
+            k2 = torch.where(waiting.unsqueeze(-1), new2, k2)
+            change = shift.amax(-1)
+            solved = (shift <= self.tolerance * scale).all(-1)
+            stagnant = (change >= previous) & (change <= round_off)
+            waiting = waiting & ~solved & ~stagnant & change.isfinite()
+            previous = change
+            if not waiting.any():
+                return 0.5 * h * (k1 + k2)
+        message = (
+            f"integrator gl4: the stages of {int(waiting.sum())} of {waiting.numel()} states did not "
+            f"converge in {self.max_iterations} sweeps (largest change {float(change[waiting].max()):.2e}); "
+            "shorten the time step or raise max_iterations"
+        )
+        raise UserError(message)

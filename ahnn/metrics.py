@@ -1,0 +1,83 @@
+"""Scores of predicted trajectories: two definitions of RMSE, energy, moving averages.
+
+Truth that is NaN marks samples that do not count. A prediction that is not finite where the truth is counts
+as infinitely wrong; it never drops out of a mean.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+
+class Scores(NamedTuple):
+    """Errors of a set of predicted trajectories, in the units of the system.
+
+    Attributes:
+        position, velocity: mean over trajectories of the root mean square over time of the vector norm;
+            the definition that the paper's numbers fit best.
+        position_pooled, velocity_pooled: root mean square over trajectories, times and components.
+        energy: root mean square over trajectories and times of H(prediction) - H(truth), with the true H.
+        components: (D,) root mean square of each component, velocities in place of momenta.
+    """
+
+    position: float
+    velocity: float
+    position_pooled: float
+    velocity_pooled: float
+    energy: float
+    components: tuple[float, ...]
+
+
+def errors(prediction: Tensor, truth: Tensor) -> Tensor:
+    """Return prediction - truth, shape (B, T, D); inf where the prediction is lost, NaN beyond the truth."""
+    difference = prediction - truth
+    lost = ~prediction.isfinite() & truth.isfinite()
+    return difference.masked_fill(lost, torch.inf)
+
+
+def rmse_pooled(error: Tensor) -> Tensor:
+    """Return the root mean square over all valid entries, a scalar."""
+    return error.square().nanmean().sqrt()
+
+
+def rmse_norm(error: Tensor) -> Tensor:
+    """Return the mean over trajectories of the rms over time of the vector norm, a scalar.
+
+    Args:
+        error: (B, T, n) with NaN rows where a trajectory has ended.
+    """
+    return error.square().sum(-1).nanmean(-1).sqrt().mean()
+
+
+def score(prediction: Tensor, truth: Tensor, energies: tuple[Tensor, Tensor], inertia: float) -> Scores:
+    """Return all scores.
+
+    Args:
+        prediction: (B, T, D).
+        truth: (B, T, D), NaN where a trajectory has ended.
+        energies: true Hamiltonian of prediction and of truth, each (B, T).
+        inertia: momenta are divided by it to give velocities.
+    """
+    error = errors(prediction, truth)
+    position, momentum = error.chunk(2, dim=-1)
+    velocity = momentum / inertia
+    components = torch.cat((position, velocity), dim=-1).flatten(0, 1).square().nanmean(0).sqrt()
+    return Scores(
+        position=float(rmse_norm(position)),
+        velocity=float(rmse_norm(velocity)),
+        position_pooled=float(rmse_pooled(position)),
+        velocity_pooled=float(rmse_pooled(velocity)),
+        energy=float(rmse_pooled(errors(*energies))),
+        components=tuple(components.tolist()),
+    )
+
+
+def moving_average(series: Tensor, width: int) -> Tensor:
+    """Return the trailing mean over the last min(k, width) values, shape (T,) (paper, appendix)."""
+    sums = torch.cat((series.new_zeros(1), series.cumsum(0)))
+    last = torch.arange(1, series.shape[0] + 1)
+    first = (last - width).clamp(min=0)
+    return (sums[last] - sums[first]) / (last - first)

@@ -1,0 +1,112 @@
+"""Input maps of a network: from physical coordinates to what it sees, and the gradient's way back."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import torch
+from torch import Tensor, nn
+
+from ahnn.errors import UserError
+from ahnn.normalisation import Affine, Kind, Statistics
+
+InputName = Literal["cartesian", "isotropic"]
+
+
+class Isotropic(nn.Module):
+    """Direction and distance, z = (q / r, s) with s the logarithm of r scaled to [-1, 1].
+
+    Suited to any force that comes from a centre: equal ratios of distance become equal steps. It assumes
+    where the centre is, not what the force is.
+
+    Args:
+        dof: degrees of freedom n; the map has n + 1 outputs.
+    """
+
+    middle: Tensor
+    spread: Tensor
+
+    def __init__(self, dof: int) -> None:
+        super().__init__()
+        self.size = dof + 1
+        self.register_buffer("middle", torch.zeros(()))
+        self.register_buffer("spread", torch.ones(()))
+
+    def fit(self, statistics: Statistics) -> None:
+        """Set the range of log r from the training split.
+
+        Raises:
+            UserError: the data touch the centre, or all lie at one distance from it.
+        """
+        low, high = (float(r) for r in statistics.radius)
+        if not 0 < low < high:
+            message = (
+                "inputs isotropic: expected distances 0 < low < high from the centre; "
+                f"received {low} to {high}. Use inputs=cartesian for this system."
+            )
+            raise UserError(message)
+        logs = statistics.radius.log()
+        self.middle.copy_(logs.mean())
+        self.spread.copy_((logs[1] - logs[0]) / 2)
+
+    def forward(self, q: Tensor) -> Tensor:
+        """Return (q / r, s), shape (..., n + 1), at the positions q, shape (..., n)."""
+        r = q.norm(dim=-1, keepdim=True)
+        return torch.cat((q / r, (r.log() - self.middle) / self.spread), dim=-1)
+
+    def pullback(self, q: Tensor, gradient: Tensor) -> Tensor:
+        """Return the gradient with respect to q, shape (..., n), from the one with respect to z."""
+        inverse = 1 / q.norm(dim=-1, keepdim=True)
+        direction = q * inverse
+        g = gradient[..., :-1]
+        radial = gradient[..., -1:] / self.spread - (direction * g).sum(-1, keepdim=True)
+        return (g + radial * direction) * inverse
+
+
+class Cartesian(nn.Module):
+    """The components of one block of the state, positions or momenta, each scaled.
+
+    Args:
+        dof: degrees of freedom n.
+        scaling: minmax, block or none.
+        block: 0 for the positions, 1 for the momenta.
+    """
+
+    def __init__(self, dof: int, scaling: Kind, block: Literal[0, 1]) -> None:
+        super().__init__()
+        self.size = dof
+        self.part = slice(block * dof, (block + 1) * dof)
+        self.affine = Affine(scaling, dof)
+
+    def fit(self, statistics: Statistics) -> None:
+        """Set the scaling from the training split; raises UserError for a constant component."""
+        self.affine.fit(statistics.minimum[self.part], statistics.maximum[self.part])
+
+    def forward(self, q: Tensor) -> Tensor:
+        """Return scaled components, shape (..., n)."""
+        return self.affine(q)
+
+    def pullback(self, q: Tensor, gradient: Tensor) -> Tensor:
+        """Return the gradient with respect to the physical components, shape (..., n)."""
+        del q
+        return self.affine.pullback(gradient)
+
+
+InputMap = Cartesian | Isotropic
+
+
+def position_inputs(name: InputName, dof: int, scaling: Kind) -> InputMap:
+    """Return the input map of the positions.
+
+    Raises:
+        UserError: unknown name, or isotropic inputs in one dimension.
+    """
+    if name not in get_args(InputName):
+        message = f"inputs: expected one of {', '.join(get_args(InputName))}; received {name!r}"
+        raise UserError(message)
+    if name == "cartesian":
+        return Cartesian(dof, scaling, 0)
+    if dof < 2:
+        message = "inputs isotropic: expected a system of at least 2 degrees of freedom; received 1"
+        raise UserError(message)
+    return Isotropic(dof)

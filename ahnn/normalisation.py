@@ -1,0 +1,105 @@
+"""Affine scalings of the state, fitted on the training split.
+
+A scaling sits inside the vector field: the network sees scaled coordinates, and its gradient is pulled back
+to the physical state by the chain rule. Hamilton's equations then hold exactly for any scaling, also for a
+scaling per component, which is not canonical by itself in more than one dimension.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple, get_args
+
+import torch
+from torch import Tensor, nn
+
+from ahnn.errors import UserError
+
+Kind = Literal["minmax", "block", "none"]
+
+
+class Statistics(NamedTuple):
+    """Statistics of the training split; each tensor (D,) float64, in physical units.
+
+    Attributes:
+        minimum, maximum: of each state component.
+        increment: root mean square of each component of x_{k+1} - x_k.
+        radius: (2,) extremes of the distance |q| from the origin.
+        dt: sampling interval.
+    """
+
+    minimum: Tensor
+    maximum: Tensor
+    increment: Tensor
+    radius: Tensor
+    dt: float
+
+    @classmethod
+    def of(cls, states: Tensor, increments: Tensor, dt: float) -> Statistics:
+        """Return the statistics of valid states and increments, each of shape (samples, D)."""
+        radius = states[:, : states.shape[-1] // 2].norm(dim=-1)
+        return cls(
+            minimum=states.amin(0),
+            maximum=states.amax(0),
+            increment=increments.square().mean(0).sqrt(),
+            radius=torch.stack((radius.min(), radius.max())),
+            dt=dt,
+        )
+
+    @property
+    def rate(self) -> Tensor:
+        """Typical size of dx/dt, shape (D,)."""
+        return self.increment / self.dt
+
+
+class Affine(nn.Module):
+    """z = (x - shift) / scale, with constants that travel with the checkpoint.
+
+    Args:
+        kind: `minmax` maps each component to [-1, 1] (the paper); `block` shares one scale among the
+            positions and one among the momenta; `none` is the identity.
+        size: number of components.
+    """
+
+    shift: Tensor
+    scale: Tensor
+
+    def __init__(self, kind: Kind, size: int) -> None:
+        super().__init__()
+        if kind not in get_args(Kind):
+            message = f"scaling: expected one of {', '.join(get_args(Kind))}; received {kind!r}"
+            raise UserError(message)
+        self.kind = kind
+        self.register_buffer("shift", torch.zeros(size))
+        self.register_buffer("scale", torch.ones(size))
+
+    def fit(self, minimum: Tensor, maximum: Tensor) -> None:
+        """Set shift and scale from the extremes of the components, both of shape (size,).
+
+        Raises:
+            UserError: a component does not vary.
+        """
+        if self.kind == "none":
+            return
+        half = (maximum - minimum) / 2
+        if self.kind == "block":
+            half = half.max().expand_as(half)
+        if not bool((half > 0).all()):
+            message = (
+                f"scaling {self.kind}: expected components that vary over the training split; "
+                f"received ranges {(2 * half).tolist()}. Drop the constant component or use scaling none."
+            )
+            raise UserError(message)
+        self.shift.copy_((maximum + minimum) / 2)
+        self.scale.copy_(half)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return scaled coordinates, shape (..., size)."""
+        return (x - self.shift) / self.scale
+
+    def inverse(self, z: Tensor) -> Tensor:
+        """Return physical coordinates, shape (..., size)."""
+        return self.shift + self.scale * z
+
+    def pullback(self, gradient: Tensor) -> Tensor:
+        """Return the gradient with respect to x from the one with respect to z, shape (..., size)."""
+        return gradient / self.scale

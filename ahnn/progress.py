@@ -1,0 +1,30 @@
+"""One way to show progress: a bar on standard error that leaves no trace when it is done."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import TypeVar
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+T = TypeVar("T")
+
+
+def progress_bar(*columns: TextColumn) -> Progress:
+    """Return a transient bar with description, share, time left and any further columns."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        *columns,
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
+
+
+def track(items: Iterable[T], description: str, total: int) -> Iterator[T]:
+    """Yield the items while a bar shows how many of `total` have passed."""
+    with progress_bar() as bar:
+        yield from bar.track(items, total=total, description=description)

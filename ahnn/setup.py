@@ -1,0 +1,78 @@
+"""Before the fit: a quiet Lightning, the checkpoint to go on from, and what the user is in for."""
+
+from __future__ import annotations
+
+import copy
+import logging
+import time
+import warnings
+from pathlib import Path
+
+import torch
+from lightning import Trainer
+
+from ahnn.checkpoints import read_checkpoint, require_same
+from ahnn.data import WindowDataModule
+from ahnn.models import AbstractDynamics
+
+log = logging.getLogger(__name__)
+
+
+def quiet() -> None:
+    """Silence Lightning's hints that do not apply: batches are gathered in memory, without workers."""
+    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+    for hint in (
+        ".*does not have many workers.*",
+        ".*Checkpoint directory.*exists.*",
+        ".*no `IterableDataset`.*",
+    ):
+        warnings.filterwarnings("ignore", hint)
+
+
+def resume_point(ckpt: str | None, model: AbstractDynamics, folder: Path) -> Path | None:
+    """Return the checkpoint to go on from, or None.
+
+    Args:
+        ckpt: None, `last`, `best`, or a path.
+        model: what is going to be trained; the checkpoint must be of the same.
+        folder: where checkpoints of this run are.
+
+    Raises:
+        UserError: the checkpoint is missing, damaged, or of another model or system.
+    """
+    if ckpt is None:
+        return None
+    path = folder / f"{ckpt}.ckpt" if ckpt in ("last", "best") else Path(ckpt)
+    content = read_checkpoint(path)
+    received = {"model": dict(content["hyper_parameters"]), "system": content["ahnn"].get("system", {})}
+    require_same(f"checkpoint {path}", {"model": dict(model.hparams), **model.provenance}, received)
+    return path
+
+
+def announce(trainer: Trainer, data: WindowDataModule, model: AbstractDynamics, label: str) -> None:
+    """Say how many optimiser steps the training takes and about how long on this machine."""
+    steps = len(data.train_dataloader()) * int(trainer.max_epochs or 1)
+    seconds = steps * seconds_per_step(data, model)
+    duration = f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
+    log.info(
+        "training %s on %s: %s optimiser steps of %d windows in %d epochs, about %s on this machine",
+        label,
+        data.system.name,
+        f"{steps:,}",
+        data.batch_size,
+        trainer.max_epochs,
+        duration,
+    )
+
+
+def seconds_per_step(data: WindowDataModule, model: AbstractDynamics, repeats: int = 5) -> float:
+    """Return the median time of a forward and backward pass, measured on a copy of the model."""
+    model = copy.deepcopy(model)
+    windows = data.val_dataloader().windows
+    batch = windows.gather(torch.arange(data.batch_size) % len(windows))
+    times = []
+    for _ in range(repeats + 1):
+        begin = time.perf_counter()
+        model.loss(model.residuals(batch)).backward()
+        times.append(time.perf_counter() - begin)
+    return sorted(times[1:])[repeats // 2]

@@ -1,0 +1,26 @@
+"""Physical systems with known Hamiltonians: the ground truth for data, scores and floors.
+
+A system is one class in one file and one YAML in conf/system.
+"""
+
+from __future__ import annotations
+
+from ahnn.systems.base import FilterNoise, Range, System, Units, uniform
+from ahnn.systems.henon_heiles import HenonHeiles
+from ahnn.systems.kepler import Kepler
+from ahnn.systems.mass_spring import MassSpring
+from ahnn.systems.molniya import Molniya
+from ahnn.systems.pendulum import Pendulum
+
+__all__ = [
+    "FilterNoise",
+    "HenonHeiles",
+    "Kepler",
+    "MassSpring",
+    "Molniya",
+    "Pendulum",
+    "Range",
+    "System",
+    "Units",
+    "uniform",
+]

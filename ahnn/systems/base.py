@@ -1,0 +1,127 @@
+"""What a physical system must say of itself: its energy, its field, its initial states and its units."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Generator, Tensor
+
+from ahnn.errors import UserError
+
+Range = tuple[float, float] | list[float]
+"""Closed interval [low, high] from which a parameter of the initial states is drawn uniformly."""
+
+
+@dataclass(frozen=True)
+class Units:
+    """Names of the units in which a system's numbers are given."""
+
+    time: str
+    position: str
+    velocity: str
+    energy: str
+
+
+@dataclass(frozen=True)
+class FilterNoise:
+    """Default statistics of a filter on this system, as standard deviations.
+
+    Attributes:
+        position, velocity: of the initial state error, one value for each block.
+        measurement: of a measured position component.
+    """
+
+    position: float
+    velocity: float
+    measurement: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class System(ABC):
+    """A separable Hamiltonian system H(q, p) = T(p) + V(q), ground truth for data and floors.
+
+    A subclass is a frozen dataclass whose fields are its physical constants; all of them enter the hash
+    under which generated trajectories are cached.
+
+    Attributes:
+        name: in folders and tables.
+        dt: sampling interval, in the time unit of the system.
+        steps: number of sampling intervals of a trajectory.
+        dof: degrees of freedom n; a state has 2n components.
+        components: names of the state components, positions first.
+        units: units of time, position, velocity and energy.
+        integrator: name of the method that generates the truth.
+        noise: default standard deviations for a filter.
+        mass: in the unit of the system.
+    """
+
+    name: str
+    dt: float
+    steps: int
+
+    dof: ClassVar[int]
+    components: ClassVar[tuple[str, ...]]
+    units: ClassVar[Units]
+    integrator: ClassVar[str]
+    noise: ClassVar[FilterNoise]
+    mass: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse times and masses that make no trajectory."""
+        if not (self.dt > 0 and self.steps >= 1 and self.mass > 0):
+            message = (
+                f"system {self.name}: expected dt > 0, steps >= 1 and mass > 0; "
+                f"received dt={self.dt}, steps={self.steps}, mass={self.mass}"
+            )
+            raise UserError(message)
+
+    @abstractmethod
+    def energy(self, x: Tensor) -> Tensor:
+        """Return H, shape (...), of the states x, shape (..., D)."""
+
+    @abstractmethod
+    def force(self, q: Tensor) -> Tensor:
+        """Return dp/dt = -dV/dq, shape (..., n), at the positions q, shape (..., n)."""
+
+    @abstractmethod
+    def initial_states(self, count: int, generator: Generator) -> Tensor:
+        """Draw the initial states of `count` trajectories, shape (count, D), float64."""
+
+    @property
+    def inertia(self) -> float:
+        """The factor m of the kinetic energy p^2 / 2m."""
+        return self.mass
+
+    def velocity(self, p: Tensor) -> Tensor:
+        """Return dq/dt = p / m, shape (..., n), at the momenta p, shape (..., n)."""
+        return p / self.inertia
+
+    def __call__(self, x: Tensor) -> Tensor:
+        """Return Hamilton's field (dq/dt, dp/dt), shape (..., D), at the states x, shape (..., D)."""
+        q, p = x.chunk(2, dim=-1)
+        return torch.cat((self.velocity(p), self.force(q)), dim=-1)
+
+    def durations(self, x: Tensor) -> Tensor:
+        """Return the number of steps, shape (B,), of the trajectories that start at x, shape (B, D)."""
+        return torch.full((x.shape[0],), self.steps, dtype=torch.int64)
+
+    def deviations(self) -> Tensor:
+        """Return the default standard deviations of an initial state error, shape (D,)."""
+        blocks = torch.tensor([self.noise.position, self.noise.velocity * self.inertia], dtype=torch.float64)
+        return blocks.repeat_interleave(self.dof)
+
+
+def uniform(interval: Range, count: int, generator: Generator, *, name: str) -> Tensor:
+    """Draw `count` numbers uniformly from a closed interval, shape (count,), float64.
+
+    Raises:
+        UserError: the interval is not [low, high] with low <= high.
+    """
+    if len(interval) != 2 or not interval[0] <= interval[1]:
+        message = f"system: {name}: expected a range [low, high] with low <= high; received {interval}"
+        raise UserError(message)
+    low, high = interval
+    return low + (high - low) * torch.rand(count, generator=generator, dtype=torch.float64)

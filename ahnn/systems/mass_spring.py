@@ -1,0 +1,47 @@
+"""The harmonic oscillator: H = p^2 / 2m + k q^2 / 2."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import torch
+from torch import Generator, Tensor
+
+from ahnn.systems.base import FilterNoise, Range, System, Units, uniform
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class MassSpring(System):
+    """A mass on a spring (paper, section IV.A); SI units.
+
+    Attributes:
+        stiffness: spring constant k in N/m.
+        q0, p0: ranges of the initial position (m) and momentum (kg m/s).
+    """
+
+    stiffness: float = 5.0
+    q0: Range = (-1.0, 1.0)
+    p0: Range = (-1.0, 1.0)
+
+    dof = 1
+    components = ("q", "p")
+    units = Units(time="s", position="m", velocity="m/s", energy="J")
+    integrator = "gl4"
+    noise = FilterNoise(position=1e-7**0.5, velocity=1e-7**0.5, measurement=1e-7**0.5)
+
+    def energy(self, x: Tensor) -> Tensor:
+        """Return p^2 / 2m + k q^2 / 2 in J, shape (...)."""
+        q, p = x.unbind(-1)
+        return p * p / (2 * self.mass) + self.stiffness * q * q / 2
+
+    def force(self, q: Tensor) -> Tensor:
+        """Return Hooke's force -k q in N, shape (..., 1)."""
+        return -self.stiffness * q
+
+    def initial_states(self, count: int, generator: Generator) -> Tensor:
+        """Draw (q0, p0) uniformly, shape (count, 2)."""
+        q = uniform(self.q0, count, generator, name="q0")
+        p = uniform(self.p0, count, generator, name="p0")
+        return torch.stack((q, p), dim=-1)

@@ -1,0 +1,92 @@
+"""Train a model and evaluate it: `python -m ahnn.train model=ahnn window=5 system=molniya`.
+
+Reads from top to bottom: parts, fit, evaluation. The entry points and `config` alone see Hydra; what they
+build takes plain values. Heavy imports wait until a job runs, so that `--help` and a sweep's parent are fast.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from omegaconf import DictConfig, OmegaConf
+
+from ahnn.config import build, build_all, plain_config, run_hydra
+
+if TYPE_CHECKING:
+    from lightning import Trainer
+
+    from ahnn.data import WindowDataModule
+    from ahnn.models import AbstractDynamics
+
+log = logging.getLogger(__name__)
+
+
+def train(cfg: DictConfig) -> float:
+    """Run one training and its evaluation; return the best validation loss, the objective of a search."""
+    import torch
+    from lightning import seed_everything
+
+    from ahnn.data.store import require_writable, write_atomically
+    from ahnn.evaluation.report import finish
+    from ahnn.setup import announce, quiet, resume_point
+
+    quiet()
+    folder = Path(cfg.folder)
+    torch.set_num_threads(cfg.threads)
+    seed_everything(cfg.seed, verbose=False)
+    data, model = build_parts(cfg)
+    plugins = build_all(cfg.plugins, "plugins")
+    checkpoint = resume_point(cfg.ckpt, model, folder / "checkpoints")
+    require_writable(folder)
+    trainer = build_trainer(cfg)
+
+    model.calibrate(data.statistics())
+    write_atomically(folder / "config.yaml", OmegaConf.to_yaml(plain_config(cfg)).encode())
+    announce(trainer, data, model, cfg.label)
+    started = time.monotonic()
+    trainer.fit(model, data, ckpt_path=checkpoint)
+    about = {
+        "seed": cfg.seed,
+        "training_seconds": round(time.monotonic() - started, 1),
+        "optimiser_steps": trainer.global_step,
+        "parameters": sum(p.numel() for p in model.parameters()),
+    }
+    return finish(
+        model, data, plugins, about, loggers=trainer.loggers, label=cfg.label, folder=folder, **cfg.evaluation
+    )
+
+
+def build_parts(cfg: DictConfig) -> tuple[WindowDataModule, AbstractDynamics]:
+    """Build system, DataModule and model; nothing is generated yet, so that mistakes show at once."""
+    from ahnn.models import Optimisation
+
+    system = build(cfg.system, "system")
+    data = build(cfg.data, "data", system=system)
+    model = build(cfg.model, "model", dof=system.dof, inertia=system.inertia).to(data.dtype)
+    model.optimisation = Optimisation(build(cfg.optimizer, "optimizer"), build(cfg.scheduler, "scheduler"))
+    model.configure_optimizers()
+    model.provenance = {"system": plain_config(cfg.system)}
+    return data, model
+
+
+def build_trainer(cfg: DictConfig) -> Trainer:
+    """Build the Lightning trainer with its callbacks and loggers."""
+    return build(
+        cfg.trainer,
+        "trainer",
+        callbacks=list(build_all(cfg.callbacks, "callbacks").values()),
+        logger=list(build_all(cfg.logger, "logger").values()),
+        default_root_dir=cfg.folder,
+    )
+
+
+def main() -> None:
+    """Entry point of `python -m ahnn.train` and `ahnn-train`."""
+    run_hydra(train)
+
+
+if __name__ == "__main__":
+    main()
