@@ -1,0 +1,103 @@
+"""Covariance matrices as users give them: checked, named in errors, and factored."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ahnn_plugins.ukf.linalg import tria
+from ahnn_plugins.ukf.types import Belief
+
+TOLERANCE = 1e-10
+"""Asymmetry, and negative eigenvalue, that counts as rounding in a matrix scaled to unit diagonal."""
+
+
+def initial_belief(mean: Tensor, covariance: Tensor) -> Belief:
+    """Return the Gaussian belief that a filter starts from.
+
+    Args:
+        mean: (B, D) states.
+        covariance: (D, D) shared, or (B, D, D); symmetric and positive definite.
+
+    Raises:
+        ValueError: if a mean is not finite, or the covariance is not a positive definite (D, D) matrix.
+    """
+    if mean.ndim != 2:
+        message = f"initial_belief: mean must have shape (B, D), got {tuple(mean.shape)}; use mean[None]"
+        raise ValueError(message)
+    finite = torch.isfinite(mean).all(-1)
+    if not bool(finite.all()):
+        message = f"initial_belief: mean of member {int((~finite).nonzero()[0])} is not finite; drop it"
+        raise ValueError(message)
+    batch, size = mean.shape
+    chol = covariance_factor(covariance, "P0", batch=batch, size=size, definite=True)
+    return Belief(mean.to(torch.float64), chol.to(mean.device).expand(batch, size, size))
+
+
+def covariance_factor(matrix: Tensor, name: str, *, batch: int, size: int, definite: bool) -> Tensor:
+    """Return the lower factor, (D, D) or (B, D, D), of a covariance matrix given by a user.
+
+    Args:
+        matrix: (D, D) or (B, D, D).
+        name: what the matrix is called in messages.
+        batch: B.
+        size: D.
+        definite: refuse a singular matrix.
+
+    Raises:
+        ValueError: wrong shape, not finite, not symmetric, indefinite, or singular where that is refused.
+    """
+    shape = tuple(matrix.shape)
+    if shape not in {(size, size), (batch, size, size)}:
+        message = f"{name}: expected shape ({size}, {size}) or ({batch}, {size}, {size}), got {shape}"
+        raise ValueError(message)
+    stacked = matrix.to(torch.float64).reshape(-1, size, size)
+    scale = _check_entries(stacked, name)
+    chol, info = torch.linalg.cholesky_ex(stacked)
+    failed = info != 0
+    if bool(failed.any()):
+        _check_eigenvalues(stacked, scale, failed, name, definite)
+        chol = torch.where(failed[:, None, None], _semidefinite_factor(stacked, scale), chol)
+    return chol.reshape(shape)
+
+
+def _check_entries(matrix: Tensor, name: str) -> Tensor:
+    """Return scales (B, D), the standard deviations, of matrices that are finite and symmetric."""
+    if not bool(torch.isfinite(matrix).all()):
+        message = f"{name}: expected finite entries, got {matrix.tolist()}"
+        raise ValueError(message)
+    variance = torch.diagonal(matrix, dim1=-2, dim2=-1)
+    scale = torch.where(variance > 0.0, variance, 1.0).sqrt()
+    asymmetry = (matrix - matrix.mT).abs()
+    if bool((asymmetry > TOLERANCE * scale.unsqueeze(-1) * scale.unsqueeze(-2)).any()):
+        b, i, j = (int(n) for n in torch.nonzero(asymmetry == asymmetry.max())[0])
+        message = (
+            f"{name}: expected a symmetric matrix, got [{i}, {j}] = {float(matrix[b, i, j])} "
+            f"but [{j}, {i}] = {float(matrix[b, j, i])}; use (A + A.mT) / 2 if that is meant"
+        )
+        raise ValueError(message)
+    return scale
+
+
+def _check_eigenvalues(matrix: Tensor, scale: Tensor, failed: Tensor, name: str, definite: bool) -> None:
+    """Raise for the first matrix (B, D, D) whose eigenvalues are not those of a covariance."""
+    correlation = matrix / (scale.unsqueeze(-1) * scale.unsqueeze(-2))
+    for b in torch.nonzero(failed).flatten().tolist():
+        smallest = float(torch.linalg.eigvalsh(matrix[b])[0])
+        where = f" of member {b}" if len(matrix) > 1 else ""
+        if float(torch.linalg.eigvalsh(correlation[b])[0]) < -TOLERANCE:
+            message = f"{name}: expected no negative eigenvalue, got {smallest:.6g}{where}; it is indefinite"
+            raise ValueError(message)
+        if definite:
+            message = (
+                f"{name}: expected a positive definite matrix, got eigenvalue {smallest:.6g}{where}; "
+                f"add a small variance to its diagonal"
+            )
+            raise ValueError(message)
+
+
+def _semidefinite_factor(matrix: Tensor, scale: Tensor) -> Tensor:
+    """Return lower factors of positive semidefinite matrices (B, D, D), zero eigenvalues included."""
+    values, vectors = torch.linalg.eigh(matrix / (scale.unsqueeze(-1) * scale.unsqueeze(-2)))
+    rows = (vectors * values.clamp(min=0.0).sqrt().unsqueeze(-2)).mT * scale.unsqueeze(-2)
+    return tria(rows)

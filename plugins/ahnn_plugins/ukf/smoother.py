@@ -1,0 +1,79 @@
+"""Unscented Rauch-Tung-Striebel smoother (Särkkä 2008) on factors.
+
+The filter keeps, for each step, the law of the state before it given the state after it. The smoother then
+only composes these laws backwards: no covariance is subtracted, so none can become indefinite.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ahnn_plugins.ukf.linalg import tria
+from ahnn_plugins.ukf.sigma_points import Weights
+from ahnn_plugins.ukf.square_root import joint_factor
+from ahnn_plugins.ukf.types import Backward, Belief, FilterResult, SmootherResult, Status
+
+
+def backward_kernel(
+    propagated: Tensor, chol: Tensor, weights: Weights, chol_q: Tensor
+) -> tuple[Backward, Tensor | None]:
+    """Return the law of the state before a step given the state after it, one step of (B, D, D).
+
+    The gain is G = C P⁻¹ with C the covariance of the states before and after, P the predicted covariance
+    (Särkkä 2008, eq. 14); the conditional covariance is that of the smoother, P_k - G P Gᵀ, as a factor.
+
+    Args:
+        propagated: (B, S, D) sigma points after the flow.
+        chol: (B, D, D) factor from which they were drawn.
+        weights: of the points.
+        chol_q: (B, D, D) factor of the process noise.
+
+    Returns:
+        The law, and which members needed a repair, (B,) bool, or None.
+    """
+    size = chol.shape[-1]
+    outer = propagated[:, 1:] - propagated[:, :1]
+    shift = weights.outer * outer.sum(1, keepdim=True)
+    joint, repaired = joint_factor(outer, shift, chol, weights, chol_q.mT)
+    chol_next, cross, chol_given = joint[:, :size, :size], joint[:, size:, :size], joint[:, size:, size:]
+    gain = torch.linalg.solve_triangular(chol_next, cross, upper=False, left=False)
+    return Backward(gain, chol_given), repaired
+
+
+@torch.no_grad()
+def unscented_smoother(result: FilterResult) -> SmootherResult:
+    """Return the beliefs given all measurements, from a filter that ran with `smoothing=True`.
+
+    A member that failed at step k is smoothed over its steps before k, and NaN from there on.
+
+    Raises:
+        ValueError: if the filter kept no backward kernels.
+    """
+    if result.backward is None:
+        message = (
+            "unscented_smoother: expected backward kernels, got None; run the filter with smoothing=True"
+        )
+        raise ValueError(message)
+    steps = result.means.shape[1]
+    smoothed = [Belief(result.means[:, -1], result.chols[:, -1])]
+    for k in range(steps - 1, -1, -1):
+        before = Belief(result.means[:, k - 1], result.chols[:, k - 1]) if k else result.initial
+        smoothed.append(_step_back(result, result.backward, before, smoothed[-1], k))
+    initial = smoothed.pop()
+    smoothed.reverse()
+    means = torch.stack([belief.mean for belief in smoothed], dim=1)
+    return SmootherResult(initial, means, torch.stack([belief.chol for belief in smoothed], dim=1))
+
+
+def _step_back(result: FilterResult, kernels: Backward, before: Belief, after: Belief, k: int) -> Belief:
+    """Return the smoothed belief before step k, from the filtered one and the smoothed one after it."""
+    gain = kernels.gain[:, k]
+    correction = gain @ (after.mean - result.predicted_means[:, k]).unsqueeze(-1)
+    chol = tria(torch.cat((kernels.chol[:, k].mT, (gain @ after.chol).mT), dim=1))
+    # The step at which a member failed says nothing about the time before it.
+    holds = (result.status == Status.OK) | (k < result.failed_step)
+    return Belief(
+        torch.where(holds[:, None], before.mean + correction.squeeze(-1), before.mean),
+        torch.where(holds[:, None, None], chol, before.chol),
+    )

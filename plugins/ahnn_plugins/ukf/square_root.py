@@ -1,0 +1,111 @@
+"""Square-root form: covariances are only ever carried as triangular factors.
+
+After van der Merwe & Wan 2001, with two changes that make it sturdier: the negative centre weight is
+absorbed into the deviations (see `Weights`), and the update triangularises state and measurement
+together, as array filters do (Kailath, Sayed & Hassibi 2000, chapter 12), instead of downdating column by
+column.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from ahnn_plugins.ukf.linalg import EPS, downdate, tria
+from ahnn_plugins.ukf.sigma_points import Weights
+from ahnn_plugins.ukf.types import Belief, Form, Predicted, Residual, Updated
+
+
+def predict(propagated: Tensor, weights: Weights, chol_q: Tensor) -> Predicted:
+    """Return the belief whose moments are those of the propagated sigma points, plus Q.
+
+    Args:
+        propagated: (B, S, D) sigma points after the flow.
+        weights: of the points.
+        chol_q: (B, D, D) lower factor of the process noise.
+    """
+    centre = propagated[:, :1]
+    outer = propagated[:, 1:] - centre
+    shift = weights.outer * outer.sum(1, keepdim=True)
+    deviations = weights.outer.sqrt() * (outer - weights.recentring * shift)
+    chol = tria(torch.cat((deviations, chol_q.mT), dim=1))
+    chol, repaired = _lowered(chol, shift[:, 0], weights)
+    return Predicted(Belief((centre + shift)[:, 0], chol), repaired)
+
+
+def update(
+    prior: Belief, images: Tensor, y: Tensor, residual: Residual, weights: Weights, chol_r: Tensor
+) -> Updated:
+    """Return the posterior given the components of y that are not NaN.
+
+    A missing component has deviation zero and variance one, hence no correlation with anything: the result
+    is that of the measurement without it, and the batch stays rectangular.
+
+    Args:
+        prior: belief from which the points were drawn.
+        images: (B, S, M) sigma points through the measurement model.
+        y: (B, M), NaN where missing.
+        residual: difference of two measurements.
+        weights: of the points.
+        chol_r: (B, M, M) lower factor of the measurement noise.
+    """
+    size = y.shape[-1]
+    present = ~torch.isnan(y)
+    column = present.unsqueeze(1)
+    outer = torch.where(column, residual(images[:, 1:], images[:, :1]), 0.0)
+    shift = weights.outer * outer.sum(1, keepdim=True)
+    y_pred = images[:, 0] + shift[:, 0]
+    innovation = torch.where(present, residual(y, y_pred), 0.0)
+    noise = torch.cat((torch.where(column, chol_r.mT, 0.0), torch.diag_embed((~present).to(y.dtype))), dim=1)
+    joint, repaired = joint_factor(outer, shift, prior.chol, weights, noise)
+    chol_y, cross, chol = joint[:, :size, :size], joint[:, size:, :size], joint[:, size:, size:]
+    diagonal = torch.diagonal(chol_y, dim1=-2, dim2=-1)
+    singular = (diagonal <= 4.0 * EPS * chol_y.norm(dim=-1)).any(-1)
+    white = torch.linalg.solve_triangular(chol_y, innovation.unsqueeze(-1), upper=False)
+    mean = prior.mean + (cross * white.mT).sum(-1)
+    nis = white.square().sum((-2, -1))
+    # An integer tensor times a float would be float32.
+    count = present.sum(-1).to(nis.dtype)
+    log_likelihood = -0.5 * (nis + count * math.log(2.0 * math.pi)) - diagonal.log().sum(-1)
+    return Updated(Belief(mean, chol), innovation, nis, log_likelihood, singular, repaired)
+
+
+def joint_factor(
+    outer: Tensor, shift: Tensor, chol: Tensor, weights: Weights, noise_rows: Tensor
+) -> tuple[Tensor, Tensor | None]:
+    """Return the lower factor (B, N + D, N + D) of the joint covariance of an image and the state.
+
+    Its blocks are [[chol_z, 0], [cross, chol_given]]: chol_z factors the covariance of the image z,
+    cross chol_zᵀ is the covariance of state and image, and chol_given factors the covariance of the state
+    given the image. Sums and differences of opposite points keep the state block exactly `chol`.
+
+    Args:
+        outer: (B, 2 D, N) deviations of the images of the outer points from the image of the centre.
+        shift: (B, 1, N) mean of the image minus the image of the centre.
+        chol: (B, D, D) lower factor of the state from which the points were drawn.
+        weights: of the points.
+        noise_rows: (B, K, N), noise covariance = noise_rowsᵀ noise_rows.
+
+    Returns:
+        The factor, and which members needed a repair, (B,) bool, or None.
+    """
+    deviations = outer - weights.recentring * shift
+    plus, minus = (deviations * (0.5 * weights.outer).sqrt()).chunk(2, dim=1)
+    image = torch.cat((plus - minus, plus + minus, noise_rows), dim=1)
+    state = torch.nn.functional.pad(chol.mT, (0, 0, 0, image.shape[1] - chol.shape[1]))
+    joint = tria(torch.cat((image, state), dim=-1))
+    return _lowered(joint, torch.nn.functional.pad(shift[:, 0], (0, chol.shape[-1])), weights)
+
+
+def _lowered(chol: Tensor, shift: Tensor, weights: Weights) -> tuple[Tensor, Tensor | None]:
+    """Subtract what negative weights leave; where that is impossible leave it out and report a repair."""
+    if weights.downdate is None:
+        return chol, None
+    needed = (weights.downdate > 0.0).flatten()
+    lowered, possible = downdate(chol, weights.downdate.sqrt().squeeze(-1) * shift)
+    return torch.where(needed[:, None, None], lowered, chol), needed & ~possible
+
+
+SQUARE_ROOT = Form("square-root", predict, update, needs_definite_noise=False)

@@ -1,0 +1,84 @@
+"""Standard form: covariances are formed, as in the textbook (Wan & van der Merwe 2000, algorithm 3.1).
+
+Here as a reference and for teaching. A covariance that is no longer positive definite is mended, and the
+mending is reported for the member that it happened to.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from ahnn_plugins.ukf.linalg import cholesky_repaired
+from ahnn_plugins.ukf.sigma_points import Weights
+from ahnn_plugins.ukf.types import Belief, Form, Predicted, Residual, Updated
+
+
+def predict(propagated: Tensor, weights: Weights, chol_q: Tensor) -> Predicted:
+    """Return the belief whose moments are those of the propagated sigma points, plus Q.
+
+    Args:
+        propagated: (B, S, D) sigma points after the flow.
+        weights: of the points.
+        chol_q: (B, D, D) lower factor of the process noise.
+    """
+    outer = propagated[:, 1:] - propagated[:, :1]
+    mean, deviations = _centred(outer, propagated[:, 0], weights)
+    covariance = _second_moment(deviations, deviations, weights) + chol_q @ chol_q.mT
+    chol, repaired = cholesky_repaired(_symmetric(covariance))
+    return Predicted(Belief(mean, chol), repaired)
+
+
+def update(
+    prior: Belief, images: Tensor, y: Tensor, residual: Residual, weights: Weights, chol_r: Tensor
+) -> Updated:
+    """Return the posterior given the components of y that are not NaN; arguments as in the other form."""
+    present = ~torch.isnan(y)
+    outer = torch.where(present.unsqueeze(1), residual(images[:, 1:], images[:, :1]), 0.0)
+    y_pred, deviations = _centred(outer, images[:, 0], weights)
+    innovation = torch.where(present, residual(y, y_pred), 0.0)
+    pairs = present.unsqueeze(-1) & present.unsqueeze(-2)
+    noise = torch.where(pairs, chol_r @ chol_r.mT, torch.diag_embed((~present).to(y.dtype)))
+    chol_y, repaired_y = cholesky_repaired(
+        _symmetric(_second_moment(deviations, deviations, weights) + noise)
+    )
+    spread = weights.radius * prior.chol.mT
+    state = torch.cat((torch.zeros_like(spread[:, :1]), spread, -spread), dim=1)
+    cross = _second_moment(state, deviations, weights)
+    # gain chol_y, so that gain P_yy gainᵀ is its product with its own transpose.
+    whitened = torch.linalg.solve_triangular(chol_y.mT, cross, upper=True, left=False)
+    white = torch.linalg.solve_triangular(chol_y, innovation.unsqueeze(-1), upper=False)
+    mean = prior.mean + (whitened @ white).squeeze(-1)
+    chol, repaired = cholesky_repaired(_symmetric(prior.covariance - whitened @ whitened.mT))
+    nis = white.square().sum((-2, -1))
+    diagonal = torch.diagonal(chol_y, dim1=-2, dim2=-1)
+    # An integer tensor times a float would be float32.
+    count = present.sum(-1).to(nis.dtype)
+    log_likelihood = -0.5 * (nis + count * math.log(2.0 * math.pi)) - diagonal.log().sum(-1)
+    singular = (diagonal == 0.0).any(-1)
+    return Updated(Belief(mean, chol), innovation, nis, log_likelihood, singular, repaired | repaired_y)
+
+
+def _centred(outer: Tensor, centre: Tensor, weights: Weights) -> tuple[Tensor, Tensor]:
+    """Return the weighted mean (B, N), and the deviations (B, S, N) of all points from it.
+
+    The mean is centre + W sum e_i, which equals the weighted sum because the weights add up to one, and does
+    not cancel when the centre weight is large and negative.
+    """
+    shift = weights.outer * outer.sum(1, keepdim=True)
+    return centre + shift[:, 0], torch.cat((-shift, outer - shift), dim=1)
+
+
+def _second_moment(left: Tensor, right: Tensor, weights: Weights) -> Tensor:
+    """Return sum_i Wc_i left_i right_iᵀ, shape (B, N, K)."""
+    outer = weights.outer * (left[:, 1:].mT @ right[:, 1:])
+    return outer + weights.covariance_centre * (left[:, :1].mT @ right[:, :1])
+
+
+def _symmetric(matrix: Tensor) -> Tensor:
+    return 0.5 * (matrix + matrix.mT)
+
+
+STANDARD = Form("standard", predict, update, needs_definite_noise=True)

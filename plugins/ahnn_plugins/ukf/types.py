@@ -1,0 +1,212 @@
+"""Values that the filter takes and returns; shape suffixes as in `ahnn.types`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import IntEnum
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+from torch import Tensor
+
+if TYPE_CHECKING:
+    from ahnn_plugins.ukf.sigma_points import Weights
+
+
+class Status(IntEnum):
+    """What became of one member of the batch."""
+
+    OK = 0
+    NOT_FINITE = 1
+    """The flow or the measurement model overflowed or returned NaN."""
+    COLLAPSED = 2
+    """A predicted variance is zero, or the innovation covariance is singular."""
+    DIVERGED = 3
+    """The gate rejected too many measurements in a row."""
+
+
+class Belief(NamedTuple):
+    """Gaussian beliefs about the states of B members.
+
+    Attributes:
+        mean: (B, D) float64.
+        chol: (B, D, D) lower factor, covariance = chol cholᵀ.
+    """
+
+    mean: Tensor
+    chol: Tensor
+
+    @property
+    def covariance(self) -> Tensor:
+        """Covariance (B, D, D)."""
+        return self.chol @ self.chol.mT
+
+
+class UnscentedParameters(NamedTuple):
+    """Parameters of the scaled unscented transformation (Wan & van der Merwe 2000).
+
+    Each is one number, or a (B,) tensor with one value per member. The defaults give no negative weight;
+    beta = 2 is optimal for Gaussian beliefs.
+    """
+
+    alpha: float | Tensor = 1.0
+    beta: float | Tensor = 2.0
+    kappa: float | Tensor = 0.0
+
+
+class Gate(NamedTuple):
+    """Chi-square gate on whole measurement rows.
+
+    Attributes:
+        probability: a row is rejected when its NIS exceeds this quantile of the chi-square law.
+        patience: this many rejections in a row end in `Status.DIVERGED`.
+    """
+
+    probability: float = 0.9999
+    patience: int = 5
+
+
+class Predicted(NamedTuple):
+    """Result of one prediction; `repaired` (B,) bool is None where the form had nothing to repair."""
+
+    belief: Belief
+    repaired: Tensor | None
+
+
+class Updated(NamedTuple):
+    """Result of one update.
+
+    Attributes:
+        belief: the posterior.
+        innovation: (B, M), zero where the component is missing.
+        nis: (B,) normalised innovation squared of the components that are there.
+        log_likelihood: (B,) log density of those components under the prediction.
+        singular: (B,) bool, the innovation covariance cannot be inverted.
+        repaired: (B,) bool, or None where the form had nothing to repair.
+    """
+
+    belief: Belief
+    innovation: Tensor
+    nis: Tensor
+    log_likelihood: Tensor
+    singular: Tensor
+    repaired: Tensor | None
+
+
+class Residual(Protocol):
+    """Difference of two measurements, shape (..., M), with angles wrapped."""
+
+    def __call__(self, y: Tensor, y_pred: Tensor) -> Tensor:
+        """Return y - y_pred."""
+        ...
+
+
+class Predict(Protocol):
+    """Moments of the propagated sigma points (B, S, D), plus additive process noise."""
+
+    def __call__(self, propagated: Tensor, weights: Weights, chol_q: Tensor) -> Predicted:
+        """Return the predicted belief."""
+        ...
+
+
+class Update(Protocol):
+    """Condition a prior on the measurement row y (B, M), NaN where a component is missing."""
+
+    def __call__(
+        self, prior: Belief, images: Tensor, y: Tensor, residual: Residual, weights: Weights, chol_r: Tensor
+    ) -> Updated:
+        """Return the posterior; images (B, S, M) are the measured sigma points of the prior."""
+        ...
+
+
+class Form(NamedTuple):
+    """A way to carry the covariance: the functions that the loop over time calls.
+
+    Attributes:
+        name: for messages.
+        predict: see `Predict`.
+        update: see `Update`.
+        needs_definite_noise: whether a singular measurement noise is refused.
+    """
+
+    name: str
+    predict: Predict
+    update: Update
+    needs_definite_noise: bool
+
+
+class Backward(NamedTuple):
+    """Law of the state before a step given the state after it: N(mean + gain (x' - mean'), chol cholᵀ).
+
+    Attributes:
+        gain: (B, T, D, D) smoother gains.
+        chol: (B, T, D, D) lower factors of the conditional covariance.
+    """
+
+    gain: Tensor
+    chol: Tensor
+
+
+class FilterResult(NamedTuple):
+    """What `unscented_filter` returns; index k is after step k, at time t_0 + dt_0 + ... + dt_k.
+
+    A member whose status is not OK holds NaN from its failed step on, and its estimates up to there.
+
+    Attributes:
+        initial: belief before the first step.
+        means: (B, T, D) after the update.
+        chols: (B, T, D, D) lower factors after the update.
+        predicted_means: (B, T, D) before the update; equal to `means` where nothing was measured.
+        predicted_chols: (B, T, D, D) before the update.
+        innovations: (B, T, M), NaN where missing.
+        nis: (B, T) normalised innovation squared, of rejected rows too; NaN where nothing was measured.
+        measured: (B, T) int64, components that were there.
+        rejected: (B, T) bool, the gate refused the row.
+        log_likelihood: (B,) of the accepted measurements.
+        status: (B,) int64, see `Status`.
+        failed_step: (B,) int64, step at which the status was given; -1 where it is OK.
+        repairs: (B,) int64, covariances that had to be mended.
+        backward: kernels for the smoother, where they were asked for.
+    """
+
+    initial: Belief
+    means: Tensor
+    chols: Tensor
+    predicted_means: Tensor
+    predicted_chols: Tensor
+    innovations: Tensor
+    nis: Tensor
+    measured: Tensor
+    rejected: Tensor
+    log_likelihood: Tensor
+    status: Tensor
+    failed_step: Tensor
+    repairs: Tensor
+    backward: Backward | None
+
+    @property
+    def covariances(self) -> Tensor:
+        """Covariances (B, T, D, D) after the update."""
+        return self.chols @ self.chols.mT
+
+
+class SmootherResult(NamedTuple):
+    """What `unscented_smoother` returns.
+
+    Attributes:
+        initial: smoothed belief about the start.
+        means: (B, T, D) given all measurements.
+        chols: (B, T, D, D) lower factors.
+    """
+
+    initial: Belief
+    means: Tensor
+    chols: Tensor
+
+    @property
+    def covariances(self) -> Tensor:
+        """Covariances (B, T, D, D)."""
+        return self.chols @ self.chols.mT
+
+
+ProcessNoise = Tensor | Callable[[float], Tensor]
+"""Covariance Q of one step, (D, D) or (B, D, D), or a function of the length of the step that returns it."""

@@ -1,0 +1,182 @@
+"""Measurement models against independently coded geometry."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ahnn_plugins.ukf import (
+    GnssRange,
+    GroundStation,
+    Position,
+    State,
+    initial_belief,
+    unscented_filter,
+    wrap,
+)
+from ahnn_plugins.ukf.stations import EARTH_RATE
+
+F64 = torch.float64
+
+
+def site(latitude, longitude, height, t, angle=0.0, flattening=1.0 / 298.257223563):
+    """Inertial position of a site: foot point on the ellipsoid from its parametric latitude, plus height."""
+    phi, lam = math.radians(latitude), math.radians(longitude) + angle + EARTH_RATE * t
+    parametric = math.atan((1.0 - flattening) * math.tan(phi))
+    foot = 6378.137 * np.array([math.cos(parametric), (1.0 - flattening) * math.sin(parametric)])
+    rho, z = foot + height * np.array([math.cos(phi), math.sin(phi)])
+    return np.array([rho * math.cos(lam), rho * math.sin(lam), z])
+
+
+def neighbour(latitude, longitude, north=0.0, east=0.0, up=0.0, t=0.0, **options):
+    """State at a small geodetic displacement from the site, by differences of site coordinates."""
+    here = site(latitude, longitude, 0.0, t, **options)
+    to_north = site(latitude + 1e-3, longitude, 0.0, t, **options)
+    to_north = to_north - site(latitude - 1e-3, longitude, 0.0, t, **options)
+    to_east = site(latitude, longitude + 1e-3, 0.0, t, **options)
+    to_east = to_east - site(latitude, longitude - 1e-3, 0.0, t, **options)
+    to_up = site(latitude, longitude, 1.0, t, **options) - here
+    axes = [v / np.linalg.norm(v) for v in (to_north, to_east, to_up)]
+    q = here + north * axes[0] + east * axes[1] + up * axes[2]
+    return torch.from_numpy(np.concatenate((q, np.zeros(3))))
+
+
+@pytest.mark.parametrize("latitude", [-52.0, 0.0, 37.5, 80.0])
+@pytest.mark.parametrize("longitude", [-120.0, 15.0])
+@pytest.mark.parametrize(
+    ("offset", "azimuth", "elevation"),
+    [
+        ({"north": 10.0}, 0.0, 0.0),
+        ({"east": 10.0}, 90.0, 0.0),
+        ({"east": -10.0}, -90.0, 0.0),
+        ({"north": 10.0, "east": 10.0}, 45.0, 0.0),
+        ({"north": 10.0, "up": 10.0}, 0.0, 45.0),
+        ({"north": -10.0, "east": -1e-12, "up": -10.0}, 180.0, -45.0),
+    ],
+)
+def test_station_sees_the_compass(latitude, longitude, offset, azimuth, elevation):
+    t, angle = 5000.0, 0.7
+    station = GroundStation(latitude, longitude, earth_angle=angle)
+    x = neighbour(latitude, longitude, t=t, angle=angle, **offset)
+    y = station(x, t)
+    assert float(y[0]) == pytest.approx(math.hypot(*offset.values()), rel=1e-9)
+    assert abs(float(wrap(y[1] - math.radians(azimuth)))) < 1e-7
+    assert float(y[2]) == pytest.approx(math.radians(elevation), abs=1e-7)
+
+
+@pytest.mark.parametrize("latitude", [-90.0, -33.0, 0.0, 45.0, 90.0])
+def test_zenith_has_an_elevation_of_ninety_degrees(latitude):
+    x = torch.from_numpy(np.concatenate((site(latitude, 70.0, 800.0, 0.0), np.zeros(3))))
+    y = GroundStation(latitude, 70.0)(x, 0.0)
+    assert float(y[0]) == pytest.approx(800.0, rel=1e-12)
+    assert float(y[2]) == pytest.approx(math.pi / 2.0, abs=1e-7)
+    assert bool(torch.isfinite(y).all())
+
+
+def test_a_sphere_and_a_height():
+    station = GroundStation(30.0, 0.0, 2.0, flattening=0.0)
+    x = torch.tensor([10000.0, 0.0, 0.0, 0.0, 0.0, 0.0], dtype=F64)
+    radius, phi = 6380.137, math.radians(30.0)
+    assert float(station(x, 0.0)[0]) == pytest.approx(
+        math.hypot(10000.0 - radius * math.cos(phi), radius * math.sin(phi)), rel=1e-14
+    )
+
+
+def test_range_rate_is_the_derivative_of_the_range():
+    station = GroundStation(47.0, 11.0, 0.6, range_rate=True, earth_angle=1.0)
+    q = torch.tensor([7000.0, 1000.0, 3000.0], dtype=F64)
+    v = torch.tensor([-1.0, 6.5, 3.0], dtype=F64)
+    h = 1e-2
+
+    def distance(t):
+        return station(torch.cat((q + v * t, v)), 100.0 + t)[0]
+
+    numeric = (8.0 * (distance(h) - distance(-h)) - (distance(2 * h) - distance(-2 * h))) / (12.0 * h)
+    assert float(station(torch.cat((q, v)), 100.0)[3]) == pytest.approx(float(numeric), rel=1e-8)
+    # The Earth's own rotation is in it.
+    still = torch.cat((q, torch.zeros(3, dtype=F64)))
+    assert abs(float(station(still, 100.0)[3])) > 0.01
+
+
+def test_station_works_on_batches_of_sigma_points():
+    station = GroundStation(47.0, 11.0, range_rate=True)
+    x = 7000.0 * torch.randn(4, 13, 6, dtype=F64)
+    y = station(x, 3.0)
+    assert y.shape == (4, 13, 4) == (4, 13, len(station.names))
+    assert torch.allclose(y[2, 5], station(x[2, 5], 3.0), rtol=1e-13)
+
+
+def test_angles_wrap_to_the_half_open_interval():
+    pi = math.pi
+    angles = torch.tensor([pi, -pi, 3.0 * pi, pi + 0.1, -pi - 0.1, 0.0, 2.0], dtype=F64)
+    expected = torch.tensor([pi, pi, pi, 0.1 - pi, pi - 0.1, 0.0, 2.0], dtype=F64)
+    assert torch.allclose(wrap(angles), expected, rtol=1e-14, atol=1e-15)
+
+
+@given(st.floats(-1e3, 1e3))
+def test_wrapping_keeps_the_direction(angle):
+    wrapped = float(wrap(torch.tensor(angle, dtype=F64)))
+    assert -math.pi < wrapped <= math.pi + 1e-12
+    assert math.cos(wrapped) == pytest.approx(math.cos(angle), abs=1e-11)
+    assert math.sin(wrapped) == pytest.approx(math.sin(angle), abs=1e-11)
+
+
+def test_residual_of_azimuths_on_both_sides_of_south():
+    station = GroundStation(0.0, 0.0)
+    y = torch.tensor([1000.0, math.pi - 0.01, 0.2], dtype=F64)
+    y_pred = torch.tensor([1001.0, -math.pi + 0.01, 0.1], dtype=F64)
+    expected = torch.tensor([-1.0, -0.02, 0.1], dtype=F64)
+    assert torch.allclose(station.residual(y, y_pred), expected, rtol=1e-12)
+
+
+def test_a_pass_through_south_does_not_upset_the_filter():
+    # The satellite stands due south: its sigma points straddle the cut of the azimuth.
+    latitude, longitude = 40.0, 0.0
+    station = GroundStation(latitude, longitude, rotation_rate=0.0)
+    x = neighbour(latitude, longitude, north=-800.0, up=800.0)[None]
+    rows = station(x, 0.0)[:, None].repeat(1, 5, 1)
+    rows[:, 1::2, 1] *= -1.0
+    r = torch.diag(torch.tensor([1e-2, 1e-8, 1e-8], dtype=F64))
+    p0 = torch.diag(torch.tensor([1.0] * 3 + [1e-6] * 3, dtype=F64))
+    belief = initial_belief(x + 0.3, p0)
+    result = unscented_filter(lambda x, _: x * 1.0, belief, rows, station, 1e-9 * torch.eye(6), r, 1.0)
+    assert float((result.means[0, -1, :3] - x[0, :3]).norm()) < 0.5
+    assert bool((result.innovations[..., 1].abs() < 0.01).all())
+
+
+def test_gnss_ranges_constant_and_tabulated():
+    satellites = torch.tensor([[20000.0, 0.0, 0.0], [0.0, 20000.0, 0.0]], dtype=F64)
+    x = torch.tensor([[7000.0, 0.0, 0.0, 0.0, 7.5, 0.0]], dtype=F64)
+    expected = torch.tensor([[13000.0, math.hypot(7000.0, 20000.0)]], dtype=F64)
+    assert torch.allclose(GnssRange(satellites)(x, 0.0), expected, rtol=1e-15)
+    table = GnssRange(torch.stack((satellites, 2.0 * satellites)), times=[60.0, 120.0])
+    assert torch.allclose(table(x, 60.0), expected, rtol=1e-15)
+    assert float(table(x, 120.0 * (1.0 + 1e-15))[0, 0]) == pytest.approx(33000.0)
+    with pytest.raises(ValueError, match="60 to 120, got 90"):
+        table(x, 90.0)
+    with pytest.raises(ValueError, match="expected positions"):
+        GnssRange(table.positions)
+
+
+def test_gnss_clock_is_a_component_of_the_state():
+    x = torch.tensor([[7000.0, 0.0, 0.0, 0.0, 7.5, 0.0, 0.3]], dtype=F64)
+    satellites = torch.tensor([[20000.0, 0.0, 0.0]], dtype=F64)
+    assert float(GnssRange(satellites, clock=6)(x, 0.0)) == pytest.approx(13000.3, rel=1e-15)
+
+
+def test_position_and_state_read_the_state():
+    x = torch.arange(6.0, dtype=F64)
+    assert Position(3)(x, 0.0).tolist() == [0.0, 1.0, 2.0]
+    assert Position(3).names == ("q1", "q2", "q3")
+    assert State(3)(x, 0.0).tolist() == x.tolist()
+    assert State(1, ("m", "kg m/s")).units == ("m", "kg m/s")
+
+
+def test_a_station_at_an_impossible_latitude():
+    with pytest.raises(ValueError, match="got 91"):
+        GroundStation(91.0, 0.0)

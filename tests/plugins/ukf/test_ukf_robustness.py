@@ -1,0 +1,291 @@
+"""What must not hurt: missing data, outliers, bad members, bad conditioning."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from ahnn_plugins.ukf import (
+    SQUARE_ROOT,
+    STANDARD,
+    Gate,
+    Position,
+    Status,
+    UnscentedParameters,
+    initial_belief,
+    unscented_filter,
+    unscented_smoother,
+)
+
+FORMS = [SQUARE_ROOT, STANDARD]
+F64 = torch.float64
+
+
+class Reduced:
+    """Some of the components of another model."""
+
+    def __init__(self, model, keep):
+        self.model, self.keep = model, keep
+        self.names = tuple(model.names[i] for i in keep)
+        self.units = tuple(model.units[i] for i in keep)
+
+    def __call__(self, x, t):
+        return self.model(x, t)[..., self.keep]
+
+    def residual(self, y, y_pred):
+        return y - y_pred
+
+
+def duffing(x, dt):
+    p = x[:, 1] - dt * (x[:, 0] ** 3 - x[:, 0])
+    return torch.stack((x[:, 0] + dt * p, p), dim=-1)
+
+
+def duffing_run(batch=4, steps=80, seed=0, flow=duffing, rows=None, **options):
+    generator = torch.Generator().manual_seed(seed)
+    start = 1.0 + 0.1 * torch.randn(batch, 2, generator=generator, dtype=F64)
+    noise = 0.05 * torch.randn(batch, steps, 1, generator=generator, dtype=F64)
+    x, truth = start, []
+    for _ in range(steps):
+        x = duffing(x, 0.05)
+        truth.append(x)
+    truth = torch.stack(truth, 1)
+    rows = truth[..., :1] + noise if rows is None else rows
+    belief = initial_belief(start + 0.05, 0.01 * torch.eye(2))
+    q, r = 1e-5 * torch.eye(2), 0.0025 * torch.eye(1)
+    result = unscented_filter(flow, belief, rows, Position(1), q, r, 0.05, **options)
+    return truth, rows, result
+
+
+@pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
+def test_a_missing_component_equals_the_reduced_measurement(make_linear, close, form):
+    problem, model = make_linear(5, 3, steps=60, batch=2, seed=3)
+    rows = problem.measurements.clone()
+    rows[:, :, 1] = torch.nan
+    belief = initial_belief(problem.mean, problem.p0)
+    arguments = (belief, rows, model, problem.q, problem.r, 1.0)
+    full = unscented_filter(problem.flow, *arguments, form=form)
+    keep = [0, 2]
+    reduced = unscented_filter(
+        problem.flow,
+        belief,
+        rows[..., keep],
+        Reduced(model, keep),
+        problem.q,
+        problem.r[keep][:, keep],
+        1.0,
+        form=form,
+    )
+    assert close(full.means, reduced.means, 1e-12)
+    assert close(full.covariances, reduced.covariances, 1e-12, trailing=2)
+    assert torch.allclose(full.nis, reduced.nis, rtol=1e-11, atol=0.0)
+    assert torch.allclose(full.log_likelihood, reduced.log_likelihood, rtol=1e-12, atol=0.0)
+    assert bool(torch.isnan(full.innovations[..., 1]).all())
+    assert full.measured.unique().tolist() == [2]
+
+
+def test_one_missing_component_leaves_all_that_follows_finite(make_linear):
+    problem, model = make_linear(4, 2, steps=50, batch=3, seed=5)
+    rows = problem.measurements.clone()
+    rows[1, 20, 0] = torch.nan
+    belief = initial_belief(problem.mean, problem.p0)
+    result = unscented_filter(problem.flow, belief, rows, model, problem.q, problem.r, 1.0)
+    assert bool(torch.isfinite(result.means).all())
+    assert bool(torch.isfinite(result.chols).all())
+    assert result.measured[1, 20] == 1
+
+
+def test_a_row_of_nan_is_no_update(make_linear):
+    problem, model = make_linear(4, 2, steps=30, batch=3, seed=6)
+    rows = problem.measurements.clone()
+    rows[1, 10] = torch.nan
+    rows[:, 20] = torch.nan
+    belief = initial_belief(problem.mean, problem.p0)
+    result = unscented_filter(problem.flow, belief, rows, model, problem.q, problem.r, 1.0)
+    for b, k in [(1, 10), (0, 20), (1, 20), (2, 20)]:
+        assert torch.equal(result.means[b, k], result.predicted_means[b, k])
+        assert torch.equal(result.chols[b, k], result.predicted_chols[b, k])
+        assert math.isnan(result.nis[b, k])
+    assert not torch.equal(result.means[0, 10], result.predicted_means[0, 10])
+
+
+def test_nothing_measured_calls_the_model_never():
+    class Untouchable(Position):
+        def __call__(self, x, t):
+            raise AssertionError(x, t)
+
+    result = unscented_filter(
+        duffing,
+        initial_belief(torch.ones(2, 2, dtype=F64), 0.01 * torch.eye(2)),
+        torch.full((2, 7, 1), torch.nan, dtype=F64),
+        Untouchable(1),
+        1e-5 * torch.eye(2),
+        torch.eye(1),
+        0.05,
+    )
+    assert torch.equal(result.means, result.predicted_means)
+
+
+def test_the_gate_shrugs_off_one_outlier():
+    gate = Gate(probability=0.9999, patience=5)
+    truth, rows, clean = duffing_run(steps=200, gate=gate)
+    assert not bool(clean.rejected.any())
+    spoiled = rows.clone()
+    spoiled[:, 100] += 100.0 * 0.05
+    _, _, gated = duffing_run(steps=200, rows=spoiled, gate=gate)
+    _, _, open_ = duffing_run(steps=200, rows=spoiled)
+
+    def rmse(result):
+        return (result.means - truth).square().mean().sqrt()
+
+    assert gated.rejected.nonzero()[:, 1].unique().tolist() == [100]
+    assert gated.status.tolist() == [0] * 4
+    assert bool((gated.nis[:, 100] > 100.0).all())
+    assert abs(rmse(gated) / rmse(clean) - 1.0) < 0.05
+    assert rmse(open_) > 2.0 * rmse(clean)
+
+
+@pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
+def test_a_run_of_rejections_is_divergence(form):
+    _, rows, _ = duffing_run(steps=100)
+    rows = rows.clone()
+    rows[2, 40:] += 5.0
+    # A gap does not end the run.
+    rows[2, 42] = torch.nan
+    gate = Gate(patience=20)
+    _, _, result = duffing_run(steps=100, rows=rows, gate=gate, form=form)
+    assert result.status.tolist() == [0, 0, Status.DIVERGED, 0]
+    assert result.failed_step.tolist() == [-1, -1, 60, -1]
+    assert bool(torch.isfinite(result.means[2, :60]).all())
+    assert bool(torch.isnan(result.means[2, 60:]).all())
+
+
+def overflowing(member, points, at_call, value):
+    """Duffing flow that fails for the points of one member from one call on."""
+    calls = 0
+
+    def flow(x, dt):
+        nonlocal calls
+        out = duffing(x, dt)
+        if calls >= at_call:
+            out[member * points : (member + 1) * points] = value
+        calls += 1
+        return out
+
+    return flow
+
+
+@pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
+@pytest.mark.parametrize("value", [math.nan, math.inf, 1e200])
+def test_a_bad_member_leaves_the_others_bit_identical(form, value):
+    _, _, clean = duffing_run(form=form, smoothing=True)
+    flow = overflowing(member=1, points=5, at_call=30, value=value)
+    # A constant output has no spread: only Q remains, and the size of the mean overflows nothing.
+    _, _, spoiled = duffing_run(form=form, flow=flow, smoothing=True)
+    others = [0, 2, 3]
+    for name in ("means", "chols", "predicted_means", "predicted_chols", "innovations", "nis"):
+        assert torch.equal(getattr(spoiled, name)[others], getattr(clean, name)[others]), name
+    assert torch.equal(spoiled.log_likelihood[others], clean.log_likelihood[others])
+    assert torch.equal(spoiled.means[1, :30], clean.means[1, :30])
+    if not math.isfinite(value):
+        assert spoiled.status.tolist() == [0, Status.NOT_FINITE, 0, 0]
+        assert spoiled.failed_step.tolist() == [-1, 30, -1, -1]
+        assert bool(torch.isnan(spoiled.means[1, 30:]).all())
+
+
+@pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
+def test_members_do_not_depend_on_the_size_of_the_batch(form):
+    _, rows, all_ = duffing_run(batch=125, steps=30, form=form)
+    start = all_.initial
+    for chosen in ([0], [3, 60], [*range(60), *range(61, 125)]):
+        belief = start._replace(mean=start.mean[chosen], chol=start.chol[chosen])
+        q, r = 1e-5 * torch.eye(2), 0.0025 * torch.eye(1)
+        some = unscented_filter(duffing, belief, rows[chosen], Position(1), q, r, 0.05, form=form)
+        assert torch.equal(some.means, all_.means[chosen])
+        assert torch.equal(some.chols, all_.chols[chosen])
+
+
+@pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
+def test_no_bit_depends_on_the_size_of_the_batch_in_six_dimensions(form):
+    # The flow is elementwise: a matrix product of the user's may well depend on its number of rows.
+    factors = torch.tensor([0.9, 1.0, 1.1, 0.95, 1.05, 1.0], dtype=F64)
+    generator = torch.Generator().manual_seed(2)
+    mean = torch.randn(125, 6, generator=generator, dtype=F64)
+    rows = torch.randn(125, 20, 3, generator=generator, dtype=F64)
+    rows[::7, 3, 1] = torch.nan
+    root = torch.randn(6, 6, generator=generator, dtype=F64)
+
+    def run(chosen):
+        belief = initial_belief(mean[chosen], root @ root.mT)
+        noise = 1e-3 * torch.eye(6), 0.1 * torch.eye(3)
+        result = unscented_filter(
+            lambda x, _: torch.sin(x.roll(1, -1)) * factors + 0.5 * x,
+            belief,
+            rows[chosen],
+            Position(3),
+            *noise,
+            1.0,
+            form=form,
+            smoothing=True,
+        )
+        return result, unscented_smoother(result)
+
+    everyone, everyone_smoothed = run(list(range(125)))
+    for chosen in ([17], [7, 31, 90], [*range(50), *range(51, 125)]):
+        some, smoothed = run(chosen)
+        assert torch.equal(some.means, everyone.means[chosen])
+        assert torch.equal(some.chols, everyone.chols[chosen])
+        assert torch.equal(smoothed.means, everyone_smoothed.means[chosen])
+        assert torch.equal(smoothed.chols, everyone_smoothed.chols[chosen])
+
+
+def test_overflow_of_the_dynamics_gets_a_status():
+    def explosive(x, dt):
+        return x + dt * x**3
+
+    start = torch.tensor([[0.1, 0.1], [50.0, 50.0]], dtype=F64)
+    rows = torch.full((2, 40, 1), torch.nan, dtype=F64)
+    belief = initial_belief(start, 1e-4 * torch.eye(2))
+    q, r = 1e-8 * torch.eye(2), torch.eye(1)
+    result = unscented_filter(explosive, belief, rows, Position(1), q, r, 0.1)
+    assert result.status.tolist() == [Status.OK, Status.NOT_FINITE]
+    assert 0 < int(result.failed_step[1]) < 20
+
+
+@pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
+def test_collapse_gets_a_status(form):
+    def trap(x, dt):
+        del dt
+        return torch.where(x[:, :1] > 5.0, 7.0, x)
+
+    start = torch.tensor([[1.0, 1.0], [9.0, 9.0]], dtype=F64)
+    rows = torch.ones(2, 5, 1, dtype=F64)
+    belief = initial_belief(start, 1e-4 * torch.eye(2))
+    result = unscented_filter(
+        trap, belief, rows, Position(1), torch.zeros(2, 2), torch.eye(1), 0.1, form=form
+    )
+    assert result.status.tolist() == [Status.OK, Status.COLLAPSED]
+    assert result.failed_step.tolist() == [-1, 0]
+
+
+def test_exact_measurements_of_the_same_thing_twice_are_singular():
+    class Twice(Position):
+        def __call__(self, x, t):
+            del t
+            return x[..., :1].expand(*x.shape[:-1], 2)
+
+    rows = torch.ones(1, 3, 2, dtype=F64)
+    belief = initial_belief(torch.ones(1, 2, dtype=F64), torch.eye(2))
+    result = unscented_filter(duffing, belief, rows, Twice(2), 1e-3 * torch.eye(2), torch.zeros(2, 2), 0.1)
+    assert result.status.tolist() == [Status.COLLAPSED]
+
+
+def test_runs_under_inference_mode_and_keeps_no_graph():
+    weight = torch.eye(2, dtype=F64, requires_grad=True)
+    _, _, result = duffing_run(flow=lambda x, dt: duffing(x, dt) @ weight)
+    assert not result.means.requires_grad
+    with torch.inference_mode():
+        _, _, again = duffing_run(parameters=UnscentedParameters())
+    assert torch.equal(result.means, again.means)
