@@ -5,17 +5,22 @@ Exit codes: 0 done, 2 a mistake in what was asked for, 3 training could not go o
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import inspect
 import logging
 import os
 import re
+import shutil
 import sys
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any
 
 import hydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
+from hydra.types import RunMode
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -32,7 +37,7 @@ def build(node: DictConfig, who: str, **offered: Any) -> Any:
 
     Args:
         node: a configuration node with `_target_`.
-        who: its name, for messages.
+        who: its name, for messages; a nested node with a `_target_` is built unchecked.
         offered: further arguments, objects allowed; a target gets those that it has parameters for.
 
     Raises:
@@ -50,7 +55,8 @@ def build(node: DictConfig, who: str, **offered: Any) -> Any:
         message = f"{who}: expected _target_ to name a class or function; received {target!r} ({error})"
         raise UserError(message) from error
     if target.split(".")[0] not in ("lightning", "torch"):
-        check_arguments(who, function, arguments)
+        built = {name for name, value in arguments.items() if isinstance(value, dict) and "_target_" in value}
+        check_arguments(who, function, {k: v for k, v in arguments.items() if k not in built})
     taken = inspect.signature(function).parameters
     passed = {name: value for name, value in offered.items() if name in taken}
     made = functools.partial(instantiate(node, _convert_="all", _partial_=True), **passed)
@@ -70,8 +76,25 @@ def plain_config(cfg: Any) -> dict[str, Any]:
 def run_hydra(task: Callable[[DictConfig], Any], config_name: str = "train") -> None:
     """Run a task under Hydra; a user's mistake ends in one message and an exit code, not a traceback."""
     os.environ["HYDRA_FULL_ERROR"] = "1"  # makes Hydra raise, so that the messages are ours
-    entry = hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name=config_name)(task)
+
+    @functools.wraps(task)
+    def tidy(cfg: DictConfig) -> Any:
+        try:
+            return task(cfg)
+        except UserError:
+            forget(Path(cfg.folder))
+            raise
+
+    entry = hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name=config_name)(tidy)
     sys.exit(guard(entry))
+
+
+def forget(folder: Path) -> None:
+    """Remove what Hydra wrote for a run that never began; a sweep keeps it, to list the failure."""
+    if HydraConfig.get().mode is RunMode.RUN and not (folder / "config.yaml").exists():
+        shutil.rmtree(folder / ".hydra", ignore_errors=True)
+        with contextlib.suppress(OSError):
+            folder.rmdir()
 
 
 def guard(entry: Callable[[], Any]) -> int:
@@ -82,6 +105,8 @@ def guard(entry: Callable[[], Any]) -> int:
         return report(str(error), 3)
     except UserError as error:
         return report(str(error), 2)
+    except OSError as error:
+        return report(f"file {error.filename}: {error.strerror or error}", 2)
     except (HydraException, OmegaConfBaseException) as error:
         if isinstance(error.__cause__, UserError | TrainingError):
             return report(str(error.__cause__), 2)

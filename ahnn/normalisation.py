@@ -24,6 +24,7 @@ class Statistics(NamedTuple):
         minimum, maximum: of each state component.
         increment: root mean square of each component of x_{k+1} - x_k.
         radius: (2,) extremes of the distance |q| from the origin.
+        positions, forces: (M, n) some positions half-way between samples, and dp/dt there.
         dt: sampling interval.
     """
 
@@ -31,17 +32,27 @@ class Statistics(NamedTuple):
     maximum: Tensor
     increment: Tensor
     radius: Tensor
+    positions: Tensor
+    forces: Tensor
     dt: float
 
     @classmethod
-    def of(cls, states: Tensor, increments: Tensor, dt: float) -> Statistics:
-        """Return the statistics of valid states and increments, each of shape (samples, D)."""
-        radius = states[:, : states.shape[-1] // 2].norm(dim=-1)
+    def of(cls, states: Tensor, dt: float, examples: int = 20_000) -> Statistics:
+        """Return the statistics of trajectories of shape (B, T, D), NaN where one has ended."""
+        increments = states[:, 1:] - states[:, :-1]
+        valid = increments.isfinite().all(-1)
+        increments, begins = increments[valid], states[:, :-1][valid]
+        flat = states[states.isfinite().all(-1)]
+        every = max(1, len(begins) // examples)
+        middles = (begins + increments / 2)[::every]
+        radius = flat.chunk(2, dim=-1)[0].norm(dim=-1)
         return cls(
-            minimum=states.amin(0),
-            maximum=states.amax(0),
+            minimum=flat.amin(0),
+            maximum=flat.amax(0),
             increment=increments.square().mean(0).sqrt(),
             radius=torch.stack((radius.min(), radius.max())),
+            positions=middles.chunk(2, dim=-1)[0],
+            forces=increments[::every].chunk(2, dim=-1)[1] / dt,
             dt=dt,
         )
 

@@ -7,6 +7,7 @@ import logging
 import time
 import warnings
 from pathlib import Path
+from typing import Any
 
 import torch
 from lightning import Trainer
@@ -66,13 +67,23 @@ def announce(trainer: Trainer, data: WindowDataModule, model: AbstractDynamics, 
 
 
 def seconds_per_step(data: WindowDataModule, model: AbstractDynamics, repeats: int = 5) -> float:
-    """Return the median time of a forward and backward pass, measured on a copy of the model."""
+    """Return the median time of an optimiser step, measured on a copy of the model."""
     model = copy.deepcopy(model)
+    assert model.optimisation is not None
+    optimizer = model.optimisation.optimizer(model.parameters())
     windows = data.val_dataloader().windows
     batch = windows.gather(torch.arange(data.batch_size) % len(windows))
+
+    def gradient() -> torch.Tensor:
+        optimizer.zero_grad()
+        loss = model.loss(model.residuals(batch))
+        loss.backward()
+        return loss
+
+    closure: Any = gradient if model.automatic_optimization else lambda: model.problems(batch)
     times = []
     for _ in range(repeats + 1):
         begin = time.perf_counter()
-        model.loss(model.residuals(batch)).backward()
+        optimizer.step(closure)
         times.append(time.perf_counter() - begin)
     return sorted(times[1:])[repeats // 2]

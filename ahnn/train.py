@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, OmegaConf
 
+from ahnn.arguments import check_arguments
 from ahnn.config import build, build_all, plain_config, run_hydra
+from ahnn.errors import UserError
 
 if TYPE_CHECKING:
     from lightning import Trainer
@@ -34,6 +36,7 @@ def train(cfg: DictConfig) -> float:
     from ahnn.setup import announce, quiet, resume_point
 
     quiet()
+    check_settings(cfg)
     folder = Path(cfg.folder)
     torch.set_num_threads(cfg.threads)
     seed_everything(cfg.seed, verbose=False)
@@ -59,6 +62,22 @@ def train(cfg: DictConfig) -> float:
     )
 
 
+def check_settings(cfg: DictConfig) -> None:
+    """Check the keys that belong to no group.
+
+    Raises:
+        UserError: a wrong type or an impossible value.
+    """
+
+    def settings(*, seed: int, threads: int, window: int, label: str, ckpt: str | None) -> None: ...
+
+    names = ("seed", "threads", "window", "label", "ckpt")
+    check_arguments("configuration", settings, {name: cfg[name] for name in names})
+    if cfg.threads < 1 or cfg.seed < 0:
+        message = f"configuration: expected threads >= 1 and seed >= 0; received {cfg.threads} and {cfg.seed}"
+        raise UserError(message)
+
+
 def build_parts(cfg: DictConfig) -> tuple[WindowDataModule, AbstractDynamics]:
     """Build system, DataModule and model; nothing is generated yet, so that mistakes show at once."""
     from ahnn.models import Optimisation
@@ -66,7 +85,8 @@ def build_parts(cfg: DictConfig) -> tuple[WindowDataModule, AbstractDynamics]:
     system = build(cfg.system, "system")
     data = build(cfg.data, "data", system=system)
     model = build(cfg.model, "model", dof=system.dof, inertia=system.inertia).to(data.dtype)
-    model.optimisation = Optimisation(build(cfg.optimizer, "optimizer"), build(cfg.scheduler, "scheduler"))
+    scheduler = build(cfg.scheduler, "scheduler") if cfg.scheduler else None
+    model.optimisation = Optimisation(build(cfg.optimizer, "optimizer"), scheduler)
     model.configure_optimizers()
     model.provenance = {"system": plain_config(cfg.system)}
     return data, model

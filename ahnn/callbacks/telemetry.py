@@ -43,8 +43,9 @@ class Telemetry(Callback):
                 "the last good checkpoint is kept. Try a smaller optimizer.lr or window."
             )
             raise TrainingError(message)
-        rate = float(optimizer.param_groups[0]["lr"])
-        self._write(trainer, {"train/gradient_norm": float(norm), "train/learning_rate": rate})
+        group = optimizer.param_groups[0]
+        metrics = {f"train/{name}": float(group[name]) for name in ("lr", "damping") if name in group}
+        self._write(trainer, {"train/gradient_norm": float(norm), **metrics})
 
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int

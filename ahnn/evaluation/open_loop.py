@@ -36,8 +36,8 @@ def open_loop(case: Case) -> Findings:
         extra = {"learned_energy_drift": _drift(case, prediction)} if case.learned_energy else {}
         findings.rows.append(Row(case.label, scenario, case.score(prediction), extra=extra))
     floors = (
-        ("true", case.integrator, f"floor: exact field, {case.integrator.name}"),
-        ("perturbed", reference, "floor: exact flow"),
+        ("true", case.integrator, f"exact field, {case.integrator.name}"),
+        ("perturbed", reference, "exact flow"),
     )
     for scenario, integrator, name in floors:
         prediction = rollout(exact_flow(case.system, integrator), starts[scenario], dt, samples)

@@ -8,6 +8,7 @@ from typing import Any
 
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
@@ -27,7 +28,7 @@ class SweepTable(Callback):
 
 def sweep_table(folder: Path, jobs: list[Path]) -> Table:
     """Return the table over job folders: overrides, time, validation loss and scores from the true start."""
-    table = Table(title=f"sweep {folder}", title_justify="left", title_style="bold", header_style="bold")
+    table = Table(title=f"sweep {folder}", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
     for head in ("job", "overrides"):
         table.add_column(head)
     for head in ("seconds", "val loss", "position", "velocity", "energy"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from ahnn.evaluation.case import Row
@@ -13,9 +14,9 @@ from ahnn.systems import System
 def results_table(title: str, rows: Iterable[Row], system: System) -> Table:
     """Return the table of an evaluation, floors dimmed, units in the head."""
     rows, units = list(rows), system.units
-    table = Table(title=title, title_justify="left", title_style="bold", header_style="bold")
-    table.add_column("prediction")
-    table.add_column("start")
+    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("prediction", no_wrap=True)
+    table.add_column("start", no_wrap=True)
     for quantity in ("position", "velocity", "energy"):
         table.add_column(f"{quantity}\n\\[{getattr(units, quantity)}]", justify="right", no_wrap=True)
     for quantity in ("position", "velocity"):

@@ -20,8 +20,9 @@ class AHNN(AbstractDynamics):
 
     Args:
         dof: degrees of freedom n.
-        inertia: factor m of T = p^2 / 2m, used by the `mechanical` structure alone.
-        hamiltonian: generic, separable or mechanical.
+        inertia: factor m of T = p^2 / 2m, used by `mechanical` and `central_body`.
+        hamiltonian: generic, separable, mechanical or central_body.
+        mu: gravitational parameter of `central_body`; None learns it.
         inputs: cartesian or isotropic positions.
         scaling: minmax, block or none.
         network: width, depth, activation.
@@ -35,6 +36,7 @@ class AHNN(AbstractDynamics):
         *,
         inertia: float,
         hamiltonian: Structure,
+        mu: float | None,
         inputs: InputName,
         scaling: Kind,
         network: dict[str, Any],
@@ -42,7 +44,7 @@ class AHNN(AbstractDynamics):
         loss: dict[str, Any],
     ) -> None:
         learner = make_hamiltonian(
-            hamiltonian, dof, mass=inertia, inputs=inputs, scaling=scaling, network=network
+            hamiltonian, dof, mass=inertia, mu=mu, inputs=inputs, scaling=scaling, network=network
         )
         super().__init__(learner, dof, loss)
         self.save_hyperparameters()

@@ -17,6 +17,7 @@ from ahnn.arguments import check_arguments
 from ahnn.errors import TrainingError
 from ahnn.models.losses import Loss, derivative_residuals, recursive_residuals
 from ahnn.normalisation import Statistics
+from ahnn.optim import LeastSquares, LevenbergMarquardt, least_squares
 from ahnn.types import Flow, TimeStep, Window
 
 
@@ -36,7 +37,7 @@ class Optimisation(NamedTuple):
     """Factories of the optimiser and its scheduler, which belong to a training and not to a model."""
 
     optimizer: Callable[[Iterable[nn.Parameter]], Optimizer]
-    scheduler: Callable[[Optimizer], LRScheduler]
+    scheduler: Callable[[Optimizer], LRScheduler] | None
 
 
 class AbstractDynamics(LightningModule, ABC):
@@ -71,8 +72,10 @@ class AbstractDynamics(LightningModule, ABC):
     def residuals(self, window: Window) -> Tensor:
         """Return the residuals of a batch in units of the loss scale, shape (B, W, D)."""
         if self.loss.kind == "derivative":
-            return derivative_residuals(cast(Learner, self.learner), window) / self.loss_scale
-        return recursive_residuals(self.increment, window) / self.loss_scale
+            residuals, targets = derivative_residuals(cast(Learner, self.learner), window)
+        else:
+            residuals, targets = recursive_residuals(self.increment, window), window.increments
+        return self.loss.scaled(residuals, targets, self.loss_scale)
 
     def forward(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the states (B, D) that the states x, shape (B, D), reach after dt."""
@@ -82,6 +85,7 @@ class AbstractDynamics(LightningModule, ABC):
         """Return a float64 copy of the model as a flow, for evaluation and filters."""
         return copy.deepcopy(self).double().eval().requires_grad_(False)
 
+    @torch.no_grad()
     def calibrate(self, statistics: Statistics) -> None:
         """Fit scalings, units and the loss scale to the training split."""
         cast(Learner, self.learner).fit(statistics)
@@ -93,6 +97,9 @@ class AbstractDynamics(LightningModule, ABC):
         """Return optimiser and per-epoch scheduler for Lightning."""
         assert self.optimisation is not None, "set `optimisation` before fit"
         optimizer = self.optimisation.optimizer(self.parameters())
+        self.automatic_optimization = not isinstance(optimizer, LevenbergMarquardt)
+        if self.optimisation.scheduler is None or not self.automatic_optimization:
+            return optimizer
         scheduler = self.optimisation.scheduler(optimizer)
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": scheduler, "interval": "epoch"}}
 
@@ -107,7 +114,10 @@ class AbstractDynamics(LightningModule, ABC):
         Raises:
             TrainingError: the loss is not finite.
         """
-        loss = self.loss(self.residuals(batch))
+        if self.automatic_optimization:
+            loss = self.loss(self.residuals(batch))
+        else:
+            loss = cast(Any, self.optimizers()).step(lambda: self.problems(batch))
         if not loss.isfinite():
             message = (
                 f"training: the loss became {float(loss.detach())} in epoch {self.current_epoch}, "
@@ -115,6 +125,19 @@ class AbstractDynamics(LightningModule, ABC):
             )
             raise TrainingError(message)
         return loss
+
+    def problems(self, batch: Window) -> tuple[LeastSquares, LeastSquares]:
+        """Return four fifths of a batch as the problem to step on, and the rest to check the step."""
+        split = max(1, batch.start.shape[0] // 5)
+
+        def residuals(start: Tensor, increments: Tensor) -> Tensor:
+            return self.residuals(Window(start, increments, batch.dt))
+
+        main, rest = (
+            least_squares(self, residuals, (batch.start[part], batch.increments[part]))
+            for part in (slice(split, None), slice(None, split))
+        )
+        return main, rest
 
     def validation_step(self, batch: Window, batch_idx: int) -> None:
         """Log `val/loss`, and the one-step rms residual `val/one_step` in units of the loss scale."""

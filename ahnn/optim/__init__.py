@@ -1,7 +1,9 @@
-"""Optimisation beyond what torch has: the learning-rate schedule of the paper."""
+"""Optimisation beyond what torch has: the paper's learning-rate schedule, and Levenberg-Marquardt."""
 
 from __future__ import annotations
 
 from ahnn.optim.hyperbolic import ExpHyperbolicLR
+from ahnn.optim.least_squares import LeastSquares, least_squares
+from ahnn.optim.levenberg_marquardt import LevenbergMarquardt
 
-__all__ = ["ExpHyperbolicLR"]
+__all__ = ["ExpHyperbolicLR", "LeastSquares", "LevenbergMarquardt", "least_squares"]

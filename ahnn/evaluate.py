@@ -1,0 +1,92 @@
+"""Evaluate a finished run again: `python -m ahnn.evaluate run=DIR plugins=ukf`.
+
+A run directory is self-sufficient: its own config.yaml and checkpoints/best.ckpt are used. Further overrides
+change that configuration; `plugins=NAME` takes the group of that name from the library.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from ahnn.arguments import nearest
+from ahnn.config import build_all, dotted_keys, guard
+from ahnn.errors import UserError
+from ahnn.paths import conf_dir
+from ahnn.train import build_parts
+
+log = logging.getLogger("ahnn")
+
+USAGE = "usage: python -m ahnn.evaluate run=DIR [plugins=NAME] [key=value ...]"
+
+
+def evaluate(arguments: list[str]) -> float:
+    """Evaluate the best weights of a run and write its results anew; return the validation loss.
+
+    Raises:
+        UserError: no such run, or an override that does not fit its configuration.
+    """
+    import torch
+
+    from ahnn.evaluation.report import finish
+    from ahnn.setup import quiet
+
+    logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
+    log.setLevel(logging.INFO)
+    quiet()
+    folder, cfg = run_config(arguments)
+    torch.set_num_threads(cfg.threads)
+    data, model = build_parts(cfg)
+    plugins = build_all(cfg.plugins, "plugins")
+    metrics = folder / "metrics.json"
+    about: dict[str, Any] = json.loads(metrics.read_text()) if metrics.exists() else {}
+    kept = ("seed", "training_seconds", "optimiser_steps", "parameters")
+    about = {key: about[key] for key in kept if key in about}
+    return finish(model, data, plugins, about, loggers=(), label=cfg.label, folder=folder, **cfg.evaluation)
+
+
+def run_config(arguments: list[str]) -> tuple[Path, DictConfig]:
+    """Return the folder of a run and its configuration with overrides applied."""
+    pairs = dict(argument.split("=", 1) for argument in arguments if "=" in argument)
+    if "run" not in pairs or len(pairs) != len(arguments):
+        message = f"{USAGE}; received: {' '.join(arguments) or 'nothing'}"
+        raise UserError(message)
+    folder = Path(pairs.pop("run"))
+    path = folder / "config.yaml"
+    if not path.is_file():
+        message = f"run {folder}: expected a run folder with config.yaml; found none"
+        raise UserError(message)
+    cfg = OmegaConf.load(path)
+    assert isinstance(cfg, DictConfig)
+    cfg.folder = str(folder)
+    for key, value in pairs.items():
+        if key == "plugins":
+            cfg.plugins = plugin_group(value)
+            continue
+        if key not in set(dotted_keys(cfg)):
+            message = f"configuration: unknown key {key!r}{nearest(key, dotted_keys(cfg))}"
+            raise UserError(message)
+        OmegaConf.update(cfg, key, OmegaConf.create(f"v: {value}").v)
+    return folder, cfg
+
+
+def plugin_group(name: str) -> DictConfig:
+    """Return the configuration of the plugin group of this name, composed by Hydra."""
+    from hydra import compose, initialize_config_dir
+
+    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
+        return compose("train", [f"plugins={name}", "folder=."]).plugins
+
+
+def main() -> None:
+    """Entry point of `python -m ahnn.evaluate` and `ahnn-evaluate`."""
+    sys.exit(guard(lambda: evaluate(sys.argv[1:])))
+
+
+if __name__ == "__main__":
+    main()

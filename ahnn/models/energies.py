@@ -1,0 +1,135 @@
+"""Parts of a Hamiltonian that depend on one block of the state, known or learned.
+
+Each is a module with `fit` (constants from the training split), a value and a gradient.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor, nn
+
+from ahnn.models.inputs import InputMap
+from ahnn.models.networks import make_network
+from ahnn.normalisation import Statistics
+
+
+class Energy(Protocol):
+    """A function of the positions or of the momenta with its gradient."""
+
+    def fit(self, statistics: Statistics) -> None:
+        """Set constants from the training split."""
+        ...
+
+    def __call__(self, q: Tensor) -> Tensor:
+        """Return the energy, shape (...), at q, shape (..., n)."""
+        ...
+
+    def gradient(self, q: Tensor) -> Tensor:
+        """Return the gradient of the energy with respect to q, shape (..., n)."""
+        ...
+
+
+def energy_units(statistics: Statistics) -> tuple[Tensor, Tensor]:
+    """Return the sizes of V and T implied by the data: rms rate of one block times half range of the other.
+
+    A network whose output is measured in these units has inputs, outputs and gradients of order one.
+    """
+    rate_q, rate_p = statistics.rate.chunk(2)
+    half_q, half_p = ((statistics.maximum - statistics.minimum) / 2).chunk(2)
+    return (rate_p * half_q).mean(), (rate_q * half_p).mean()
+
+
+class NetworkEnergy(nn.Module):
+    """A network behind an input map, times an energy unit.
+
+    Args:
+        inputs: map from the physical block to the network's inputs.
+        network: width, depth, activation.
+        block: 0 for a function of the positions, 1 for one of the momenta.
+    """
+
+    unit: Tensor
+
+    def __init__(self, inputs: InputMap, network: dict[str, Any], block: int) -> None:
+        super().__init__()
+        self.inputs = inputs
+        self.block = block
+        self.network = make_network(inputs.size, 1, network)
+        self.register_buffer("unit", torch.ones(()))
+
+    def fit(self, statistics: Statistics) -> None:
+        """Set the input map and the energy in which the network's output is measured."""
+        self.inputs.fit(statistics)
+        self.unit.copy_(energy_units(statistics)[self.block])
+
+    def forward(self, q: Tensor) -> Tensor:
+        """Return the energy, shape (...), at q, shape (..., n)."""
+        return self.unit * self.network(self.inputs(q)).squeeze(-1)
+
+    def gradient(self, q: Tensor) -> Tensor:
+        """Return the gradient with respect to q, shape (..., n)."""
+        return self.unit * self.inputs.pullback(q, self.network.gradient(self.inputs(q)))
+
+
+class Quadratic(nn.Module):
+    """The kinetic energy p^2 / 2m of a known mass."""
+
+    def __init__(self, mass: float) -> None:
+        super().__init__()
+        self.mass = mass
+
+    def fit(self, statistics: Statistics) -> None:
+        """Nothing to set."""
+
+    def forward(self, p: Tensor) -> Tensor:
+        """Return p^2 / 2m, shape (...)."""
+        return (p * p).sum(-1) / (2 * self.mass)
+
+    def gradient(self, p: Tensor) -> Tensor:
+        """Return p / m, shape (..., n)."""
+        return p / self.mass
+
+
+class CentralBody(nn.Module):
+    """The potential -m mu / r of a body at the origin, plus a learned remainder.
+
+    Args:
+        remainder: what a point mass does not explain; its unit is set to what is left of the data.
+        mass: m, of the moving body.
+        mu: gravitational parameter; None learns it, beginning with the least-squares value.
+    """
+
+    log_mu: Tensor
+
+    def __init__(self, remainder: NetworkEnergy, mass: float, mu: float | None) -> None:
+        super().__init__()
+        self.remainder = remainder
+        self.mass = mass
+        self.known_mu = mu
+        value = torch.tensor(0.0 if mu is None else mu, dtype=torch.float64).log()
+        if mu is None:
+            self.log_mu = nn.Parameter(torch.zeros(()))
+        else:
+            self.register_buffer("log_mu", value)
+
+    def fit(self, statistics: Statistics) -> None:
+        """Set mu, if it is learned, and the unit of the remainder from the sampled rates."""
+        self.remainder.fit(statistics)
+        q, rate = statistics.positions, statistics.forces
+        attraction = -self.mass * q / q.norm(dim=-1, keepdim=True) ** 3
+        if self.known_mu is None:
+            mu = (attraction * rate).sum() / attraction.square().sum()
+            self.log_mu.data.copy_(mu.log())
+        left = rate - self.log_mu.double().exp() * attraction
+        self.remainder.unit.copy_((left * q.norm(dim=-1, keepdim=True)).square().mean().sqrt())
+
+    def forward(self, q: Tensor) -> Tensor:
+        """Return the potential, shape (...), at q, shape (..., n)."""
+        return self.remainder(q) - self.mass * self.log_mu.exp() / q.norm(dim=-1)
+
+    def gradient(self, q: Tensor) -> Tensor:
+        """Return the gradient with respect to q, shape (..., n)."""
+        r = q.norm(dim=-1, keepdim=True)
+        return self.remainder.gradient(q) + (self.mass * self.log_mu.exp() / r**3) * q

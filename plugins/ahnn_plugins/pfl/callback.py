@@ -1,0 +1,151 @@
+"""The pruner in a Lightning run: report each validation loss, ask, log the decision, stop.
+
+With an Optuna trial the reference is the study and a stop raises `optuna.TrialPruned`. Without one (a plain
+grid multirun) the reference is a record in the sweep folder and a stop ends the fit as early stopping does,
+because Hydra counts an exception as a failed job. Without either, nothing is pruned, but decisions are still
+logged.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+import optuna
+
+from ahnn.errors import UserError
+from ahnn_plugins.pfl.decision import Decision, Settings, checked, decide
+from ahnn_plugins.pfl.log import DecisionLog
+from ahnn_plugins.pfl.pruner import PFLPruner
+from ahnn_plugins.pfl.record import Record
+
+logger = logging.getLogger(__name__)
+
+
+class PFLCallback(L.Callback):
+    """Stop a run whose Predicted Final Loss is worse than the best complete runs ended with.
+
+    Each `fit` within one trial is the next seed of that trial. `fit`, `use`, `fit_epochs`, `target_epoch` and
+    `top_k` are described in `Settings`.
+
+    Args:
+        run_dir: folder of the run; decisions go to its `pfl.jsonl`.
+        monitor: logged value that is reported after each validation epoch.
+        trial: the `optuna.Trial` that this run belongs to, in a configuration the node that makes it.
+        record: file of final losses for runs without a trial; unused where its folder does not exist (a
+            single run has no sweep folder).
+        group: runs of different groups are never compared in the record.
+
+    Raises:
+        UserError: if the settings make no sense.
+    """
+
+    def __init__(
+        self,
+        run_dir: str,
+        monitor: str = "val/loss",
+        fit: str = "log_linear",
+        use: str = "first",
+        fit_epochs: int = 10,
+        target_epoch: int = 50,
+        top_k: int = 10,
+        trial: optuna.Trial | None = None,
+        record: str | None = None,
+        group: str = "",
+    ) -> None:
+        self.settings = checked(Settings(fit, use, fit_epochs, target_epoch, top_k))
+        self.run_dir = Path(run_dir)
+        self.monitor = monitor
+        self.trial = trial
+        self.record = Record(Path(record), group) if record and Path(record).parent.is_dir() else None
+        self.decision: Decision | None = None
+        self._losses: list[float] = []
+        self._restored: list[float] = []
+        self._seed_index = 0
+        self._max_epochs = 0
+
+    def on_fit_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:  # noqa: ARG002
+        """Start the next series of the trial, or the only one of a run without a trial."""
+        self._losses, self._restored = self._restored, []
+        self.decision = None
+        self._max_epochs = trainer.max_epochs or 0
+        if self._max_epochs < 1:
+            message = f"PFL callback: the trainer needs max_epochs >= 1; received {trainer.max_epochs}"
+            raise UserError(message)
+        if self.trial is not None:
+            last = _frozen(self.trial).last_step
+            self._seed_index = 0 if last is None else last // self._max_epochs + 1
+        self._log = DecisionLog(self.run_dir / "pfl.jsonl", self.settings) if trainer.is_global_zero else None
+
+    def on_validation_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:  # noqa: ARG002
+        """Report the loss, decide and, if so decided, stop the run.
+
+        Raises:
+            optuna.TrialPruned: if the run belongs to a trial and the decision is to stop.
+            UserError: if the monitored value was not logged.
+        """
+        if trainer.sanity_checking or trainer.state.fn != "fit":
+            return
+        if self.monitor not in trainer.callback_metrics:
+            logged = ", ".join(sorted(trainer.callback_metrics)) or "nothing"
+            message = (
+                f"PFL callback: expected the model to log {self.monitor!r} in validation; it logged "
+                f"{logged}; set callbacks.pfl.monitor"
+            )
+            raise UserError(message)
+        prune = trainer.is_global_zero and self._judge(
+            float(trainer.callback_metrics[self.monitor]), trainer.current_epoch
+        )
+        if trainer.strategy.reduce_boolean_decision(prune, all=False):
+            self._stop(trainer)
+
+    def on_fit_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:  # noqa: ARG002
+        """Enter the final loss of a complete run into the record."""
+        complete = self._losses and not (self.decision and self.decision.prune)
+        if self.record is not None and self.trial is None and trainer.is_global_zero and complete:
+            self.record.append(str(self.run_dir), self._losses[-1])
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the losses so far, for a run that continues from its checkpoint."""
+        return {"losses": list(self._losses)}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Take the losses of an interrupted run into the next fit."""
+        self._restored = list(state_dict["losses"])
+
+    def _judge(self, loss: float, epoch: int) -> bool:
+        """Report, decide and log; return whether to stop."""
+        self._losses.append(loss)
+        finals: list[float] = []
+        if self.trial is not None:
+            pruner = PFLPruner(self._max_epochs, **self.settings._asdict())
+            self.trial.report(loss, self._seed_index * self._max_epochs + epoch)
+            finals = pruner.finals(self.trial.study)
+            decision = pruner.decide(self.trial.study, _frozen(self.trial))
+        else:
+            finals = self.record.finals() if self.record is not None else []
+            decision = decide([self._losses], finals, self.settings)
+        assert self._log is not None
+        self._log.append(self._seed_index, epoch, loss, finals, decision)
+        self.decision = decision
+        return decision.prune
+
+    def _stop(self, trainer: L.Trainer) -> None:
+        message = "stopped by the PFL pruner"
+        if self.decision is not None:
+            _, forecast, threshold, reason = self.decision
+            message = (
+                f"{message} after epoch {trainer.current_epoch}: {reason} "
+                f"(forecast {forecast}, threshold {threshold})"
+            )
+        logger.info(message)
+        if self.trial is not None:
+            raise optuna.TrialPruned(message)
+        trainer.should_stop = True
+
+
+def _frozen(trial: optuna.Trial) -> optuna.trial.FrozenTrial:
+    """Return what the storage holds of the trial at this moment."""
+    return next(t for t in trial.study.get_trials(deepcopy=False) if t.number == trial.number)

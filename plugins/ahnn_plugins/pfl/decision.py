@@ -1,0 +1,117 @@
+"""The rule of the Predicted Final Loss pruner: one pure function from numbers to a decision."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from ahnn.errors import UserError
+from ahnn_plugins.pfl.predictor import FITS, Forecast
+
+
+class Settings(NamedTuple):
+    """What the rule depends on besides the losses; the defaults are the paper's.
+
+    Attributes:
+        fit: name of the fit, a key of `FITS`.
+        use: `first` fits the first `fit_epochs` losses (paper), `all` every loss so far (the author's code).
+        fit_epochs: losses that a series must have before it is judged.
+        target_epoch: epoch of the forecast.
+        top_k: number of best complete models that set the threshold; fewer of them prune nothing.
+    """
+
+    fit: str = "log_linear"
+    use: str = "first"
+    fit_epochs: int = 10
+    target_epoch: int = 50
+    top_k: int = 10
+
+
+class Decision(NamedTuple):
+    """What was decided and why.
+
+    Attributes:
+        prune: whether to stop.
+        forecast: mean forecast over the seeds, or None where there is none.
+        threshold: worst final loss of the best `top_k` complete models, or None below `top_k` models.
+        reason: `non-finite loss`, `warm-up`, `past target`, `too few models`, `no forecast`,
+            `forecast above threshold` or `forecast within threshold`.
+    """
+
+    prune: bool
+    forecast: Forecast
+    threshold: float | None
+    reason: str
+
+
+def decide(own: Sequence[Sequence[float]], finals: Sequence[float], settings: Settings) -> Decision:
+    """Decide whether a model should stop now.
+
+    Args:
+        own: losses of the model so far, one series per seed, the running seed last.
+        finals: final losses of the complete models.
+        settings: see `Settings`.
+
+    Returns:
+        The decision; it depends on the arguments alone.
+    """
+    reference = best_finals(finals, settings.top_k)
+    threshold = reference[-1] if len(reference) == settings.top_k else None
+    if any(not math.isfinite(loss) for series in own for loss in series[-1:]):
+        return Decision(True, None, threshold, "non-finite loss")
+    if not own or len(own[-1]) < settings.fit_epochs:
+        return Decision(False, None, threshold, "warm-up")
+    if len(own[-1]) > settings.target_epoch:
+        return Decision(False, None, threshold, "past target")
+    forecast = _mean_forecast(own, settings)
+    if threshold is None:
+        return Decision(False, forecast, None, "too few models")
+    if forecast is None:
+        return Decision(False, None, threshold, "no forecast")
+    if forecast > threshold:
+        return Decision(True, forecast, threshold, "forecast above threshold")
+    return Decision(False, forecast, threshold, "forecast within threshold")
+
+
+def best_finals(finals: Sequence[float], top_k: int) -> list[float]:
+    """Return the `top_k` smallest finite final losses, in rising order; a rule never needs more of them."""
+    return sorted(loss for loss in finals if math.isfinite(loss))[:top_k]
+
+
+def checked(settings: Settings) -> Settings:
+    """Return the settings if they make sense.
+
+    Raises:
+        UserError: for an unknown fit or use, or counts that leave nothing to fit or to forecast.
+    """
+    if settings.fit not in FITS:
+        message = f"PFL pruner: fit must be one of {', '.join(FITS)}; received {settings.fit!r}"
+        raise UserError(message)
+    if settings.use not in ("first", "all"):
+        message = f"PFL pruner: use must be 'first' or 'all'; received {settings.use!r}"
+        raise UserError(message)
+    if not 4 <= settings.fit_epochs <= settings.target_epoch:
+        message = (
+            "PFL pruner: expected 4 <= fit_epochs <= target_epoch; received "
+            f"fit_epochs={settings.fit_epochs}, target_epoch={settings.target_epoch}; "
+            "set target_epoch to the last epoch of a run and fit_epochs below it"
+        )
+        raise UserError(message)
+    if settings.top_k < 1:
+        message = f"PFL pruner: top_k must be at least 1; received {settings.top_k}"
+        raise UserError(message)
+    return settings
+
+
+def _mean_forecast(own: Sequence[Sequence[float]], settings: Settings) -> Forecast:
+    """Return the mean over the seeds of their forecasts, or None where one of them has none."""
+    fit = FITS[settings.fit]
+    forecasts = []
+    for series in own:
+        losses = series[: settings.fit_epochs] if settings.use == "first" else series
+        forecasts.append(fit(losses, settings.target_epoch))
+    finite = [forecast for forecast in forecasts if forecast is not None]
+    if len(finite) < len(forecasts):
+        return None
+    return math.fsum(forecast / len(finite) for forecast in finite)

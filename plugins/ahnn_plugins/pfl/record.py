@@ -1,0 +1,61 @@
+"""Record of final losses for a plain grid multirun: a file of JSON lines in the sweep folder.
+
+Jobs that end at the same moment append under a lock. A line that a killed job left unfinished is skipped and
+never glued to the next one.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+
+class Record:
+    """Final losses of the complete runs of one group.
+
+    Args:
+        path: the file; its folder must exist.
+        group: runs of different groups (another system, say) are never compared.
+    """
+
+    def __init__(self, path: Path, group: str) -> None:
+        self.path = path
+        self.group = group
+
+    def finals(self) -> list[float]:
+        """Return the final losses recorded so far in this group."""
+        if not self.path.exists():
+            return []
+        with self.path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH)
+            lines = file.read().splitlines()
+        rows = [row for row in map(_parsed, lines) if row is not None]
+        return [float(row["loss"]) for row in rows if row["group"] == self.group]
+
+    def append(self, run: str, loss: float) -> None:
+        """Add the final loss of a complete run; one that is not finite is no reference and is left out."""
+        if not math.isfinite(loss):
+            return
+        line = json.dumps({"group": self.group, "run": run, "loss": loss}).encode() + b"\n"
+        with self.path.open("ab+") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            file.write(line if _ends_a_line(file.fileno()) else b"\n" + line)
+
+
+def _ends_a_line(descriptor: int) -> bool:
+    """Return whether the file is empty or its last byte is a line feed."""
+    size = os.fstat(descriptor).st_size
+    return size == 0 or os.pread(descriptor, 1, size - 1) == b"\n"
+
+
+def _parsed(line: bytes) -> dict[str, Any] | None:
+    """Return the row of a line, or None for what a killed job left unfinished."""
+    try:
+        row = json.loads(line)
+    except ValueError:
+        return None
+    return row if isinstance(row, dict) else None

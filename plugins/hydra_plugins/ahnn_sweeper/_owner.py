@@ -1,0 +1,115 @@
+"""Who works on a trial, and whether that process is still alive.
+
+A trial carries the process that asked for it (`asked_by`) and, once its job has started, the process of the
+job (`run_by`), each as host, process id and start time. On the same host the process table answers at once,
+and a reused process id is told apart by its start time. Of another host, the answer is the lease: the owner
+writes the time (`lease`) every `RENEW` seconds, and a lease older than `EXPIRY` means that the owner is
+gone. So the clocks of the machines may differ by less than a minute.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+import threading
+import time
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from optuna.storages import BaseStorage
+    from optuna.trial import FrozenTrial
+
+RENEW = 30.0
+EXPIRY = 150.0
+logger = logging.getLogger(__name__)
+
+
+def this_process() -> str:
+    """Return `host|pid|start time` of this process and the time of the claim."""
+    return f"{_host()}|{os.getpid()}|{_start_time(os.getpid())}|{time.time():.0f}"
+
+
+def is_alive(trial: FrozenTrial) -> bool:
+    """Return whether the process that works on a RUNNING trial still exists.
+
+    A trial without any owner was cut off inside the allotment. The caller holds the storage's lock, so
+    nobody is in there now, and the trial is an orphan.
+    """
+    owner = trial.user_attrs.get("run_by") or trial.user_attrs.get("asked_by")
+    if owner is None:
+        return False
+    host, pid, start, claimed = owner.split("|")
+    if host == _host():
+        return _start_time(int(pid)) == start != ""
+    renewed = max(float(claimed), trial.user_attrs.get("lease", 0.0))
+    return time.time() - renewed < EXPIRY
+
+
+def runs_elsewhere(trial: FrozenTrial) -> bool:
+    """Return whether the job of a RUNNING trial is at work in another process than this one."""
+    runner = trial.user_attrs.get("run_by", "")
+    ours = this_process().rpartition("|")[0]
+    return runner != "" and runner.rpartition("|")[0] != ours and is_alive(trial)
+
+
+class Lease:
+    """Renew the lease of some trials in the background, as a context.
+
+    Args:
+        storage: where the trials are.
+        trial_ids: the trials; those that finish meanwhile are left alone.
+    """
+
+    def __init__(self, storage: BaseStorage, trial_ids: Iterable[int]) -> None:
+        self._storage = storage
+        self._trial_ids = list(trial_ids)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._renew, name="trial-lease", daemon=True)
+
+    def __enter__(self) -> Lease:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    def _renew(self) -> None:
+        while not self._stop.wait(RENEW):
+            for trial_id in self._trial_ids:
+                try:
+                    self._storage.set_trial_user_attr(trial_id, "lease", time.time())
+                except Exception as error:  # a finished trial, or a database that is away for a moment
+                    logger.debug("lease of trial id %s not renewed: %s", trial_id, error)
+
+
+def _host() -> str:
+    """Return the host and, where there is one, the process-id namespace: containers may share a host name."""
+    try:
+        return f"{socket.gethostname()}/{os.readlink('/proc/self/ns/pid')}"
+    except OSError:
+        return socket.gethostname()
+
+
+def _start_time(pid: int) -> str:
+    """Return when a process started, in the kernel's ticks; empty if it is gone or a zombie."""
+    try:
+        with open(f"/proc/{pid}/stat", encoding="utf-8") as file:
+            fields = file.read().rpartition(")")[2].split()
+    except FileNotFoundError:
+        return "" if os.path.isdir("/proc/self") else _signalled(pid)
+    return "" if fields[0] == "Z" else fields[19]
+
+
+def _signalled(pid: int) -> str:
+    """Return `alive` or nothing, on systems without /proc."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return ""
+    except PermissionError:
+        return "alive"
+    return "alive"

@@ -1,0 +1,107 @@
+"""The trial in its job: how the job finds it, and how its outcome reaches the study."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+from typing import TYPE_CHECKING, Any
+
+from hydra.core.utils import JobStatus
+from hydra.experimental.callback import Callback
+
+from hydra_plugins.ahnn_sweeper._owner import Lease, this_process
+from hydra_plugins.ahnn_sweeper._storage import open_storage
+
+if TYPE_CHECKING:
+    import optuna
+    from hydra.core.utils import JobReturn
+    from omegaconf import DictConfig
+
+logger = logging.getLogger(__name__)
+
+
+def load_trial(storage: str, study_name: str, trial_id: int) -> optuna.Trial:
+    """Return the trial of this job, to report to and to ask.
+
+    Args:
+        storage: resolved URL of the storage.
+        study_name: name of the study.
+        trial_id: the storage's id of the trial.
+    """
+    import optuna
+
+    # A trial samples when it is constructed: the random sampler has nothing to do there and leaves no trace.
+    sampler = optuna.samplers.RandomSampler()
+    study = optuna.load_study(study_name=study_name, storage=open_storage(storage), sampler=sampler)
+    return optuna.Trial(study, trial_id)
+
+
+class TrialCallback(Callback):
+    """Hydra callback that claims the trial when the job starts and tells its outcome when the job ends.
+
+    It runs in the process of the job, whatever the launcher, so that an outcome is stored the moment it
+    exists and survives the death of the sweep. Jobs without a trial pass untouched.
+    """
+
+    def __init__(self) -> None:
+        self._trial: optuna.Trial | None = None
+        self._lease: Lease | None = None
+
+    def on_job_start(self, config: DictConfig, **kwargs: Any) -> None:  # noqa: ARG002
+        """Claim the trial: from now on it lives as long as this process."""
+        node = config.get("trial")
+        if node is None or os.environ.get("LOCAL_RANK", "0") != "0":  # of several devices, rank 0 speaks
+            return
+        self._trial = load_trial(node.storage, node.study_name, node.trial_id)
+        self._trial.set_user_attr("run_by", this_process())
+        self._lease = Lease(open_storage(node.storage), [node.trial_id])
+        self._lease.__enter__()
+
+    def on_job_end(self, config: DictConfig, job_return: JobReturn, **kwargs: Any) -> None:  # noqa: ARG002
+        """Tell the study what became of the trial."""
+        if self._trial is None or self._lease is None:
+            return
+        trial, self._trial = self._trial, None
+        self._lease.__exit__()
+        if job_return.status == JobStatus.FAILED:
+            _tell_exception(trial, job_return)
+        else:
+            _tell_value(trial, job_return._return_value)
+
+
+def _tell_value(trial: optuna.Trial, value: Any) -> None:
+    """Store a finite number as COMPLETE, anything else as FAIL."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if math.isfinite(number):
+        trial.study.tell(trial.number, number, skip_if_finished=True)
+    else:
+        _fail(trial, f"the job returned {value!r}, expected a finite number")
+
+
+def _tell_exception(trial: optuna.Trial, job_return: JobReturn) -> None:
+    """Store a pruned trial as PRUNED, any other exception as FAIL; to Hydra, pruned is complete."""
+    import optuna
+
+    error = job_return._return_value
+    if isinstance(error, optuna.TrialPruned):
+        trial.study.tell(trial.number, state=optuna.trial.TrialState.PRUNED, skip_if_finished=True)
+        job_return.status, job_return._return_value = JobStatus.COMPLETED, None
+        return
+    logger.error("trial %d failed", trial.number, exc_info=error)
+    text = str(error).partition("\n")[0]
+    _fail(trial, f"{type(error).__name__}: {text}")
+
+
+def _fail(trial: optuna.Trial, reason: str) -> None:
+    from optuna.exceptions import UpdateFinishedTrialError
+    from optuna.trial import TrialState
+
+    try:
+        trial.set_user_attr("error", reason)
+    except UpdateFinishedTrialError:  # another worker took this process for dead
+        return
+    trial.study.tell(trial.number, state=TrialState.FAIL, skip_if_finished=True)

@@ -1,0 +1,195 @@
+"""The sweeper that Hydra instantiates for `hydra/sweeper=ahnn_optuna`.
+
+Hydra executes this module outside `sys.modules`, so it must not combine postponed annotations with
+dataclasses, and it imports Optuna inside functions because every start of every Hydra application imports it.
+"""
+
+import logging
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.plugins import Plugins
+from hydra.errors import HydraException
+from hydra.plugins.launcher import Launcher
+from hydra.plugins.sweeper import Sweeper
+from hydra.types import HydraContext, TaskFunction
+from omegaconf import DictConfig, OmegaConf
+
+from ahnn.errors import UserError
+
+if TYPE_CHECKING:
+    import optuna
+
+    from hydra_plugins.ahnn_sweeper._space import Space
+
+logger = logging.getLogger(__name__)
+
+
+class AhnnOptunaSweeper(Sweeper):
+    """Search with Optuna: every job is a trial, the study can be continued and shared.
+
+    Args:
+        study_name: name of the study in its storage.
+        storage: `journal:///PATH`, `sqlite:///PATH` or `postgresql+psycopg://HOST/DATABASE`; null is a
+            journal file in the sweep folder.
+        direction: `minimize` or `maximize` the value that the job returns.
+        n_trials: trials that the study shall have in the end, over all starts and all machines.
+        batch_size: trials that are handed to the launcher at once.
+        sampler: configuration of an Optuna sampler. A seed in it is combined with the number of each trial,
+            so that a continued study and parallel workers do not draw the same parameters again.
+        params: search space, key to sweep in Hydra's grammar; see `_space`.
+        below: of each pair key: other, `key` gets half the value of `other` where it was drawn equal or
+            larger.
+    """
+
+    def __init__(
+        self,
+        study_name: str,
+        storage: str | None,
+        direction: Literal["minimize", "maximize"],
+        n_trials: int,
+        batch_size: int,
+        sampler: DictConfig,
+        params: DictConfig,
+        below: DictConfig,
+    ) -> None:
+        self.study_name = study_name
+        self.storage = storage
+        self.direction: Literal["minimize", "maximize"] = direction
+        self.n_trials = n_trials
+        self.batch_size = batch_size
+        self.sampler = sampler
+        self.params = params
+        self.below = below
+        self.config: DictConfig | None = None
+        self.launcher: Launcher | None = None
+        self.hydra_context: HydraContext | None = None
+
+    def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
+        """Take what Hydra hands over and build the launcher."""
+        self.config = config
+        self.hydra_context = hydra_context
+        self.launcher = Plugins.instance().instantiate_launcher(
+            hydra_context=hydra_context, task_function=task_function, config=config
+        )
+
+    def sweep(self, arguments: list[str]) -> None:
+        """Run trials until the study has `n_trials`, then write the results.
+
+        Raises:
+            HydraException: for a search space, storage or study that does not fit, and at the end, if a
+                trial failed for another reason than pruning. Hydra shows it as a message without a
+                traceback, exit code 1.
+        """
+        try:
+            failed = self._sweep(arguments)
+        except UserError as error:
+            raise HydraException(str(error)) from error
+        if failed:
+            message = f"{failed} of {self.n_trials} trials failed; the table above names them"
+            raise HydraException(message)
+
+    def _sweep(self, arguments: Sequence[str]) -> int:
+        """Do the work of `sweep` and return the number of failed trials."""
+        from hydra_plugins.ahnn_sweeper import _report, _study
+
+        assert self.config is not None
+        assert self.hydra_context is not None
+        space = self._space(arguments)
+        sweep_dir = Path(str(self.config.hydra.sweep.dir)).absolute()
+        sweep_dir.mkdir(parents=True, exist_ok=True)
+        OmegaConf.save(self.config, sweep_dir / "multirun.yaml")
+        url = _study.url(self.storage, sweep_dir)
+        study = _study.open_study(url, self.study_name, self.direction, space.fixed)
+        self._run(study, url, space)
+        return _report.write(
+            study, sweep_dir, self.hydra_context.config_loader, set(self.config.hydra.runtime.choices)
+        )
+
+    def _space(self, arguments: Sequence[str]) -> "Space":
+        """Return the search space after a job was composed from one draw of it: a wrong key stops here."""
+        import optuna
+
+        from hydra_plugins.ahnn_sweeper import _space
+
+        optuna.logging.set_verbosity(optuna.logging.WARNING)
+        assert self.hydra_context is not None
+        parser = OverridesParser.create(config_loader=self.hydra_context.config_loader)
+        space = _space.parse(parser, self.params, arguments)
+        if not space.distributions:
+            message = (
+                "sweeper: expected at least one searched key; received none in hydra.sweeper.params nor on "
+                "the command line; add for example "
+                "sweep=quick or optimizer.lr='tag(log, interval(1e-4, 1e-2))'"
+            )
+            raise UserError(message)
+        draw = optuna.create_study().ask(space.distributions)
+        self.validate_batch_is_legal([[*space.fixed, *space.overrides(draw.params), "trial=null"]])
+        return space
+
+    def _run(self, study: "optuna.Study", url: str, space: "Space") -> None:
+        """Launch trials until none is owed and none of another worker is running."""
+        import time
+
+        from hydra_plugins.ahnn_sweeper import _ledger, _study
+        from hydra_plugins.ahnn_sweeper._progress import Progress
+
+        def sampler_for(number: int) -> "optuna.samplers.BaseSampler":
+            return _study.sampler(self.sampler, number)
+
+        with Progress(study, self.n_trials) as progress:
+            while True:
+                batch = _ledger.allot(
+                    study, url, space.distributions, sampler_for, self.n_trials, self.batch_size
+                )
+                if batch:
+                    self._launch(study, url, space, batch)
+                elif not _ledger.count(study.get_trials(deepcopy=False)).running:
+                    return
+                else:
+                    time.sleep(1.0)
+                progress.update()
+
+    def _launch(self, study: "optuna.Study", url: str, space: "Space", batch: "list[optuna.Trial]") -> None:
+        """Launch one batch; whatever becomes of it, each of its trials is finished or put back afterwards."""
+        from hydra_plugins.ahnn_sweeper import _ledger
+        from hydra_plugins.ahnn_sweeper._owner import Lease
+
+        assert self.launcher is not None
+        jobs = []
+        for trial in batch:
+            overrides = [*space.fixed, *space.overrides(_kept_below(trial.params, self.below))]
+            trial.set_user_attr("overrides", overrides)
+            jobs.append([*overrides, *self._trial_overrides(url, trial)])
+        all_ended = True
+        with Lease(study._storage, [trial._trial_id for trial in batch]):
+            try:
+                self.launcher.launch(jobs, initial_job_idx=batch[0].number)
+            except Exception as error:  # joblib kills the others when one worker is killed, and raises
+                if not _ledger.any_started(study, [trial.number for trial in batch]):
+                    raise
+                all_ended = False
+                logger.warning("the launcher stopped: %s: %s", type(error).__name__, error)
+            _ledger.settle(study, url, [trial.number for trial in batch], all_ended)
+
+    def _trial_overrides(self, url: str, trial: "optuna.Trial") -> list[str]:
+        """Return the overrides that show a job its trial; its folder is always the number of the trial."""
+        node = (
+            f"{{_target_:hydra_plugins.ahnn_sweeper.load_trial,storage:'{url}',"
+            f"study_name:'{self.study_name}',trial_id:{trial._trial_id}}}"
+        )
+        return [f"trial={node}", f"hydra.sweep.subdir='{trial.number}'"]
+
+
+def _kept_below(params: Mapping[str, Any], below: Mapping[Any, Any]) -> dict[str, Any]:
+    """Return the parameters with each key of `below` smaller than its other, where both are searched.
+
+    The study keeps the drawn value: the sampler sees that all draws above the limit do the same.
+    """
+    used = dict(params)
+    for key, other in below.items():
+        if key in used and other in used and used[key] >= used[other]:
+            used[key] = 0.5 * used[other]
+    return used
