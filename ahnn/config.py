@@ -73,6 +73,14 @@ def plain_config(cfg: Any) -> dict[str, Any]:
     return OmegaConf.to_container(cfg, resolve=True)  # pyright: ignore[reportReturnType]
 
 
+def stencil(loss: DictConfig) -> int:
+    """Return the steps that a training window must span for the derivatives of a loss; resolver of YAML."""
+    return int(loss.order) if loss.derivative else 1
+
+
+OmegaConf.register_new_resolver("stencil", stencil, replace=True)
+
+
 def run_hydra(task: Callable[[DictConfig], Any], config_name: str = "train") -> None:
     """Run a task under Hydra; a user's mistake ends in one message and an exit code, not a traceback."""
     os.environ["HYDRA_FULL_ERROR"] = "1"  # makes Hydra raise, so that the messages are ours

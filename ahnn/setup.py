@@ -71,7 +71,7 @@ def seconds_per_step(data: WindowDataModule, model: AbstractDynamics, repeats: i
     model = copy.deepcopy(model)
     assert model.optimisation is not None
     optimizer = model.optimisation.optimizer(model.parameters())
-    windows = data.val_dataloader().windows
+    windows = data.train_dataloader().windows
     batch = windows.gather(torch.arange(data.batch_size) % len(windows))
 
     def gradient() -> torch.Tensor:

@@ -29,6 +29,7 @@ class WindowDataModule(LightningDataModule):
         trajectories: number of trajectories, over all splits.
         split: shares of train, val and test.
         window: W, steps of a window.
+        stencil: steps that a training window spans at least; derivatives need more than W.
         batch_size: windows of an optimiser step.
         windows_per_epoch: windows drawn anew in each epoch; None takes all.
         val_windows: evenly spread windows of a validation; None takes all.
@@ -45,6 +46,7 @@ class WindowDataModule(LightningDataModule):
         trajectories: int,
         split: list[float],
         window: int,
+        stencil: int,
         batch_size: int,
         windows_per_epoch: int | None,
         val_windows: int | None,
@@ -57,7 +59,7 @@ class WindowDataModule(LightningDataModule):
         self.system = system
         self.count = trajectories
         self.sizes = split_sizes(trajectories, split)
-        self.window, self.batch_size = window, batch_size
+        self.window, self.stencil, self.batch_size = window, stencil, batch_size
         self.windows_per_epoch, self.val_windows = windows_per_epoch, val_windows
         self.dtype = {32: torch.float32, 64: torch.float64}.get(precision)
         self.seed, self.order_seed = seed, order_seed
@@ -107,20 +109,21 @@ class WindowDataModule(LightningDataModule):
 
     def train_dataloader(self) -> WindowLoader:
         """Return shuffled training batches."""
-        return self._loader("train", self.windows_per_epoch, self.order_seed)
+        span = max(self.window, self.stencil)
+        return self._loader("train", span, self.windows_per_epoch, self.order_seed)
 
     def val_dataloader(self) -> WindowLoader:
         """Return the validation batches, the same in every epoch."""
-        return self._loader("val", self.val_windows, None)
+        return self._loader("val", self.window, self.val_windows, None)
 
     def transfer_batch_to_device(self, batch: Any, device: torch.device, dataloader_idx: int) -> Any:
         """Return the batch as it is: windows are gathered on the device."""
         del device, dataloader_idx
         return batch
 
-    def _loader(self, split: Split, limit: int | None, seed: int | None) -> WindowLoader:
+    def _loader(self, split: Split, span: int, limit: int | None, seed: int | None) -> WindowLoader:
         assert self.dtype is not None
-        windows = Windows(self.trajectories(split), self.window, self.dtype)
+        windows = Windows(self.trajectories(split), span, self.dtype)
         if self.trainer is not None:
             windows.to(self.trainer.strategy.root_device)
         return WindowLoader(windows, self.batch_size, limit, seed)

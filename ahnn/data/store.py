@@ -16,7 +16,6 @@ from pathlib import Path
 
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
-from torch import Tensor
 
 from ahnn.errors import UserError
 from ahnn.systems import System
@@ -24,7 +23,7 @@ from ahnn.types import Trajectories
 
 log = logging.getLogger(__name__)
 
-FORMAT = 1
+FORMAT = 2
 """Raise this number when the meaning of a stored file changes, for example after a fix of the generator."""
 
 
@@ -64,7 +63,7 @@ def write(path: Path, trajectories: Trajectories, made_from: dict[str, object]) 
     metadata = {
         "recipe": json.dumps(made_from, sort_keys=True),
         "dt": repr(trajectories.dt),
-        "sha256": checksum(trajectories.states),
+        "sha256": checksum(trajectories),
     }
     content = save({"states": trajectories.states, "lengths": trajectories.lengths}, metadata)
     write_atomically(path, content)
@@ -79,15 +78,19 @@ def read(path: Path) -> Trajectories:
     with safe_open(path, framework="pt") as file:
         metadata = file.metadata()
         states, lengths = file.get_tensor("states"), file.get_tensor("lengths")
-    if checksum(states) != metadata["sha256"]:
+    trajectories = Trajectories(states, lengths, float(metadata["dt"]))
+    if checksum(trajectories) != metadata["sha256"]:
         message = "checksum mismatch"
         raise ValueError(message)
-    return Trajectories(states, lengths, float(metadata["dt"]))
+    return trajectories
 
 
-def checksum(states: Tensor) -> str:
-    """Return the SHA-256 of a tensor's bytes."""
-    return hashlib.sha256(states.contiguous().numpy().data).hexdigest()
+def checksum(trajectories: Trajectories) -> str:
+    """Return the SHA-256 of the states, the lengths and the sampling interval."""
+    digest = hashlib.sha256(repr(trajectories.dt).encode())
+    for tensor in (trajectories.lengths, trajectories.states):
+        digest.update(tensor.contiguous().numpy().data)
+    return digest.hexdigest()
 
 
 def write_atomically(path: Path, content: bytes) -> None:

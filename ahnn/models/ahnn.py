@@ -27,6 +27,7 @@ class AHNN(AbstractDynamics):
         scaling: minmax, block or none.
         network: width, depth, activation.
         integrator: `name` and options of the one-step method.
+        window: W, steps of the recursive predictions in the loss.
         loss: options of `Loss`.
     """
 
@@ -41,12 +42,13 @@ class AHNN(AbstractDynamics):
         scaling: Kind,
         network: dict[str, Any],
         integrator: dict[str, Any],
+        window: int,
         loss: dict[str, Any],
     ) -> None:
         learner = make_hamiltonian(
             hamiltonian, dof, mass=inertia, mu=mu, inputs=inputs, scaling=scaling, network=network
         )
-        super().__init__(learner, dof, loss)
+        super().__init__(learner, dof, window, loss)
         self.save_hyperparameters()
         self.integrator = make_integrator(**integrator)
 

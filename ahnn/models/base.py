@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any, NamedTuple, Protocol, cast
 
 import torch
@@ -15,9 +16,9 @@ from torch.optim.lr_scheduler import LRScheduler
 
 from ahnn.arguments import check_arguments
 from ahnn.errors import TrainingError
-from ahnn.models.losses import Loss, derivative_residuals, recursive_residuals
+from ahnn.models.losses import Loss, derivative_samples, recursive_residuals
 from ahnn.normalisation import Statistics
-from ahnn.optim import LeastSquares, LevenbergMarquardt, least_squares
+from ahnn.optim import LeastSquares, LevenbergMarquardt, pointwise_problem, recursive_problem
 from ahnn.types import Flow, TimeStep, Window
 
 
@@ -48,16 +49,17 @@ class AbstractDynamics(LightningModule, ABC):
     Args:
         learner: the trainable part.
         dof: degrees of freedom n.
+        window: W, steps of the recursive predictions in the loss.
         loss: options of `Loss`.
     """
 
     loss_scale: Tensor
     dt: Tensor
 
-    def __init__(self, learner: nn.Module, dof: int, loss: dict[str, Any]) -> None:
+    def __init__(self, learner: nn.Module, dof: int, window: int, loss: dict[str, Any]) -> None:
         super().__init__()
         self.learner = learner
-        self.dof = dof
+        self.dof, self.window = dof, window
         check_arguments("loss", Loss, loss)
         self.loss = Loss(**loss)
         self.register_buffer("loss_scale", torch.ones(2 * dof))
@@ -69,13 +71,47 @@ class AbstractDynamics(LightningModule, ABC):
     def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return x(t + dt) - x(t), shape (B, D), predicted for the states x, shape (B, D)."""
 
-    def residuals(self, window: Window) -> Tensor:
-        """Return the residuals of a batch in units of the loss scale, shape (B, W, D)."""
-        if self.loss.kind == "derivative":
-            residuals, targets = derivative_residuals(cast(Learner, self.learner), window)
-        else:
-            residuals, targets = recursive_residuals(self.increment, window), window.increments
-        return self.loss.scaled(residuals, targets, self.loss_scale)
+    @property
+    def fits_derivatives(self) -> bool:
+        """Whether the current epoch fits the field to derivatives, and not predictions to states."""
+        if self.loss.derivative == 0 or self._trainer is None:
+            return self.loss.derivative > 0
+        return self.current_epoch < self.loss.derivative * (self.trainer.max_epochs or 1)
+
+    def residuals(self, batch: Window) -> Tensor:
+        """Return the residuals of the current epoch's objective in the units of the loss.
+
+        Args:
+            batch: of W steps, or more where derivatives need a wider stencil.
+
+        Returns:
+            shape (B, W, D) for predictions, (B, D) for derivatives.
+        """
+        if not self.fits_derivatives:
+            return self.prediction_residuals(batch)
+        middle, target = derivative_samples(batch)
+        residuals = batch.dt * cast(Learner, self.learner)(middle) - target
+        return residuals * self._weights(target)
+
+    def prediction_residuals(self, batch: Window) -> Tensor:
+        """Return the residuals of W recursive predictions in the units of the loss, shape (B, W, D)."""
+        window = batch._replace(increments=batch.increments[:, : self.window])
+        return recursive_residuals(self.increment, window) * self._weights(window.increments)
+
+    def problem(self, batch: Window) -> LeastSquares:
+        """Return the residuals of the current epoch's objective as a problem in the parameters."""
+        if self.fits_derivatives:
+            middle, target = derivative_samples(batch)
+            learner = cast(Learner, self.learner)
+            return pointwise_problem(
+                self, lambda x: batch.dt * learner(x), middle, target, self._weights(target)
+            )
+        targets = batch.increments[:, : self.window]
+        step = partial(self.increment, dt=batch.dt)
+        return recursive_problem(self, step, batch.start, targets, self._weights(targets))
+
+    def _weights(self, targets: Tensor) -> Tensor:
+        return self.loss.weights(targets, self.loss_scale)
 
     def forward(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the states (B, D) that the states x, shape (B, D), reach after dt."""
@@ -127,24 +163,22 @@ class AbstractDynamics(LightningModule, ABC):
         return loss
 
     def problems(self, batch: Window) -> tuple[LeastSquares, LeastSquares]:
-        """Return four fifths of a batch as the problem to step on, and the rest to check the step."""
+        """Return a fifth of a batch as the problem to step on, and the rest to check the step.
+
+        The check needs no Jacobian and may be large; a small one is noisy and raises the damping.
+        """
         split = max(1, batch.start.shape[0] // 5)
-
-        def residuals(start: Tensor, increments: Tensor) -> Tensor:
-            return self.residuals(Window(start, increments, batch.dt))
-
-        main, rest = (
-            least_squares(self, residuals, (batch.start[part], batch.increments[part]))
-            for part in (slice(split, None), slice(None, split))
+        step, check = (
+            self.problem(Window(batch.start[part], batch.increments[part], batch.dt))
+            for part in (slice(None, split), slice(split, None))
         )
-        return main, rest
+        return step, check
 
     def validation_step(self, batch: Window, batch_idx: int) -> None:
-        """Log `val/loss`, and the one-step rms residual `val/one_step` in units of the loss scale."""
+        """Log the loss of W predictions `val/loss`, and `val/one_step`, the rms residual of single steps."""
         del batch_idx
         size = batch.start.shape[0]
-        residual = (self.increment(batch.start, batch.dt) - batch.increments[:, 0]) / self.loss_scale
-        one_step = residual.square().mean().sqrt()
+        residuals = self.prediction_residuals(batch)
         options: dict[str, Any] = {"batch_size": size, "on_epoch": True, "logger": False}
-        self.log("val/loss", self.loss(self.residuals(batch)), **options)
-        self.log("val/one_step", one_step, **options)
+        self.log("val/loss", self.loss(residuals), **options)
+        self.log("val/one_step", residuals[:, 0].square().mean().sqrt(), **options)

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor, nn
 
+from ahnn.errors import UserError
 from ahnn.models.inputs import InputMap
 from ahnn.models.networks import make_network
 from ahnn.normalisation import Statistics
@@ -101,35 +102,44 @@ class CentralBody(nn.Module):
         mu: gravitational parameter; None learns it, beginning with the least-squares value.
     """
 
-    log_mu: Tensor
-
     def __init__(self, remainder: NetworkEnergy, mass: float, mu: float | None) -> None:
         super().__init__()
         self.remainder = remainder
         self.mass = mass
         self.known_mu = mu
-        value = torch.tensor(0.0 if mu is None else mu, dtype=torch.float64).log()
         if mu is None:
             self.log_mu = nn.Parameter(torch.zeros(()))
-        else:
-            self.register_buffer("log_mu", value)
+
+    @property
+    def mu(self) -> Tensor | float:
+        """The gravitational parameter; a known one keeps all its digits in any precision of the weights."""
+        return self.log_mu.exp() if self.known_mu is None else self.known_mu
 
     def fit(self, statistics: Statistics) -> None:
-        """Set mu, if it is learned, and the unit of the remainder from the sampled rates."""
+        """Set mu, if it is learned, and the unit of the remainder from the sampled rates.
+
+        Raises:
+            UserError: the data show no attraction.
+        """
         self.remainder.fit(statistics)
         q, rate = statistics.positions, statistics.forces
         attraction = -self.mass * q / q.norm(dim=-1, keepdim=True) ** 3
         if self.known_mu is None:
             mu = (attraction * rate).sum() / attraction.square().sum()
+            if not mu > 0:
+                message = (
+                    f"hamiltonian central_body: expected an attraction; the data give mu={float(mu):.3g}"
+                )
+                raise UserError(message)
             self.log_mu.data.copy_(mu.log())
-        left = rate - self.log_mu.double().exp() * attraction
+        left = rate - self.mu * attraction
         self.remainder.unit.copy_((left * q.norm(dim=-1, keepdim=True)).square().mean().sqrt())
 
     def forward(self, q: Tensor) -> Tensor:
         """Return the potential, shape (...), at q, shape (..., n)."""
-        return self.remainder(q) - self.mass * self.log_mu.exp() / q.norm(dim=-1)
+        return self.remainder(q) - self.mass * self.mu / q.norm(dim=-1)
 
     def gradient(self, q: Tensor) -> Tensor:
         """Return the gradient with respect to q, shape (..., n)."""
         r = q.norm(dim=-1, keepdim=True)
-        return self.remainder.gradient(q) + (self.mass * self.log_mu.exp() / r**3) * q
+        return self.remainder.gradient(q) + (self.mass * self.mu / r**3) * q

@@ -7,6 +7,7 @@ may be integrated by symplectic compositions.
 
 from __future__ import annotations
 
+import math
 from typing import Any, Literal, cast, get_args
 
 import torch
@@ -120,13 +121,16 @@ def make_hamiltonian(
         network: width, depth, activation.
 
     Raises:
-        UserError: unknown structure, or mu for a structure without a central body.
+        UserError: unknown structure, mu for a structure without a central body, or mu that is not positive.
     """
     if structure not in get_args(Structure):
         message = f"hamiltonian: expected one of {', '.join(get_args(Structure))}; received {structure!r}"
         raise UserError(message)
     if mu is not None and structure != "central_body":
         message = f"model.mu: expected null, since {structure} has no central body; received {mu}"
+        raise UserError(message)
+    if mu is not None and not 0 < mu < math.inf:
+        message = f"model.mu: expected a positive number, or null to learn it; received {mu}"
         raise UserError(message)
     if structure == "generic":
         return GenericHamiltonian(dof, inputs=inputs, scaling=scaling, network=network)

@@ -1,10 +1,11 @@
-"""Residuals of a dynamics model on a window of data, and the loss made of them."""
+"""What training minimises: recursive prediction errors, derivative errors, and the weights of both."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cache
+from math import factorial
 from typing import Literal
 
 import torch
@@ -12,7 +13,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from ahnn.errors import UserError
-from ahnn.types import TimeStep, VectorField, Window
+from ahnn.types import TimeStep, Window
 
 FLOOR = 0.03
 """Local increments below this share of the typical one are not weighted up any further."""
@@ -22,55 +23,52 @@ Increment = Callable[[Tensor, TimeStep], Tensor]
 
 @dataclass(frozen=True)
 class Loss:
-    """What training minimises.
+    """The training objective.
 
     Attributes:
-        kind: `recursive` compares W recursive predictions with the data (the paper); `derivative` compares
-            the field with difference quotients (Greydanus et al. 2019).
         scale: unit of residuals, `increment` (rms increment of each component) or `state` (half range of
             each component, the paper). One-step residuals are tiny beside the state, and their gradients
             fall below Adam's epsilon; in units of the increment they do not.
         delta: residual, in those units, at which Huber's loss turns from quadratic to linear.
         balance: weight of relative errors. 0 measures a residual in the same unit everywhere; 1 in units of
             the local increment of its block, so that slow parts of a trajectory count as much as fast ones.
+        derivative: share of the epochs, from the first, that fits the field to derivatives of the data; the
+            rest fits recursive predictions (the paper). 1 is the loss of Greydanus et al. 2019.
+        order: of the central differences that give those derivatives; even.
     """
 
-    kind: Literal["recursive", "derivative"] = "recursive"
     scale: Literal["increment", "state"] = "increment"
     delta: float = 1.0
     balance: float = 0.0
+    derivative: float = 0.0
+    order: int = 12
 
     def __post_init__(self) -> None:
         """Refuse what no loss can be made of."""
-        if (
-            self.kind not in ("recursive", "derivative")
-            or self.scale not in ("increment", "state")
-            or not self.delta > 0
-        ):
+        possible = self.delta > 0 and 0 <= self.balance <= 1 and 0 <= self.derivative <= 1
+        if not possible or self.order < 2 or self.order % 2 or self.scale not in ("increment", "state"):
             message = (
-                "loss: expected kind recursive or derivative, scale increment or state, delta > 0 and "
-                f"0 <= balance <= 1; received {asdict(self)}"
+                "loss: expected scale increment or state, delta > 0, balance and derivative in [0, 1], "
+                f"and an even order >= 2; received {asdict(self)}"
             )
             raise UserError(message)
 
     def __call__(self, residuals: Tensor) -> Tensor:
-        """Return the mean Huber loss of scaled residuals, a scalar."""
+        """Return the mean Huber loss of weighted residuals, a scalar."""
         return F.huber_loss(residuals, torch.zeros_like(residuals), delta=self.delta)
 
-    def scaled(self, residuals: Tensor, targets: Tensor, scale: Tensor) -> Tensor:
-        """Return residuals in units of the loss, shape (B, W, D).
+    def weights(self, targets: Tensor, scale: Tensor) -> Tensor:
+        """Return the factors that bring residuals into the units of the loss, shape (..., D).
 
         Args:
-            residuals: (B, W, D), in physical units.
-            targets: (B, W, D) increments that the residuals belong to.
+            targets: (..., D) increments that the residuals belong to.
             scale: (D,) typical size of a residual's component.
         """
-        residuals = residuals / scale
         if self.balance == 0:
-            return residuals
+            return (1 / scale).expand_as(targets)
         blocks = (targets / scale).unflatten(-1, (2, -1))
         local = blocks.square().mean(-1, keepdim=True) + FLOOR**2
-        return (residuals.unflatten(-1, (2, -1)) * local ** (-self.balance / 2)).flatten(-2)
+        return (local ** (-self.balance / 2)).expand_as(blocks).flatten(-2) / scale
 
 
 def recursive_residuals(increment: Increment, window: Window) -> Tensor:
@@ -93,35 +91,32 @@ def recursive_residuals(increment: Increment, window: Window) -> Tensor:
     return torch.stack(residuals, dim=1)
 
 
-def derivative_residuals(field: VectorField, window: Window) -> tuple[Tensor, Tensor]:
-    """Return dt (field - derivative of the data) in the middle of the window, and dt times that derivative.
+def derivative_samples(window: Window) -> tuple[Tensor, Tensor]:
+    """Return the sample in the middle of each window of W = 2m steps, and dt times its derivative, (B, D).
 
-    State and derivative in the middle are those of the polynomial through all W + 1 samples, so the window
-    sets the order: one step gives the difference quotient, an even W the central difference of order W. What
-    is learned this way is the field itself, free of the integrator's error.
+    The derivative is the central difference of order W. A field that is fitted to it is the field itself,
+    free of an integrator's error.
 
     Args:
-        field: x -> dx/dt of the model.
-        window: start (B, D) and true increments (B, W, D).
-
-    Returns:
-        residuals and targets, each (B, 1, D).
+        window: start (B, D) and true increments (B, W, D), W even.
     """
-    state, slope = (w.to(window.start) for w in middle_weights(window.increments.shape[1]))
-    middle = window.start + torch.einsum("w,bwd->bd", state, window.increments)
-    target = torch.einsum("w,bwd->bd", slope, window.increments)
-    return (window.dt * field(middle) - target).unsqueeze(1), target.unsqueeze(1)
+    steps = window.increments.shape[1]
+    middle = window.start + window.increments[:, : steps // 2].sum(1)
+    return middle, torch.einsum("w,bwd->bd", difference_weights(steps).to(middle), window.increments)
 
 
 @cache
-def middle_weights(steps: int) -> tuple[Tensor, Tensor]:
-    """Return the weights of W increments in x(W/2) - x(0) and in dx/dt(W/2) dt, each (W,) float64.
+def difference_weights(steps: int) -> Tensor:
+    """Return the weights of W = 2m increments in dt dx/dt at the middle sample, shape (W,), float64.
 
-    Those of Lagrange's polynomial through the samples 0..W, summed from the end because a sample is the start
-    plus all increments before it.
+    The central difference of order 2m is sum_j w_j (x_{m+j} - x_{m-j}) / dt with
+    w_j = (-1)^(j+1) m!^2 / (j (m-j)! (m+j)!) (Fornberg 1988, Math. Comp. 51, 699-706); an increment takes
+    part in every difference that spans it.
     """
-    nodes = torch.arange(steps + 1, dtype=torch.float64) - steps / 2
-    powers = torch.linalg.inv(torch.vander(nodes / max(steps / 2, 1), increasing=True))
-    value, slope = powers[0], powers[1] / max(steps / 2, 1)
-    tails = [w.flip(0).cumsum(0).flip(0)[1:] for w in (value, slope)]
-    return tails[0], tails[1]
+    m = steps // 2
+    w = [
+        (-1) ** (j + 1) * factorial(m) ** 2 / (j * factorial(m - j) * factorial(m + j))
+        for j in range(1, m + 1)
+    ]
+    spans = [sum(w[max(m - k, k - m + 1) - 1 :]) for k in range(steps)]
+    return torch.tensor(spans, dtype=torch.float64)

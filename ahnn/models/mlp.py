@@ -59,17 +59,25 @@ class MLP(AbstractDynamics):
         scaling: minmax, block or none.
         residual: learn the increment instead of the next state.
         network: width, depth, activation.
-        loss: options of `Loss`; a map has no field, so `kind` must be recursive.
+        window: W, steps of the recursive predictions in the loss.
+        loss: options of `Loss`; a map has no field, so `derivative` must be 0.
     """
 
     def __init__(
-        self, dof: int, *, scaling: Kind, residual: bool, network: dict[str, Any], loss: dict[str, Any]
+        self,
+        dof: int,
+        *,
+        scaling: Kind,
+        residual: bool,
+        network: dict[str, Any],
+        window: int,
+        loss: dict[str, Any],
     ) -> None:
-        super().__init__(NextState(dof, scaling, residual, network), dof, loss)
+        super().__init__(NextState(dof, scaling, residual, network), dof, window, loss)
         self.save_hyperparameters()
-        if self.loss.kind != "recursive":
+        if self.loss.derivative:
             message = (
-                f"model mlp: a map has no field; expected loss.kind=recursive, received {self.loss.kind}"
+                f"model mlp: a map has no field; expected loss.derivative=0, received {self.loss.derivative}"
             )
             raise UserError(message)
 
@@ -79,7 +87,7 @@ class MLP(AbstractDynamics):
         Raises:
             UserError: dt is not the sampling interval of the training data.
         """
-        if isinstance(dt, Tensor) or dt != float(self.dt):
+        if isinstance(dt, Tensor) or abs(dt - float(self.dt)) > 1e-6 * dt:
             message = (
                 f"model mlp: expected the time step it was trained with, {float(self.dt)}; received {dt}. "
                 "A map has no time axis: use node, hnn or ahnn for other steps."

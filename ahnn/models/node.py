@@ -53,6 +53,7 @@ class NODE(AbstractDynamics):
         scaling: minmax, block or none.
         network: width, depth, activation.
         integrator: `name` and options of the one-step method.
+        window: W, steps of the recursive predictions in the loss.
         loss: options of `Loss`.
     """
 
@@ -63,9 +64,10 @@ class NODE(AbstractDynamics):
         scaling: Kind,
         network: dict[str, Any],
         integrator: dict[str, Any],
+        window: int,
         loss: dict[str, Any],
     ) -> None:
-        super().__init__(NeuralField(dof, scaling, network), dof, loss)
+        super().__init__(NeuralField(dof, scaling, network), dof, window, loss)
         self.save_hyperparameters()
         self.integrator = make_integrator(**integrator)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ahnn.optim.hyperbolic import ExpHyperbolicLR
-from ahnn.optim.least_squares import LeastSquares, least_squares
+from ahnn.optim.least_squares import LeastSquares, pointwise_problem, recursive_problem
 from ahnn.optim.levenberg_marquardt import LevenbergMarquardt
 
-__all__ = ["ExpHyperbolicLR", "LeastSquares", "LevenbergMarquardt", "least_squares"]
+__all__ = ["ExpHyperbolicLR", "LeastSquares", "LevenbergMarquardt", "pointwise_problem", "recursive_problem"]

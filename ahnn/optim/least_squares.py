@@ -1,4 +1,8 @@
-"""A batch as a least-squares problem in the parameters of a module: residuals and their Jacobian."""
+"""A batch as a least-squares problem in the parameters of a module: residuals and their Jacobian.
+
+Jacobians come from vectorised reverse mode, one pass per residual of a sample. Recursive predictions carry
+the sensitivity of their state along instead: W steps then cost W passes and not W^2.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,7 @@ from torch.func import functional_call, jacrev, vmap
 
 
 class LeastSquares(NamedTuple):
-    """Residuals r(theta) of a batch, as functions of the flat parameter vector theta, shape (P,).
+    """Weighted residuals r(theta) of a batch, as functions of the flat parameter vector theta, shape (P,).
 
     Attributes:
         residuals: theta -> r, shape (N,).
@@ -22,45 +26,90 @@ class LeastSquares(NamedTuple):
     jacobian: Callable[[Tensor], Tensor]
 
 
-class _Residuals(nn.Module):
-    """The residual function of a module as a forward pass, which `functional_call` can parametrise."""
+class _Forward(nn.Module):
+    """A function of a module as a forward pass, which `functional_call` can parametrise."""
 
     def __init__(self, module: nn.Module, function: Callable[..., Tensor]) -> None:
         super().__init__()
         self.module, self.function = module, function
 
-    def forward(self, *batch: Tensor) -> Tensor:
-        return self.function(*batch)
+    def forward(self, *arguments: Tensor) -> Tensor:
+        return self.function(*arguments)
 
 
-def least_squares(
-    module: nn.Module, function: Callable[..., Tensor], batch: tuple[Tensor, ...]
+def parametrised(module: nn.Module, function: Callable[..., Tensor]) -> Callable[..., Tensor]:
+    """Return (theta, *arguments) -> function(*arguments), evaluated with theta as the module's parameters."""
+    wrapped = _Forward(module, function)
+    shapes = {name: p.shape for name, p in wrapped.named_parameters()}
+    sizes = [shape.numel() for shape in shapes.values()]
+
+    def call(theta: Tensor, *arguments: Tensor) -> Tensor:
+        parts = zip(shapes.items(), theta.split(sizes), strict=True)
+        return functional_call(wrapped, {name: part.view(shape) for (name, shape), part in parts}, arguments)
+
+    return call
+
+
+def pointwise_problem(
+    module: nn.Module, residuals: Callable[[Tensor], Tensor], x: Tensor, targets: Tensor, weights: Tensor
 ) -> LeastSquares:
-    """Return the problem of a batch.
-
-    The Jacobian takes one vectorised backward pass per residual of a sample, over all samples at once.
+    """Return the problem of fitting a function of single states.
 
     Args:
         module: its parameters are the unknowns.
-        function: residuals of a batch, computed with the module; sample by sample independent.
-        batch: tensors of shape (B, ...).
+        residuals: the fitted function (B, D) -> (B, D), computed with the module.
+        x: where it is compared, (B, D).
+        targets: what it is compared with, (B, D).
+        weights: of the residuals, (B, D).
     """
-    wrapped = _Residuals(module, function)
-    shapes = {name: p.shape for name, p in wrapped.named_parameters()}
+    function = parametrised(module, residuals)
 
-    def named(theta: Tensor) -> dict[str, Tensor]:
-        parts = theta.split([shape.numel() for shape in shapes.values()])
-        return {name: part.view(shape) for (name, shape), part in zip(shapes.items(), parts, strict=True)}
+    def of_sample(theta: Tensor, sample: Tensor) -> Tensor:
+        return function(theta, sample.unsqueeze(0)).squeeze(0)
 
-    def of_sample(theta: Tensor, *sample: Tensor) -> Tensor:
-        return functional_call(wrapped, named(theta), tuple(s.unsqueeze(0) for s in sample)).flatten()
-
-    def residuals(theta: Tensor) -> Tensor:
-        with torch.no_grad():
-            return functional_call(wrapped, named(theta), batch).flatten()
+    def weighted(theta: Tensor) -> Tensor:
+        return ((function(theta, x) - targets) * weights).flatten()
 
     def jacobian(theta: Tensor) -> Tensor:
-        dimensions = (None, *(0 for _ in batch))
-        return vmap(jacrev(of_sample), dimensions)(theta, *batch).flatten(0, 1)
+        return (vmap(jacrev(of_sample), (None, 0))(theta, x) * weights.unsqueeze(-1)).flatten(0, -2)
 
-    return LeastSquares(residuals, jacobian)
+    return LeastSquares(torch.no_grad()(weighted), jacobian)
+
+
+def recursive_problem(
+    module: nn.Module, increment: Callable[[Tensor], Tensor], x: Tensor, targets: Tensor, weights: Tensor
+) -> LeastSquares:
+    """Return the problem of predicting W steps recursively.
+
+    Args:
+        module: its parameters are the unknowns.
+        increment: (B, D) -> (B, D) of one step, computed with the module.
+        x: first states, (B, D).
+        targets: true increments, (B, W, D).
+        weights: of the residuals, (B, W, D).
+    """
+    function = parametrised(module, increment)
+
+    def of_sample(theta: Tensor, sample: Tensor) -> Tensor:
+        return function(theta, sample.unsqueeze(0)).squeeze(0)
+
+    def weighted(theta: Tensor) -> Tensor:
+        state, residual, rows = x, torch.zeros_like(x), []
+        for target in targets.unbind(1):
+            step = function(theta, state)
+            state, residual = state + step, residual + (step - target)
+            rows.append(residual)
+        return (torch.stack(rows, dim=1) * weights).flatten()
+
+    def jacobian(theta: Tensor) -> Tensor:
+        derivatives = vmap(jacrev(of_sample, argnums=(0, 1)), (None, 0))
+        state, sensitivity, rows = x, x.new_zeros(*x.shape, len(theta)), []
+        for k in range(targets.shape[1]):
+            of_theta, of_state = derivatives(theta, state)
+            with torch.no_grad():
+                sensitivity = sensitivity + of_theta + of_state @ sensitivity
+                rows.append(sensitivity * weights[:, k, :, None])
+                state = state + function(theta, state)
+        return torch.stack(rows, dim=1).flatten(0, 2)
+
+    return LeastSquares(torch.no_grad()(weighted), jacobian)

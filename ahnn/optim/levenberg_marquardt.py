@@ -13,7 +13,11 @@ from ahnn.errors import UserError
 from ahnn.optim.least_squares import LeastSquares
 
 SMALLEST, LARGEST = 1e-14, 1e6
-ATTEMPTS = 8
+"""Range of the damping."""
+SUFFICIENT = 1e-3
+"""Share of the promised decrease that a step must bring."""
+ATTEMPTS = 6
+"""Dampings tried on one batch before the next one is drawn."""
 
 
 class LevenbergMarquardt(Optimizer):
@@ -51,7 +55,7 @@ class LevenbergMarquardt(Optimizer):
         group = self.param_groups[0]
         theta = parameters_to_vector(group["params"]).detach()
         residuals, jacobian = problem.residuals(theta), problem.jacobian(theta).detach()
-        normal, gradient = jacobian.T @ jacobian, jacobian.T @ residuals
+        normal, gradient = gram(jacobian), jacobian.T @ residuals
         loss, other = residuals @ residuals, held_back.residuals(theta).square().sum()
         for _ in range(ATTEMPTS):
             move = damped_step(normal, gradient, group["damping"])
@@ -60,12 +64,28 @@ class LevenbergMarquardt(Optimizer):
                 continue
             promised = -(2 * gradient @ move + move @ (normal @ move))
             gain = float((loss - problem.residuals(theta + move).square().sum()) / promised)
-            held = held_back.residuals(theta + move).square().sum() <= (1 + group["tolerance"]) * other
-            group["damping"] = adapted(group["damping"], gain, bool(held))
-            if gain > 1e-3 and held:
+            rise = float(held_back.residuals(theta + move).square().sum() / other) - 1
+            accepted = gain > SUFFICIENT and rise <= group["tolerance"]
+            group["damping"] = adapted(group["damping"], gain, rise, accepted)
+            if accepted:
                 vector_to_parameters(theta + move, group["params"])
                 break
         return loss / residuals.numel()
+
+
+def gram(jacobian: Tensor, blocks: int = 4) -> Tensor:
+    """Return J^T J, shape (P, P), by its lower triangle of blocks and without rows that are all zero.
+
+    Known parts of a model, such as a kinetic energy p^2 / 2m, make half of the rows vanish.
+    """
+    rows = jacobian[jacobian.abs().amax(-1) > 0]
+    columns = rows.tensor_split(blocks, dim=-1)
+    lower = [[left.T @ right for right in columns[: i + 1]] for i, left in enumerate(columns)]
+    grid = [
+        torch.cat([lower[i][j] if j <= i else lower[j][i].T for j in range(blocks)], dim=1)
+        for i in range(blocks)
+    ]
+    return torch.cat(grid)
 
 
 def damped_step(normal: Tensor, gradient: Tensor, damping: float) -> Tensor | None:
@@ -78,12 +98,18 @@ def damped_step(normal: Tensor, gradient: Tensor, damping: float) -> Tensor | No
     return -torch.cholesky_solve(gradient.unsqueeze(-1), factor).squeeze(-1)
 
 
-def adapted(damping: float, gain: float, held: bool) -> float:
-    """Return the damping after a step with this ratio of actual to promised decrease."""
-    if not (gain > 1e-3 and held):
-        factor = 6.0
-    elif gain > 0.75:
-        factor = 1 / 3
+def adapted(damping: float, gain: float, rise: float, accepted: bool) -> float:
+    """Return the damping after a step.
+
+    Args:
+        damping: of the step.
+        gain: ratio of its actual to its promised decrease.
+        rise: relative change of the loss on the windows held back.
+        accepted: whether the step was taken.
+    """
+    if not accepted:
+        factor = 4.0
     else:
-        factor = 1.0 if gain > 0.25 else 3.0
+        factor = 1 / 3 if gain > 0.75 else 1.0 if gain > 0.25 else 3.0
+        factor *= 2.0 if rise > 0 else 1.0
     return min(max(damping * factor, SMALLEST), LARGEST)
