@@ -32,6 +32,8 @@ class WindowDataModule(LightningDataModule):
         stencil: steps that a training window spans at least; derivatives need more than W.
         batch_size: windows of an optimiser step.
         windows_per_epoch: windows drawn anew in each epoch; None takes all.
+        emphasis: 0 draws training windows alike; above, in proportion to this power of the speed at which
+            their momenta change. On eccentric orbits most samples lie where little happens.
         val_windows: evenly spread windows of a validation; None takes all.
         precision: 32 or 64, bits of the batches.
         seed: of the initial states; the same for all models and training seeds.
@@ -49,6 +51,7 @@ class WindowDataModule(LightningDataModule):
         stencil: int,
         batch_size: int,
         windows_per_epoch: int | None,
+        emphasis: float,
         val_windows: int | None,
         precision: Literal[32, 64],
         seed: int,
@@ -62,6 +65,7 @@ class WindowDataModule(LightningDataModule):
         self.window, self.stencil, self.batch_size = window, stencil, batch_size
         self.windows_per_epoch, self.val_windows = windows_per_epoch, val_windows
         self.dtype = {32: torch.float32, 64: torch.float64}.get(precision)
+        self.emphasis = emphasis
         self.seed, self.order_seed = seed, order_seed
         self.cache = Path(cache).expanduser()
         self._splits: dict[Split, Trajectories] = {}
@@ -77,6 +81,9 @@ class WindowDataModule(LightningDataModule):
             if value is not None and value < 1:
                 message = f"data: {name}: expected at least 1; received {value}"
                 raise UserError(message)
+        if self.emphasis < 0:
+            message = f"data: emphasis: expected at least 0; received {self.emphasis}"
+            raise UserError(message)
         if self.dtype is None:
             message = "data: precision: expected 32 or 64 bits"
             raise UserError(message)
@@ -110,7 +117,7 @@ class WindowDataModule(LightningDataModule):
     def train_dataloader(self) -> WindowLoader:
         """Return shuffled training batches."""
         span = max(self.window, self.stencil)
-        return self._loader("train", span, self.windows_per_epoch, self.order_seed)
+        return self._loader("train", span, self.windows_per_epoch, self.order_seed, self.emphasis)
 
     def val_dataloader(self) -> WindowLoader:
         """Return the validation batches, the same in every epoch."""
@@ -121,12 +128,14 @@ class WindowDataModule(LightningDataModule):
         del device, dataloader_idx
         return batch
 
-    def _loader(self, split: Split, span: int, limit: int | None, seed: int | None) -> WindowLoader:
+    def _loader(
+        self, split: Split, span: int, limit: int | None, seed: int | None, emphasis: float = 0.0
+    ) -> WindowLoader:
         assert self.dtype is not None
         windows = Windows(self.trajectories(split), span, self.dtype)
         if self.trainer is not None:
             windows.to(self.trainer.strategy.root_device)
-        return WindowLoader(windows, self.batch_size, limit, seed)
+        return WindowLoader(windows, self.batch_size, limit, seed, emphasis)
 
 
 def split_sizes(count: int, shares: list[float]) -> list[int]:

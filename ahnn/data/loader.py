@@ -18,13 +18,23 @@ class WindowLoader:
         batch_size: windows in a batch; the last batch of an epoch may be smaller.
         per_epoch: windows drawn in one epoch, all of them if None.
         seed: makes the order, together with the epoch; None keeps the stored order, evenly thinned.
+        emphasis: 0 draws all windows alike, without replacement; above, windows are drawn with replacement
+            in proportion to this power of the speed at which their momenta change.
     """
 
-    def __init__(self, windows: Windows, batch_size: int, per_epoch: int | None, seed: int | None) -> None:
+    def __init__(
+        self,
+        windows: Windows,
+        batch_size: int,
+        per_epoch: int | None,
+        seed: int | None,
+        emphasis: float = 0.0,
+    ) -> None:
         self.windows = windows
         self.batch_size = batch_size
         self.count = min(per_epoch or len(windows), len(windows))
         self.seed = seed
+        self.shares = windows.speeds().pow(emphasis).cumsum(0).cpu() if emphasis else None
         self.epoch = 0
         self.position = 0
         self.resume_epoch = 0
@@ -61,7 +71,10 @@ class WindowLoader:
         if self.seed is None:
             return torch.arange(self.count) * total // self.count
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)
-        return torch.randperm(total, generator=generator)[: self.count]
+        if self.shares is None:
+            return torch.randperm(total, generator=generator)[: self.count]
+        draws = torch.rand(self.count, generator=generator, dtype=torch.float64) * self.shares[-1]
+        return torch.searchsorted(self.shares, draws).clamp(max=total - 1)
 
     def __iter__(self) -> Iterator[Window]:
         """Yield the batches that are left of the current epoch."""

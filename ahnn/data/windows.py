@@ -49,6 +49,13 @@ class Windows:
         trajectory = torch.searchsorted(self.ends, index, right=True)
         return trajectory * self.samples + index - self.begins[trajectory]
 
+    def speeds(self) -> Tensor:
+        """Return how fast momenta change over the first step of each window, shape (windows,), mean 1."""
+        rows = self.first_sample(torch.arange(len(self), device=self.flat.device))
+        momenta = self.flat.chunk(2, dim=-1)[1]
+        speed = (momenta[rows + 1] - momenta[rows]).norm(dim=-1)
+        return speed / speed.mean()
+
     def gather(self, index: Tensor) -> Window:
         """Return the windows of `index`, shape (B,), as one batch."""
         rows = self.first_sample(index).unsqueeze(-1) + self.offsets

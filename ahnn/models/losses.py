@@ -114,9 +114,7 @@ def difference_weights(steps: int) -> Tensor:
     part in every difference that spans it.
     """
     m = steps // 2
-    w = [
-        (-1) ** (j + 1) * factorial(m) ** 2 / (j * factorial(m - j) * factorial(m + j))
-        for j in range(1, m + 1)
-    ]
+    divisors = [j * factorial(m - j) * factorial(m + j) for j in range(1, m + 1)]
+    w = [(-1) ** j * factorial(m) ** 2 / divisor for j, divisor in enumerate(divisors)]
     spans = [sum(w[max(m - k, k - m + 1) - 1 :]) for k in range(steps)]
     return torch.tensor(spans, dtype=torch.float64)
