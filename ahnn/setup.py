@@ -26,6 +26,7 @@ def quiet() -> None:
         ".*does not have many workers.*",
         ".*Checkpoint directory.*exists.*",
         ".*no `IterableDataset`.*",
+        ".*smaller than the logging interval.*",
     ):
         warnings.filterwarnings("ignore", hint)
 

@@ -27,6 +27,21 @@ log = logging.getLogger(__name__)
 
 
 def train(cfg: DictConfig) -> float:
+    """Train with one seed or with several; return the mean of the best validation losses.
+
+    Several `seeds` train in folders of their own, seed_7 and so on, inside the run folder.
+    """
+    if not cfg.seeds:
+        return train_once(cfg)
+    losses = []
+    for seed in cfg.seeds:
+        part = cfg.copy()
+        part.seed, part.seeds, part.folder = seed, None, f"{cfg.folder}/seed_{seed}"
+        losses.append(train_once(part))
+    return sum(losses) / len(losses)
+
+
+def train_once(cfg: DictConfig) -> float:
     """Run one training and its evaluation; return the best validation loss, the objective of a search."""
     import torch
     from lightning import seed_everything

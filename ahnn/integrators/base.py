@@ -27,6 +27,13 @@ class Integrator(ABC):
             dt: one step for all, or a (B,) tensor for states of shape (B, D).
         """
 
+    def require(self, field: object) -> None:  # noqa: B027 - most methods take any field
+        """Refuse a field that the method cannot integrate, before anything is computed.
+
+        Raises:
+            UserError: it lacks the structure that the method needs.
+        """
+
     def step(self, field: VectorField, x: Tensor, dt: TimeStep) -> Tensor:
         """Return x(t + dt), shape (..., D); arguments as in `increment`."""
         return x + self.increment(field, x, dt)

@@ -37,18 +37,23 @@ class SymmetricComposition(Integrator):
         drifts = tuple((left + right) / 2 for left, right in pairwise(padded))
         return drifts, kicks
 
-    def increment(self, field: VectorField, x: Tensor, dt: TimeStep) -> Tensor:
-        """Return the increment of one composed step, shape (..., D).
-
-        Raises:
-            UserError: the field is not separable.
-        """
+    def require(self, field: object) -> None:
+        """Refuse a field that is not separable; raises UserError."""
         if not isinstance(field, SeparableField):
             message = (
                 f"integrator {self.name}: expected a separable Hamiltonian T(p) + V(q), whose field offers "
                 f"velocity(p) and force(q); received {type(field).__name__}. Use rk4 or gl4 for this field."
             )
             raise UserError(message)
+
+    def increment(self, field: VectorField, x: Tensor, dt: TimeStep) -> Tensor:
+        """Return the increment of one composed step, shape (..., D).
+
+        Raises:
+            UserError: the field is not separable.
+        """
+        self.require(field)
+        assert isinstance(field, SeparableField)
         h = column(dt)
         drifts, kicks = self.weights
         q, p = x.chunk(2, dim=-1)

@@ -51,6 +51,7 @@ class AHNN(AbstractDynamics):
         super().__init__(learner, dof, window, loss)
         self.save_hyperparameters()
         self.integrator = make_integrator(**integrator)
+        self.integrator.require(self.learner)
 
     def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the integrator's increment along J grad H, shape (B, D)."""

@@ -165,9 +165,11 @@ class AbstractDynamics(LightningModule, ABC):
     def problems(self, batch: Window) -> tuple[LeastSquares, LeastSquares]:
         """Return a fifth of a batch as the problem to step on, and the rest to check the step.
 
-        The check needs no Jacobian and may be large; a small one is noisy and raises the damping.
+        The check needs no Jacobian and may be large; a small one is noisy and raises the damping. Predictions
+        of W steps take a W-th of the windows, so that the number of residuals stays the same.
         """
-        split = max(1, batch.start.shape[0] // 5)
+        steps = 1 if self.fits_derivatives else self.window
+        split = max(1, batch.start.shape[0] // (5 * steps))
         step, check = (
             self.problem(Window(batch.start[part], batch.increments[part], batch.dt))
             for part in (slice(None, split), slice(split, None))

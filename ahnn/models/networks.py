@@ -81,10 +81,12 @@ class MLP(nn.Module):
         self.activation = ACTIVATIONS[activation]
         self.hidden = nn.ModuleList(nn.Linear(inputs if i == 0 else width, width) for i in range(depth))
         self.output = nn.Linear(width, outputs)
-        for layer in self.modules():
-            if isinstance(layer, nn.Linear):
-                nn.init.xavier_normal_(layer.weight)
-                nn.init.zeros_(layer.bias)
+        for layer in self.hidden:
+            assert isinstance(layer, nn.Linear)
+            nn.init.normal_(layer.weight, std=layer.in_features**-0.5)
+            nn.init.uniform_(layer.bias, -1, 1)  # spread over the inputs: smooth units differ from the start
+        nn.init.normal_(self.output.weight, std=0.1 * width**-0.5)
+        nn.init.zeros_(self.output.bias)
 
     def forward(self, z: Tensor) -> Tensor:
         """Return the outputs, shape (..., outputs), at the inputs z, shape (..., inputs)."""

@@ -70,6 +70,7 @@ class NODE(AbstractDynamics):
         super().__init__(NeuralField(dof, scaling, network), dof, window, loss)
         self.save_hyperparameters()
         self.integrator = make_integrator(**integrator)
+        self.integrator.require(self.learner)
 
     def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the integrator's increment along the neural field, shape (B, D)."""

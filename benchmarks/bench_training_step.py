@@ -1,0 +1,98 @@
+"""Time of an optimiser step through `ahnn.train`'s parts, divided by a bare PyTorch loop on the same batches.
+
+    python benchmarks/bench_training_step.py [steps] [repeats]
+
+Both train the same model on the same windows with AdamW at batch 256; the ratio is the median over repeats.
+"""
+
+from __future__ import annotations
+
+import copy
+import sys
+import tempfile
+import time
+from statistics import median
+
+import torch
+from hydra import compose, initialize_config_dir
+from lightning import Callback
+
+from ahnn.config import OmegaConf  # registers the resolvers of conf/
+from ahnn.paths import conf_dir
+from ahnn.setup import quiet
+from ahnn.train import build_parts, build_trainer
+
+MODELS = ("mlp", "node", "hnn", "ahnn", "hnn_derivative")
+
+
+class Stopwatch(Callback):
+    """Time between the first and the last training batch of a fit."""
+
+    def __init__(self) -> None:
+        self.began = self.ended = 0.0
+
+    def on_train_batch_end(self, trainer, pl_module, outputs, batch, batch_idx) -> None:
+        if batch_idx == 0:
+            self.began = time.perf_counter()
+        self.ended = time.perf_counter()
+
+
+def through_library(cfg, steps: int) -> float:
+    """Return seconds per step of a fit with the default callbacks and TensorBoard."""
+    data, model = build_parts(cfg)
+    model.calibrate(data.statistics())
+    trainer = build_trainer(cfg)
+    watch = Stopwatch()
+    trainer.callbacks.append(watch)
+    trainer.fit(model, data)
+    return (watch.ended - watch.began) / (steps - 1)
+
+
+def bare(cfg, steps: int) -> float:
+    """Return seconds per step of a plain loop over the same batches."""
+    data, model = build_parts(cfg)
+    model.calibrate(data.statistics())
+    model = copy.deepcopy(model)
+    optimizer = model.optimisation.optimizer(model.parameters())
+    begin = 0.0
+    for k, batch in enumerate(data.train_dataloader()):
+        optimizer.zero_grad()
+        model.loss(model.residuals(batch)).backward()
+        optimizer.step()
+        begin = begin or time.perf_counter() if k == 0 else begin
+    return (time.perf_counter() - begin) / (steps - 1)
+
+
+def main() -> None:
+    steps, repeats = (int(a) for a in (*sys.argv[1:], "300", "5")[:2])
+    quiet()
+    torch.set_num_threads(1)
+    print(f"seconds per step, batch 256, {steps} steps, median of {repeats}; ratio = library / bare loop")
+    for name in MODELS:
+        pairs = []
+        for _ in range(repeats):
+            with (
+                tempfile.TemporaryDirectory() as folder,
+                initialize_config_dir(str(conf_dir()), version_base="1.3"),
+            ):
+                overrides = [
+                    f"model={name}",
+                    "optimizer=adamw",
+                    "scheduler=exp_hyperbolic",
+                    "trainer.max_epochs=1",
+                    "data.precision=32",
+                    "data.batch_size=256",
+                    f"data.windows_per_epoch={256 * steps}",
+                    "data.val_windows=256",
+                    f"folder={folder}",
+                ]
+                cfg = compose("train", overrides)
+                OmegaConf.resolve(cfg)
+                pairs.append((through_library(cfg, steps), bare(cfg, steps)))
+        ours, plain = (median(column) for column in zip(*pairs, strict=True))
+        ratio = median(a / b for a, b in pairs)
+        print(f"{name:15s} library {ours * 1e3:7.3f} ms   bare {plain * 1e3:7.3f} ms   ratio {ratio:.2f}")
+
+
+if __name__ == "__main__":
+    main()
