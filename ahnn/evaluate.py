@@ -18,7 +18,7 @@ from ahnn.arguments import nearest
 from ahnn.config import build_all, dotted_keys, guard
 from ahnn.errors import UserError
 from ahnn.paths import conf_dir
-from ahnn.train import build_parts
+from ahnn.train import build_parts, check_settings
 
 log = logging.getLogger("ahnn")
 
@@ -40,6 +40,7 @@ def evaluate(arguments: list[str]) -> float:
     log.setLevel(logging.INFO)
     quiet()
     folder, cfg = run_config(arguments)
+    check_settings(cfg)
     torch.set_num_threads(cfg.threads)
     data, model = build_parts(cfg)
     plugins = build_all(cfg.plugins, "plugins")

@@ -12,15 +12,20 @@ T = TypeVar("T")
 
 
 def progress_bar(*columns: TextColumn) -> Progress:
-    """Return a transient bar with description, share, time left and any further columns."""
+    """Return a transient bar with description, share, time left and any further columns.
+
+    It is silent where standard error is not a terminal.
+    """
+    console = Console(stderr=True)
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         TaskProgressColumn(),
         *columns,
         TimeRemainingColumn(),
-        console=Console(stderr=True),
+        console=console,
         transient=True,
+        disable=not console.is_terminal,
     )
 
 

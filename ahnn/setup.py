@@ -20,14 +20,16 @@ log = logging.getLogger(__name__)
 
 
 def quiet() -> None:
-    """Silence Lightning's hints that do not apply: batches are gathered in memory, without workers."""
+    """Silence Lightning's hints on what is meant so, such as short epochs or a folder that is used again."""
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
-    for hint in (
+    hints = (
+        ".*smaller than the logging interval.*",
         ".*does not have many workers.*",
         ".*Checkpoint directory.*exists.*",
-        ".*no `IterableDataset`.*",
-        ".*smaller than the logging interval.*",
-    ):
+        ".*ModelCheckpoint with manual optimization.*",
+        ".*isinstance.treespec, LeafSpec.*",
+    )
+    for hint in hints:
         warnings.filterwarnings("ignore", hint)
 
 

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from lightning.pytorch.loggers import Logger, TensorBoardLogger
-from rich.console import Console
 
 from ahnn.checkpoints import flatten, read_checkpoint
 from ahnn.data import WindowDataModule
 from ahnn.evaluation.case import EvaluationPlugin, Findings
 from ahnn.evaluation.run import evaluate, make_case, write_findings
-from ahnn.evaluation.table import results_table
+from ahnn.evaluation.table import results_table, show
 from ahnn.models import AbstractDynamics
 
 log = logging.getLogger(__name__)
@@ -54,7 +53,7 @@ def finish(
     for logger in loggers:
         if isinstance(logger, TensorBoardLogger):
             publish(logger, model, findings, about)
-    Console().print(results_table(f"{label} on {data.system.name}", findings.rows, data.system))
+    show(results_table(f"{label} on {data.system.name}", findings.rows, data.system))
     log.info("run folder: %s", folder)
     log.info("TensorBoard: tensorboard --logdir %s", folder)
     return about["val_loss"]

@@ -9,10 +9,9 @@ from typing import Any
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
-from ahnn.evaluation.table import number
+from ahnn.evaluation.table import number, show
 
 
 class SweepTable(Callback):
@@ -23,7 +22,7 @@ class SweepTable(Callback):
         del kwargs
         folder = Path(config.hydra.sweep.dir)
         jobs = sorted((f for f in folder.iterdir() if f.name.isdigit()), key=lambda f: int(f.name))
-        Console().print(sweep_table(folder, jobs))
+        show(sweep_table(folder, jobs))
 
 
 def sweep_table(folder: Path, jobs: list[Path]) -> Table:

@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from rich.box import SIMPLE_HEAD
+from rich.console import Console
 from rich.table import Table
 
 from ahnn.evaluation.case import Row
 from ahnn.systems import System
+
+WIDTH = 110
+"""Columns of a table that goes to no terminal."""
 
 
 def results_table(title: str, rows: Iterable[Row], system: System) -> Table:
@@ -34,6 +38,12 @@ def results_table(title: str, rows: Iterable[Row], system: System) -> Table:
         "pooled: over trajectories, times and components."
     )
     return table
+
+
+def show(table: Table) -> None:
+    """Write a table to standard output, unwrapped where that is a file or a pipe."""
+    console = Console()
+    Console(width=console.width if console.is_terminal else WIDTH).print(table)
 
 
 def number(value: float) -> str:
