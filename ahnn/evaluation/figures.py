@@ -25,7 +25,7 @@ def open_loop_figures(case: Case, arrays: dict[str, Tensor]) -> dict[str, Figure
     portrait = orbit(case, prediction) if case.system.dof == 3 else phase_portrait(case, prediction)
     return {
         "orbit" if case.system.dof == 3 else "phase_portrait": portrait,
-        "energy": energy(case, prediction),
+        "energy": energy(case, arrays),
         "error": error(case, arrays),
     }
 
@@ -50,7 +50,7 @@ def phase_portrait(case: Case, prediction: Tensor, count: int = 5) -> Figure:
 def orbit(case: Case, prediction: Tensor) -> Figure:
     """Draw the first test orbit in space, the planet to scale if the system has one."""
     figure = Figure(figsize=(7, 6.5), layout="constrained")
-    axes = figure.add_subplot(projection="3d")
+    axes: Any = figure.add_subplot(projection="3d")
     truth, model = (np.asarray(states[0, :, :3]) for states in (case.test.states, prediction))
     radius = getattr(case.system, "r_eq", None)
     if radius:
@@ -63,20 +63,25 @@ def orbit(case: Case, prediction: Tensor) -> Figure:
     for name in "xyz":
         getattr(axes, f"set_{name}label")(f"{name} [{case.system.units.position}]", labelpad=8)
         getattr(axes, f"{name}axis").set_major_locator(MaxNLocator(4))
+        axes.tick_params(axis=name, labelsize=8)
+    axes.tick_params(axis="z", pad=6)
     axes.set_title(f"{case.system.name}: one unseen orbit, inertial frame")
     axes.legend(loc="upper left")
     return figure
 
 
-def energy(case: Case, prediction: Tensor) -> Figure:
-    """Draw the true Hamiltonian along the first predicted trajectory."""
+def energy(case: Case, arrays: dict[str, Tensor]) -> Figure:
+    """Draw how far the true Hamiltonian strays along the first predicted trajectory, floor in grey."""
     figure, axes = _canvas()
     time, unit = _time_axis(case)
-    axes.plot(time, case.system.energy(prediction[0]), color="tab:red", label=case.label)
-    axes.plot(time, case.system.energy(case.test.states[0]), **TRUTH)
+    start = case.system.energy(case.test.states[0, 0])
+    for key, label, color in _curves(case):
+        axes.plot(time, case.system.energy(arrays[key][0]) - start, color=color, label=label)
+    axes.axhline(0, **TRUTH)
     axes.set_xlabel(f"time [{unit}]")
-    axes.set_ylabel(f"energy [{case.system.units.energy}]")
-    axes.set_title(f"{case.system.name}: energy along one unseen trajectory")
+    axes.set_ylabel(f"energy - initial energy [{case.system.units.energy}]")
+    value = f"{float(start):.6g} {case.system.units.energy}"
+    axes.set_title(f"{case.system.name}: energy along one unseen trajectory of {value}")
     axes.legend(loc="best")
     return figure
 
@@ -86,8 +91,7 @@ def error(case: Case, arrays: dict[str, Tensor]) -> Figure:
     figure = Figure(figsize=(8, 6), layout="constrained")
     panels = figure.subplots(2, 1, sharex=True)
     time, unit = _time_axis(case)
-    curves = (("true_start", case.label, "tab:red"), ("floor_true_start", "floor", "tab:gray"))
-    for key, label, color in curves:
+    for key, label, color in _curves(case):
         blocks = errors(arrays[key], case.test.states).chunk(2, dim=-1)
         blocks = blocks[0], blocks[1] / case.system.inertia
         for axes, block in zip(panels, blocks, strict=True):
@@ -102,6 +106,12 @@ def error(case: Case, arrays: dict[str, Tensor]) -> Figure:
     panels[0].set_title(f"{case.system.name}: rms error over {len(case.test.states)} unseen trajectories")
     panels[-1].set_xlabel(f"time [{unit}]")
     return figure
+
+
+def _curves(case: Case) -> tuple[tuple[str, str, str], ...]:
+    """Return array, label and colour of the floor and of the model."""
+    floor = f"exact field, {case.integrator.name}"
+    return ("floor_true_start", floor, "tab:gray"), ("true_start", case.label, "tab:red")
 
 
 def _canvas() -> tuple[Figure, Any]:
