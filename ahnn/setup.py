@@ -11,9 +11,11 @@ from typing import Any
 
 import torch
 from lightning import Trainer
+from lightning.pytorch.utilities import rank_zero_only
 
 from ahnn.checkpoints import read_checkpoint, require_same
 from ahnn.data import WindowDataModule
+from ahnn.errors import UserError
 from ahnn.models import AbstractDynamics
 
 log = logging.getLogger(__name__)
@@ -21,13 +23,17 @@ log = logging.getLogger(__name__)
 
 def quiet() -> None:
     """Silence Lightning's hints on what is meant so, such as short epochs or a folder that is used again."""
-    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+    for name in ("lightning.pytorch", "lightning.fabric"):
+        logging.getLogger(name).setLevel(logging.WARNING)
+    if getattr(rank_zero_only, "rank", 0):  # of several processes, one speaks
+        logging.getLogger("ahnn").setLevel(logging.WARNING)
     hints = (
         ".*smaller than the logging interval.*",
         ".*does not have many workers.*",
         ".*Checkpoint directory.*exists.*",
         ".*ModelCheckpoint with manual optimization.*",
         ".*isinstance.treespec, LeafSpec.*",
+        ".*did not find any unused parameters.*",
     )
     for hint in hints:
         warnings.filterwarnings("ignore", hint)
@@ -51,6 +57,31 @@ def resume_point(ckpt: str | None, model: AbstractDynamics, folder: Path) -> Pat
     received = {"model": dict(content["hyper_parameters"]), "system": content["ahnn"].get("system", {})}
     require_same(f"checkpoint {path}", {"model": dict(model.hparams), **model.provenance}, received)
     return path
+
+
+def check_devices(trainer: Trainer, model: AbstractDynamics, *, multirun: bool) -> None:
+    """Check that a training on several devices can do what is asked for.
+
+    Raises:
+        UserError: second-order steps on several devices, or a job inside the process of a sweep: the other
+            processes would repeat the command of the whole sweep.
+    """
+    if trainer.world_size == 1:
+        return
+    received = f"received {trainer.world_size} devices"
+    if not model.automatic_optimization:
+        message = (
+            "trainer: expected one device for levenberg_marquardt, which takes its steps on one; "
+            f"{received}. Choose optimizer=adamw, or trainer=default"
+        )
+        raise UserError(message)
+    environment = getattr(trainer.strategy, "cluster_environment", None)
+    if multirun and not (environment and environment.creates_processes_externally):
+        message = (
+            f"trainer: expected one device, or a process for each job of the sweep; {received} inside the "
+            "process of the sweep. Add hydra/launcher=ahnn_process"
+        )
+        raise UserError(message)
 
 
 def announce(trainer: Trainer, data: WindowDataModule, model: AbstractDynamics, label: str) -> None:

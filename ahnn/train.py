@@ -7,10 +7,13 @@ build takes plain values. Heavy imports wait until a job runs, so that `--help` 
 from __future__ import annotations
 
 import logging
+import math
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import check_arguments
@@ -42,13 +45,16 @@ def train(cfg: DictConfig) -> float:
 
 
 def train_once(cfg: DictConfig) -> float:
-    """Run one training and its evaluation; return the best validation loss, the objective of a search."""
+    """Run one training and its evaluation; return the best validation loss, the objective of a search.
+
+    Of several devices the first evaluates and writes; the other processes return NaN, which nobody reads.
+    """
     import torch
     from lightning import seed_everything
 
     from ahnn.data.store import require_writable, write_atomically
     from ahnn.evaluation.report import finish
-    from ahnn.setup import announce, quiet, resume_point
+    from ahnn.setup import announce, check_devices, quiet, resume_point
 
     quiet()
     check_settings(cfg)
@@ -60,12 +66,16 @@ def train_once(cfg: DictConfig) -> float:
     checkpoint = resume_point(cfg.ckpt, model, folder / "checkpoints")
     require_writable(folder)
     trainer = build_trainer(cfg)
+    check_devices(trainer, model, multirun=HydraConfig.get().mode is RunMode.MULTIRUN)
 
     model.calibrate(data.statistics())
-    write_atomically(folder / "config.yaml", OmegaConf.to_yaml(plain_config(cfg)).encode())
-    announce(trainer, data, model, cfg.label)
+    if trainer.is_global_zero:
+        write_atomically(folder / "config.yaml", OmegaConf.to_yaml(plain_config(cfg)).encode())
+        announce(trainer, data, model, cfg.label)
     started = time.monotonic()
     trainer.fit(model, data, ckpt_path=checkpoint)
+    if not trainer.is_global_zero:
+        return math.nan
     about = {
         "seed": cfg.seed,
         "training_seconds": round(time.monotonic() - started, 1),
@@ -108,14 +118,22 @@ def build_parts(cfg: DictConfig) -> tuple[WindowDataModule, AbstractDynamics]:
 
 
 def build_trainer(cfg: DictConfig) -> Trainer:
-    """Build the Lightning trainer with its callbacks and loggers."""
-    return build(
-        cfg.trainer,
-        "trainer",
-        callbacks=list(build_all(cfg.callbacks, "callbacks").values()),
-        logger=list(build_all(cfg.logger, "logger").values()),
-        default_root_dir=cfg.folder,
-    )
+    """Build the Lightning trainer with its callbacks and loggers.
+
+    Raises:
+        UserError: the machine lacks what is asked for, such as a second GPU.
+    """
+    from lightning.fabric.utilities.exceptions import MisconfigurationException
+
+    parts = {
+        "callbacks": list(build_all(cfg.callbacks, "callbacks").values()),
+        "logger": list(build_all(cfg.logger, "logger").values()),
+    }
+    try:
+        return build(cfg.trainer, "trainer", **parts, default_root_dir=cfg.folder)
+    except MisconfigurationException as error:
+        message = f"trainer: {error}"
+        raise UserError(message) from error
 
 
 def main() -> None:

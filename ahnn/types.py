@@ -75,8 +75,12 @@ class Window(NamedTuple):
         start: (B, D) first state of each window.
         increments: (B, W, D), row k is x_{k+1} - x_k.
         dt: sampling interval.
+        share: factor of the batch's mean loss. It is 1 unless several devices divide a batch into unequal
+            parts: B windows over the mean number of a part, so that the mean over the devices is that of all
+            windows; 0 for a part without any, which then holds one window that does not count.
     """
 
     start: Tensor
     increments: Tensor
     dt: float
+    share: float = 1.0

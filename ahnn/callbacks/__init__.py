@@ -1,9 +1,10 @@
-"""Lightning callbacks of the library: the progress bar, telemetry, and rollouts on validation data."""
+"""Lightning callbacks of the library: progress bar, telemetry, resume points, validation rollouts."""
 
 from __future__ import annotations
 
 from ahnn.callbacks.progress import TrainingProgress
+from ahnn.callbacks.resume_point import ResumePoint
 from ahnn.callbacks.rollout import ValidationRollout
 from ahnn.callbacks.telemetry import Telemetry
 
-__all__ = ["Telemetry", "TrainingProgress", "ValidationRollout"]
+__all__ = ["ResumePoint", "Telemetry", "TrainingProgress", "ValidationRollout"]

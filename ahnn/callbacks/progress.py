@@ -22,10 +22,17 @@ class TrainingProgress(ProgressBar):
         self._bar: Progress | None = None
         self._task = TaskID(0)
         self._due = 0.0
+        self._shown = True
+
+    def disable(self) -> None:
+        """Show nothing: Lightning calls this in all processes but the first."""
+        self._shown = False
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Open the bar at the step where training begins or goes on."""
         del pl_module
+        if not self._shown:
+            return
         self._bar = progress_bar(TextColumn("{task.fields[note]}"))
         total = int(trainer.num_training_batches) * int(trainer.max_epochs or 1)
         self._task = self._bar.add_task("training", total=total, completed=trainer.global_step, note="")

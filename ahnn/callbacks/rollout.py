@@ -29,7 +29,8 @@ class ValidationRollout(Callback):
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Roll out from the true start of a few validation trajectories."""
         epochs = trainer.max_epochs or 1
-        if trainer.sanity_checking or (trainer.current_epoch + 1) % max(1, epochs // self.times):
+        due = (trainer.current_epoch + 1) % max(1, epochs // self.times) == 0
+        if trainer.sanity_checking or not trainer.is_global_zero or not due:
             return
         data: WindowDataModule = trainer.datamodule  # pyright: ignore[reportAttributeAccessIssue]
         assert isinstance(pl_module, AbstractDynamics)

@@ -133,9 +133,11 @@ class WindowDataModule(LightningDataModule):
     ) -> WindowLoader:
         assert self.dtype is not None
         windows = Windows(self.trajectories(split), span, self.dtype)
-        if self.trainer is not None:
-            windows.to(self.trainer.strategy.root_device)
-        return WindowLoader(windows, self.batch_size, limit, seed, emphasis)
+        if self.trainer is None:
+            return WindowLoader(windows, self.batch_size, limit, seed, emphasis)
+        windows.to(self.trainer.strategy.root_device)
+        place = self.trainer.global_rank, self.trainer.world_size
+        return WindowLoader(windows, self.batch_size, limit, seed, emphasis, *place)
 
 
 def split_sizes(count: int, shares: list[float]) -> list[int]:

@@ -20,6 +20,8 @@ class WindowLoader:
         seed: makes the order, together with the epoch; None keeps the stored order, evenly thinned.
         emphasis: 0 draws all windows alike, without replacement; above, windows are drawn with replacement
             in proportion to this power of the speed at which their momenta change.
+        rank, world: of `world` processes, this one gets part `rank` of every batch. All parts together are
+            the batch of a single process, whatever the number of processes.
     """
 
     def __init__(
@@ -29,8 +31,11 @@ class WindowLoader:
         per_epoch: int | None,
         seed: int | None,
         emphasis: float = 0.0,
+        rank: int = 0,
+        world: int = 1,
     ) -> None:
         self.windows = windows
+        self.rank, self.world = rank, world
         self.batch_size = batch_size
         self.count = min(per_epoch or len(windows), len(windows))
         self.seed = seed
@@ -81,5 +86,11 @@ class WindowLoader:
         begin = self.position if self.epoch == self.resume_epoch and self.position < len(self) else 0
         batches = self.order().to(self.windows.flat.device).split(self.batch_size)
         for self.position in range(begin + 1, len(batches) + 1):
-            yield self.windows.gather(batches[self.position - 1])
+            yield self._part(batches[self.position - 1])
         self.position = 0
+
+    def _part(self, batch: torch.Tensor) -> Window:
+        """Return the windows of this process among those of a batch, shape (B,)."""
+        own = batch.tensor_split(self.world)[self.rank]
+        window = self.windows.gather(own if len(own) else batch[:1])
+        return window._replace(share=self.world * len(own) / len(batch))

@@ -5,12 +5,14 @@ Files are in the safetensors format: reading one never executes anything.
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import hashlib
 import json
 import logging
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 
@@ -42,20 +44,46 @@ def recipe(system: System, count: int, seed: int) -> dict[str, object]:
 def load_or_make(folder: Path, wanted: dict[str, object], make: Callable[[], Trajectories]) -> Trajectories:
     """Return the stored trajectories of a recipe, made and stored first when missing or damaged.
 
+    Of several processes that miss the same data, one makes it and the others wait.
+
     Raises:
         UserError: the folder cannot be written.
     """
     key = hashlib.sha256(json.dumps(wanted, sort_keys=True).encode()).hexdigest()[:16]
     path = folder / f"{key}.safetensors"
-    if path.exists():
-        try:
-            return read(path)
-        except (SafetensorError, OSError, KeyError, ValueError) as error:
-            log.warning("data: %s is damaged (%s); it is generated again", path, error)
+    stored = stored_in(path)
+    if stored is not None:
+        return stored
     require_writable(folder)
-    trajectories = make()
-    write(path, trajectories, wanted)
-    return trajectories
+    with locked(folder):
+        stored = stored_in(path)
+        if stored is None:
+            stored = make()
+            write(path, stored, wanted)
+    return stored
+
+
+def stored_in(path: Path) -> Trajectories | None:
+    """Return the trajectories in a file, or None where it is missing or damaged."""
+    if not path.exists():
+        return None
+    try:
+        return read(path)
+    except (SafetensorError, OSError, KeyError, ValueError) as error:
+        log.warning("data: %s is damaged (%s); it is generated again", path, error)
+        return None
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold a folder's lock, which ends with its process; it keeps nobody out who does not ask for it."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        with contextlib.suppress(OSError):  # a file system without locks: work may be done twice
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
 
 
 def write(path: Path, trajectories: Trajectories, made_from: dict[str, object]) -> None:

@@ -152,11 +152,14 @@ class AbstractDynamics(LightningModule, ABC):
         """
         if self.automatic_optimization:
             loss = self.loss(self.residuals(batch))
+            if batch.share != 1:
+                loss = loss * batch.share
         else:
             loss = cast(Any, self.optimizers()).step(lambda: self.problems(batch))
-        if not loss.isfinite():
+        mean = self.trainer.strategy.reduce(loss.detach().clone(), reduce_op="mean")  # of all devices
+        if not mean.isfinite():
             message = (
-                f"training: the loss became {float(loss.detach())} in epoch {self.current_epoch}, "
+                f"training: the loss became {float(mean)} in epoch {self.current_epoch}, "
                 f"batch {batch_idx}; the last good checkpoint is kept. Try a smaller optimizer.lr or window."
             )
             raise TrainingError(message)
@@ -179,8 +182,8 @@ class AbstractDynamics(LightningModule, ABC):
     def validation_step(self, batch: Window, batch_idx: int) -> None:
         """Log the loss of W predictions `val/loss`, and `val/one_step`, the rms residual of single steps."""
         del batch_idx
-        size = batch.start.shape[0]
+        size = batch.start.shape[0] if batch.share else 0
         residuals = self.prediction_residuals(batch)
-        options: dict[str, Any] = {"batch_size": size, "on_epoch": True, "logger": False}
+        options: dict[str, Any] = {"batch_size": size, "on_epoch": True, "logger": False, "sync_dist": True}
         self.log("val/loss", self.loss(residuals), **options)
         self.log("val/one_step", residuals[:, 0].square().mean().sqrt(), **options)

@@ -1,0 +1,129 @@
+"""Stored trajectories are whole, verified, and keyed by everything that determines them."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import os
+import threading
+
+import pytest
+import torch
+from helpers import SYSTEMS
+
+from ahnn.data import store
+from ahnn.data.generate import generate
+from ahnn.errors import UserError
+from ahnn.types import Trajectories
+
+SPRING = dataclasses.replace(SYSTEMS["mass_spring"], steps=5)
+RECIPE = store.recipe(SPRING, 3, 0)
+
+
+def make():
+    return generate(SPRING, 3, 0)
+
+
+def never():
+    pytest.fail("generated although stored")
+
+
+def test_what_is_stored_is_what_was_made(tmp_path):
+    made = store.load_or_make(tmp_path, RECIPE, make)
+    loaded = store.load_or_make(tmp_path, RECIPE, never)
+    assert torch.equal(made.states, loaded.states)
+    assert torch.equal(made.lengths, loaded.lengths)
+    assert made.dt == loaded.dt
+    assert [p.suffix for p in tmp_path.iterdir()] == [".safetensors"]
+
+
+def test_nan_beyond_the_end_survives_storage(tmp_path):
+    states = torch.tensor([[[1.0, 2.0], [torch.nan, torch.nan]]], dtype=torch.float64)
+    made = Trajectories(states, torch.tensor([1]), 0.1)
+    store.write(tmp_path / "x.safetensors", made, RECIPE)
+    assert torch.equal(store.read(tmp_path / "x.safetensors").states.isnan(), states.isnan())
+
+
+@pytest.mark.parametrize("place", [5, 300, -3])
+def test_a_flipped_byte_is_found_and_the_data_are_made_again(tmp_path, caplog, place):
+    made = store.load_or_make(tmp_path, RECIPE, make)
+    (path,) = tmp_path.iterdir()
+    content = bytearray(path.read_bytes())
+    content[place] ^= 0xFF
+    path.write_bytes(content)
+    with caplog.at_level(logging.WARNING):
+        again = store.load_or_make(tmp_path, RECIPE, make)
+    assert "damaged" in caplog.text
+    assert str(path) in caplog.text
+    assert torch.equal(again.states, made.states)
+    assert torch.equal(store.load_or_make(tmp_path, RECIPE, never).states, made.states)
+
+
+def test_a_flipped_byte_in_the_lengths_is_found(tmp_path):
+    store.load_or_make(tmp_path, RECIPE, make)
+    (path,) = tmp_path.iterdir()
+    content = path.read_bytes()
+    lengths = torch.full((3,), 6, dtype=torch.int64).numpy().tobytes()
+    assert content.count(lengths) == 1
+    path.write_bytes(content.replace(lengths, torch.tensor([6, 4, 6]).numpy().tobytes()))
+    assert store.load_or_make(tmp_path, RECIPE, make).lengths.tolist() == [6, 6, 6]
+
+
+@pytest.mark.parametrize("size", [0, 4, 200])
+def test_a_truncated_file_is_made_again(tmp_path, size):
+    store.load_or_make(tmp_path, RECIPE, make)
+    (path,) = tmp_path.iterdir()
+    path.write_bytes(path.read_bytes()[:size])
+    assert store.load_or_make(tmp_path, RECIPE, make).states.shape == (3, 6, 2)
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_generation(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match=r"file/sub: expected a place that can be written"):
+        store.load_or_make(tmp_path / "file" / "sub", RECIPE, never)
+
+
+def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path, monkeypatch):
+    path = tmp_path / "x"
+    store.write_atomically(path, b"old")
+
+    def fail(_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(OSError, match="No space left"):
+        store.write_atomically(path, b"new")
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_readers_see_whole_files_while_others_write(tmp_path):
+    path = tmp_path / "x"
+    contents = [bytes([i]) * 200_000 for i in range(4)]
+    store.write_atomically(path, contents[0])
+    writers = [threading.Thread(target=store.write_atomically, args=(path, c)) for c in contents]
+    for writer in writers:
+        writer.start()
+    seen = {path.read_bytes() for _ in range(50)}
+    for writer in writers:
+        writer.join()
+    assert seen <= set(contents)
+
+
+@pytest.mark.parametrize("name", ["mass_spring", "molniya", "kepler", "pendulum", "henon_heiles"])
+def test_every_parameter_of_a_system_changes_the_recipe(name):
+    system = SYSTEMS[name]
+    recipes = [store.recipe(system, 3, 0), store.recipe(system, 4, 0), store.recipe(system, 3, 1)]
+    for field in dataclasses.fields(system):
+        value = getattr(system, field.name)
+        if isinstance(value, tuple):
+            other = (value[0], value[1] + 1.0)
+        else:
+            other = f"{value}x" if isinstance(value, str) else (value or 1) * 2
+        recipes.append(store.recipe(dataclasses.replace(system, **{field.name: other}), 3, 0))
+    assert len({str(recipe) for recipe in recipes}) == len(recipes)
+
+
+def test_systems_of_equal_parameters_do_not_share_a_recipe():
+    kepler, pendulum = (store.recipe(SYSTEMS[n], 3, 0) for n in ("kepler", "pendulum"))
+    assert kepler["system"] != pendulum["system"]

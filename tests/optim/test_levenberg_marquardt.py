@@ -1,0 +1,112 @@
+"""Levenberg-Marquardt solves linear problems at once, never raises a batch's loss, and fits to round-off."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+import torch
+from helpers import MOLNIYA, batch_of, close, data_module, generator, ready_model
+from torch import nn
+
+from ahnn.errors import UserError
+from ahnn.models.networks import MLP
+from ahnn.optim import LevenbergMarquardt, pointwise_problem
+
+
+class Rosenbrock(nn.Module):
+    """Residuals (10 (b - a^2), 1 - a), the standard narrow valley; minimum 0 at (1, 1)."""
+
+    def __init__(self):
+        super().__init__()
+        self.x = nn.Parameter(torch.tensor([-1.2, 1.0], dtype=torch.float64))
+
+    def forward(self, one):
+        a, b = self.x
+        return one * torch.stack((10 * (b - a * a), 1 - a))
+
+
+def pointwise(module, x, y):
+    return pointwise_problem(module, module.forward, x, y, torch.ones_like(y))
+
+
+def fit(module, x, y, steps, **options):
+    """Step on one problem, the same held back, and return the losses before each step and after the last."""
+    optimizer = LevenbergMarquardt(module.parameters(), **options)
+    problem = pointwise(module, x, y)
+    losses = [float(optimizer.step(lambda: (problem, problem))) for _ in range(steps)]
+    return [*losses, float((module(x) - y).detach().square().mean())]
+
+
+def test_a_linear_problem_is_solved_in_two_steps():
+    rng = generator(0)
+    x = torch.randn(50, 4, generator=rng, dtype=torch.float64)
+    y = torch.randn(50, 1, generator=rng, dtype=torch.float64)
+    line = nn.Linear(4, 1).double()
+    losses = fit(line, x, y, 2, damping=1e-8)
+    exact = torch.linalg.lstsq(torch.cat((x, torch.ones(50, 1)), 1), y).solution
+    best = float((torch.cat((x, torch.ones(50, 1)), 1) @ exact - y).square().mean())
+    assert losses[-1] == pytest.approx(best, rel=1e-12)
+    close(torch.cat((line.weight.flatten(), line.bias)), exact.flatten(), 1e-7)
+
+
+@pytest.mark.parametrize("name", ["generic", "separable", "node", "mlp", "hnn_derivative", "central_body"])
+@pytest.mark.parametrize("window", [2, 4])
+def test_the_jacobian_is_autograds(cache, name, window):
+    data = data_module(MOLNIYA, cache, window=window)
+    batch = batch_of(data, 3)
+    model = ready_model(name, data)
+    problem = model.problem(batch)
+    parameters = list(model.parameters())
+    theta = nn.utils.parameters_to_vector(parameters).detach()
+    flat = model.residuals(batch).flatten()
+    rows = []
+    for r in flat:
+        grads = torch.autograd.grad(
+            r, parameters, retain_graph=True, allow_unused=True, materialize_grads=True
+        )
+        rows.append(torch.cat([g.flatten() for g in grads]))
+    close(problem.residuals(theta), flat, 1e-14)
+    close(problem.jacobian(theta), torch.stack(rows), 1e-12)
+
+
+def test_the_valley_of_rosenbrock_is_followed_to_its_end():
+    module, one = Rosenbrock(), torch.ones(1, 1, dtype=torch.float64)
+    losses = fit(module, one, torch.zeros(1, 2, dtype=torch.float64), 60)
+    assert losses[-1] < 1e-20
+    close(module.x, torch.ones(2), 1e-9)
+
+
+def test_a_small_network_fits_a_sine_to_round_off_and_never_raises_its_loss():
+    torch.manual_seed(3)
+    network = MLP(1, 1, width=12, depth=1, activation="tanh").double()
+    x = torch.linspace(-1, 1, 60, dtype=torch.float64).unsqueeze(-1)
+    losses = fit(network, x, torch.sin(3 * x + 0.5), 100)
+    assert losses[-1] < 1e-8
+    assert all(after <= before for before, after in pairwise(losses))
+
+
+def test_a_step_that_spoils_the_windows_held_back_is_not_taken():
+    line = nn.Linear(1, 1, bias=False).double()
+    with torch.no_grad():
+        line.weight.fill_(1.0)
+    one = torch.ones(4, 1, dtype=torch.float64)
+    main, against = pointwise(line, one, 3 * one), pointwise(line, one, 0.999 * one)
+    LevenbergMarquardt(line.parameters(), tolerance=1e-3).step(lambda: (main, against))
+    assert float(line.weight.detach()) == pytest.approx(1.0, abs=1e-4)
+
+
+def test_a_non_finite_problem_changes_no_weight():
+    line = nn.Linear(1, 1).double()
+    before = nn.utils.parameters_to_vector(line.parameters()).detach().clone()
+    x = torch.full((4, 1), torch.nan, dtype=torch.float64)
+    losses = fit(line, x, torch.zeros_like(x), 2)
+    assert not losses[0] < 1e300
+    assert torch.equal(nn.utils.parameters_to_vector(line.parameters()), before)
+
+
+@pytest.mark.parametrize("options", [{"damping": 0.0}, {"tolerance": -1.0}])
+def test_impossible_settings_are_refused_by_name(options):
+    ((name, value),) = options.items()
+    with pytest.raises(UserError, match=f"{name}={value}"):
+        LevenbergMarquardt([nn.Parameter(torch.zeros(1))], **options)

@@ -1,0 +1,100 @@
+"""Every option of every group composes with the defaults, and what it names can be built."""
+
+from __future__ import annotations
+
+from inspect import Parameter, signature
+
+import pytest
+from entry import untouched
+from hydra import compose, initialize_config_dir
+from hydra.utils import get_object
+from omegaconf import DictConfig, ListConfig, OmegaConf
+
+from ahnn.config import build, build_all
+from ahnn.integrators import GaussLegendre4
+from ahnn.paths import conf_dir
+from ahnn.train import build_parts
+
+GROUPS = {
+    folder.name: sorted(path.stem for path in folder.glob("*.yaml"))
+    for folder in sorted(conf_dir().iterdir())
+    if folder.is_dir() and folder.name != "hydra"
+}
+OPTIONS = [(group, option) for group, options in GROUPS.items() for option in options]
+BUILT = ["system", "model", "data", "optimizer", "scheduler", "loss", "integrator", "budget"]
+
+
+def composed(tmp_path, *overrides):
+    with untouched(), initialize_config_dir(str(conf_dir()), version_base="1.3"):
+        return compose("train", [f"folder={tmp_path}", *overrides], return_hydra_config=True)
+
+
+def targets(node):
+    """Every node with a `_target_`, however deep."""
+    if isinstance(node, DictConfig):
+        if node.get("_target_") is not None:
+            yield node
+        for key in node:
+            if not OmegaConf.is_missing(node, key) and not OmegaConf.is_interpolation(node, key):
+                yield from targets(node[key])
+    elif isinstance(node, ListConfig):
+        for item in node:
+            yield from targets(item)
+
+
+@pytest.mark.parametrize(("group", "option"), OPTIONS)
+def test_every_option_composes_and_its_targets_take_its_keys(tmp_path, group, option):
+    cfg = composed(tmp_path, f"{group}={option}")
+    nodes = list(targets(cfg))
+    assert nodes
+    for node in nodes:
+        parameters = signature(get_object(node["_target_"])).parameters
+        if any(p.kind is Parameter.VAR_KEYWORD for p in parameters.values()):
+            continue
+        keys = {str(key) for key in node if not str(key).startswith("_")}
+        assert keys <= set(parameters), node["_target_"]
+
+
+@pytest.mark.parametrize(("group", "option"), [pair for pair in OPTIONS if pair[0] in BUILT])
+def test_every_option_of_the_core_can_be_built(tmp_path, group, option):
+    overrides = [f"{group}={option}"]
+    if group == "integrator":  # compositions need a separable Hamiltonian
+        overrides.append("model.hamiltonian=separable")
+    data, model = build_parts(composed(tmp_path, *overrides))
+    assert model.dof == data.system.dof
+    assert model.optimisation is not None
+
+
+@pytest.mark.parametrize("system", GROUPS["system"])
+@pytest.mark.parametrize("model", GROUPS["model"])
+def test_every_model_is_built_for_every_system(tmp_path, model, system):
+    data, built = build_parts(composed(tmp_path, f"model={model}", f"system={system}"))
+    assert built.dof == data.system.dof
+
+
+def test_defaults_are_those_of_the_paper(tmp_path):
+    data, _ = build_parts(composed(tmp_path, "model=hnn", "budget=paper"))
+    assert data.sizes == [2000, 375, 125]
+    assert data.batch_size == 256
+    cfg = composed(tmp_path, "budget=paper")
+    assert cfg.trainer.max_epochs == 250
+    assert cfg.data.windows_per_epoch is None
+    optimizer = OmegaConf.to_container(cfg.optimizer)
+    assert (optimizer["betas"], optimizer["eps"], optimizer["weight_decay"]) == ([0.9, 0.999], 1e-8, 0.01)
+    assert cfg.integrator.name == "rk4"
+
+
+def test_callbacks_and_loggers_can_be_built(tmp_path):
+    cfg = composed(tmp_path)
+    assert set(build_all(cfg.callbacks, "callbacks")) == set(cfg.callbacks)
+    assert set(build_all(cfg.logger, "logger")) == {"tensorboard"}
+
+
+def test_an_entry_set_to_null_is_left_out(tmp_path):
+    cfg = composed(tmp_path, "callbacks.rollout=null")
+    assert "rollout" not in build_all(cfg.callbacks, "callbacks")
+
+
+def test_build_offers_only_what_a_target_takes():
+    node = OmegaConf.create({"_target_": "ahnn.integrators.GaussLegendre4", "tolerance": 1e-9})
+    assert build(node, "x", max_iterations=9, unknown=3) == GaussLegendre4(1e-9, 9)

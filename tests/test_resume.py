@@ -1,0 +1,102 @@
+"""A training that is cut in mid-epoch and resumed ends with the same bits as one that was never cut."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from entry import SMALL, Interrupted, call
+
+from ahnn.checkpoints import read_checkpoint
+
+CASES = {
+    "mlp": ["model=mlp"],
+    "node": ["model=node"],
+    "hnn": ["model=hnn"],
+    "ahnn": ["model=ahnn"],
+    "hnn_derivative": ["model=hnn_derivative"],
+    "derivative_then_recursive": ["model=ahnn", "loss.derivative=0.5"],
+    "levenberg_marquardt": ["model=hnn", "optimizer=levenberg_marquardt", "data.precision=64"],
+}
+# Ten steps an epoch, a checkpoint every four (or ten) steps and at the end of each epoch.
+EVERY = {"in mid-epoch": 4, "at the first batch of an epoch": 4, "after the last batch of an epoch": 10}
+CUTS = {
+    "in mid-epoch": ["+callbacks.cut.steps=15"],
+    "at the first batch of an epoch": ["+callbacks.cut.steps=11"],
+    "after the last batch of an epoch": ["+callbacks.cut.steps=20", "+callbacks.cut.validation=true"],
+}
+
+RESUMES_FROM = {
+    "in mid-epoch": 12,
+    "at the first batch of an epoch": 10,
+    "after the last batch of an epoch": 10,  # its validation is still to come
+}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def no_evaluation():
+    """Training alone is compared; the evaluation after it has tests of its own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ahnn.evaluation.report.finish", lambda *_, **__: 0.0)
+        yield
+
+
+def weights(folder: Path, name: str):
+    return read_checkpoint(folder / "checkpoints" / f"{name}.ckpt")["state_dict"]
+
+
+def assert_same_bits(a: Path, b: Path, names: tuple[str, ...] = ("last", "best")) -> None:
+    for name in names:
+        one, other = weights(a, name), weights(b, name)
+        assert one.keys() == other.keys()
+        different = [key for key in one if not torch.equal(one[key], other[key])]
+        assert not different, f"{name}: {different}"
+
+
+@pytest.fixture(scope="module", params=CASES)
+def uninterrupted(request, tmp_path_factory):
+    folder = tmp_path_factory.mktemp(request.param) / "whole"
+    overrides = [*CASES[request.param], *SMALL]
+    assert call("ahnn.train", *overrides, f"run={folder}") == 0
+    assert read_checkpoint(folder / "checkpoints" / "last.ckpt")["global_step"] == 30
+    return overrides, folder
+
+
+@pytest.mark.parametrize("cut", CUTS)
+def test_a_cut_training_ends_with_the_same_bits(uninterrupted, tmp_path, cut):
+    overrides, whole = uninterrupted
+    folder = tmp_path / "cut"
+    arguments = [*overrides, f"run={folder}", f"callbacks.last.every={EVERY[cut]}"]
+    with pytest.raises(Interrupted):
+        call("ahnn.train", *arguments, *CUTS[cut], "+callbacks.cut._target_=entry.CutAfter")
+    assert read_checkpoint(folder / "checkpoints" / "last.ckpt")["global_step"] == RESUMES_FROM[cut]
+    assert call("ahnn.train", *arguments, "ckpt=last") == 0
+    assert_same_bits(whole, folder)
+
+
+def test_a_killed_training_ends_with_the_same_bits(tmp_path):
+    overrides = [*CASES["ahnn"], *SMALL, "callbacks.last.every=4"]
+    kill = ["+callbacks.cut._target_=entry.CutAfter", "+callbacks.cut.steps=17", "+callbacks.cut.kill=true"]
+    path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    killed = subprocess.run(
+        [sys.executable, "-m", "ahnn.train", *overrides, *kill, f"run={tmp_path / 'cut'}"],
+        env=os.environ | {"PYTHONPATH": path},
+        capture_output=True,
+        check=False,
+    )
+    assert killed.returncode == -signal.SIGKILL, killed.stderr.decode()
+    assert call("ahnn.train", *overrides, f"run={tmp_path / 'cut'}", "ckpt=last") == 0
+    assert call("ahnn.train", *overrides, f"run={tmp_path / 'whole'}") == 0
+    assert_same_bits(tmp_path / "whole", tmp_path / "cut")
+
+
+def test_another_seed_gives_other_weights(tmp_path):
+    for seed in (7, 201):
+        assert call("ahnn.train", *SMALL, f"run={tmp_path / str(seed)}", f"seed={seed}") == 0
+    with pytest.raises(AssertionError, match="learner"):
+        assert_same_bits(tmp_path / "7", tmp_path / "201")
