@@ -1,6 +1,7 @@
 """Evaluate a finished run again: `python -m ahnn.evaluate run=DIR plugins=ukf`.
 
-A run directory is self-sufficient: its own config.yaml and checkpoints/best.ckpt are used. Further overrides
+A run directory is self-sufficient: its own config.yaml and checkpoints/best.ckpt are used; `pretrained=NAME`
+makes one from weights that come with the package. Further overrides
 change that configuration; `plugins=NAME` takes the group of that name from the library.
 """
 
@@ -18,11 +19,12 @@ from ahnn.arguments import nearest
 from ahnn.config import build_all, dotted_keys, guard
 from ahnn.errors import UserError
 from ahnn.paths import conf_dir
+from ahnn.pretrained import install
 from ahnn.train import build_parts, check_settings
 
 log = logging.getLogger("ahnn")
 
-USAGE = "usage: python -m ahnn.evaluate run=DIR [plugins=NAME] [key=value ...]"
+USAGE = "usage: python -m ahnn.evaluate run=DIR | pretrained=NAME [plugins=NAME] [key=value ...]"
 
 
 def evaluate(arguments: list[str]) -> float:
@@ -46,7 +48,7 @@ def evaluate(arguments: list[str]) -> float:
     plugins = build_all(cfg.plugins, "plugins")
     metrics = folder / "metrics.json"
     about: dict[str, Any] = json.loads(metrics.read_text()) if metrics.exists() else {}
-    kept = ("seed", "training_seconds", "optimiser_steps", "parameters")
+    kept = ("seed", "training_seconds", "optimiser_steps", "parameters", "val_loss")
     about = {key: about[key] for key in kept if key in about}
     return finish(model, data, plugins, about, loggers=(), label=cfg.label, folder=folder, **cfg.evaluation)
 
@@ -54,10 +56,13 @@ def evaluate(arguments: list[str]) -> float:
 def run_config(arguments: list[str]) -> tuple[Path, DictConfig]:
     """Return the folder of a run and its configuration with overrides applied."""
     pairs = dict(argument.split("=", 1) for argument in arguments if "=" in argument)
-    if "run" not in pairs or len(pairs) != len(arguments):
+    if not pairs.keys() & {"run", "pretrained"} or len(pairs) != len(arguments):
         message = f"{USAGE}; received: {' '.join(arguments) or 'nothing'}"
         raise UserError(message)
-    folder = Path(pairs.pop("run"))
+    name = pairs.pop("pretrained", None)
+    folder = Path(pairs.pop("run", f"runs/pretrained_{name}"))
+    if name is not None:
+        install(name, folder)
     path = folder / "config.yaml"
     if not path.is_file():
         message = f"run {folder}: expected a run folder with config.yaml; found none"

@@ -9,12 +9,13 @@ from typing import Any
 
 from lightning.pytorch.loggers import Logger, TensorBoardLogger
 
-from ahnn.checkpoints import flatten, read_checkpoint
+from ahnn.checkpoints import flatten
 from ahnn.data import WindowDataModule
 from ahnn.evaluation.case import EvaluationPlugin, Findings
 from ahnn.evaluation.run import evaluate, make_case, write_findings
 from ahnn.evaluation.table import results_table, show
 from ahnn.models import AbstractDynamics
+from ahnn.pretrained import best_weights
 
 log = logging.getLogger(__name__)
 
@@ -40,13 +41,13 @@ def finish(
         about: numbers on the training, for metrics.json.
         loggers: of the training; figures and scores go to TensorBoard.
         label: name in tables.
-        folder: the run directory, with checkpoints/best.ckpt.
+        folder: the run directory, with its best weights.
         seed: of the perturbed starts.
         save_predictions: whether to keep the predicted trajectories.
     """
-    best = read_checkpoint(folder / "checkpoints" / "best.ckpt")
-    model.load_state_dict(best["state_dict"])
-    about["val_loss"] = best["ahnn"]["val_loss"]
+    weights, loss = best_weights(folder)
+    model.load_state_dict(weights)
+    about["val_loss"] = about.get("val_loss") if loss is None else loss
     case = make_case(model, data, label, seed, folder)
     findings = evaluate(case, plugins)
     write_findings(findings, case, about, save_predictions=save_predictions)

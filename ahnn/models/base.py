@@ -182,7 +182,7 @@ class AbstractDynamics(LightningModule, ABC):
     def validation_step(self, batch: Window, batch_idx: int) -> None:
         """Log the loss of W predictions `val/loss`, and `val/one_step`, the rms residual of single steps."""
         del batch_idx
-        size = batch.start.shape[0] if batch.share else 0
+        size = float(batch.start.shape[0] if batch.share else 0)  # Lightning rounds the mean of integers
         residuals = self.prediction_residuals(batch)
         options: dict[str, Any] = {"batch_size": size, "on_epoch": True, "logger": False, "sync_dist": True}
         self.log("val/loss", self.loss(residuals), **options)
