@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
@@ -82,9 +83,14 @@ def train_once(cfg: DictConfig) -> float:
         "optimiser_steps": trainer.global_step,
         "parameters": sum(p.numel() for p in model.parameters()),
     }
-    return finish(
-        model, data, plugins, about, loggers=trainer.loggers, label=cfg.label, folder=folder, **cfg.evaluation
-    )
+    known = {"loggers": trainer.loggers, "settings": searched_settings(cfg)}
+    return finish(model, data, plugins, about, label=cfg.label, folder=folder, **known, **cfg.evaluation)
+
+
+def searched_settings(cfg: DictConfig) -> dict[str, Any]:
+    """Return the settings beside the model's that a search varies, for TensorBoard's comparison of runs."""
+    groups = {name: plain_config(cfg[name]) for name in ("optimizer", "scheduler") if cfg[name]}
+    return {**groups, "batch_size": cfg.data.batch_size, "epochs": cfg.trainer.max_epochs, "seed": cfg.seed}
 
 
 def check_settings(cfg: DictConfig) -> None:
@@ -138,6 +144,7 @@ def build_trainer(cfg: DictConfig) -> Trainer:
 
 def main() -> None:
     """Entry point of `python -m ahnn.train` and `ahnn-train`."""
+    os.environ.setdefault("TORCH_CPP_LOG_LEVEL", "ERROR")  # DDP warns of what is meant so
     run_hydra(train)
 
 

@@ -31,6 +31,8 @@ def finish(
     folder: Path,
     seed: int,
     save_predictions: bool,
+    figures: bool = True,
+    settings: Mapping[str, Any] | None = None,
 ) -> float:
     """Evaluate the best weights of a run and return their validation loss.
 
@@ -44,24 +46,26 @@ def finish(
         folder: the run directory, with its best weights.
         seed: of the perturbed starts.
         save_predictions: whether to keep the predicted trajectories.
+        figures: whether to draw; the trials of a search are told apart by numbers.
+        settings: of the training, nested plain values, beside those of the model in TensorBoard.
     """
     weights, loss = best_weights(folder)
     model.load_state_dict(weights)
-    about["val_loss"] = about.get("val_loss") if loss is None else loss
+    about["val_loss"] = loss = float(about.get("val_loss", "nan")) if loss is None else loss
     case = make_case(model, data, label, seed, folder)
-    findings = evaluate(case, plugins)
+    findings = evaluate(case, plugins, figures=figures)
     write_findings(findings, case, about, save_predictions=save_predictions)
     for logger in loggers:
         if isinstance(logger, TensorBoardLogger):
-            publish(logger, model, findings, about)
+            publish(logger, {**model.hparams, **(settings or {})}, findings, about)
     show(results_table(f"{label} on {data.system.name}", findings.rows, data.system))
     log.info("run folder: %s", folder)
     log.info("TensorBoard: tensorboard --logdir %s", folder)
-    return about["val_loss"]
+    return loss
 
 
 def publish(
-    logger: TensorBoardLogger, model: AbstractDynamics, findings: Findings, about: dict[str, Any]
+    logger: TensorBoardLogger, settings: dict[str, Any], findings: Findings, about: dict[str, Any]
 ) -> None:
     """Write hyper-parameters with their scores, and the figures, into TensorBoard."""
     scores = {"hp/val_loss": about["val_loss"]}
@@ -69,7 +73,7 @@ def publish(
         if not row.floor:
             scores[f"hp/{row.name}_{row.start}_position"] = row.scores.position
             scores[f"hp/{row.name}_{row.start}_velocity"] = row.scores.velocity
-    logger.log_hyperparams(flatten(dict(model.hparams)), scores)
+    logger.log_hyperparams(flatten(settings), scores)
     for name, figure in findings.figures.items():
         logger.experiment.add_figure(name, figure, close=False)
     logger.finalize("success")

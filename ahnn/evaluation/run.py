@@ -46,17 +46,18 @@ def make_case(model: AbstractDynamics, data: WindowDataModule, label: str, seed:
     )
 
 
-def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin]) -> Findings:
-    """Return the open-loop scores and what each plugin finds, merged."""
+def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bool = True) -> Findings:
+    """Return the open-loop scores and what each plugin finds, merged; without `figures` nothing is drawn."""
     findings = open_loop(case)
-    findings.figures |= open_loop_figures(case, findings.arrays)
+    if figures:
+        findings.figures |= open_loop_figures(case, findings.arrays)
     findings.arrays["truth"] = case.test.states
     for name, plugin in plugins.items():
         more = plugin(case)
         findings.rows += more.rows
         findings.numbers[name] = more.numbers
         findings.arrays |= {f"{name}_{key}": value for key, value in more.arrays.items()}
-        findings.figures |= {f"{name}_{key}": figure for key, figure in more.figures.items()}
+        findings.figures |= {f"{name}_{key}": drawn for key, drawn in more.figures.items() if figures}
     return findings
 
 

@@ -19,7 +19,8 @@ class LeastSquares(NamedTuple):
 
     Attributes:
         residuals: theta -> r, shape (N,).
-        jacobian: theta -> dr/dtheta, shape (N, P).
+        jacobian: theta -> dr/dtheta, shape (N, P), float32. It only shapes the step; whether the step is
+            good is decided by residuals in full precision.
     """
 
     residuals: Callable[[Tensor], Tensor]
@@ -37,15 +38,22 @@ class _Forward(nn.Module):
         return self.function(*arguments)
 
 
-def parametrised(module: nn.Module, function: Callable[..., Tensor]) -> Callable[..., Tensor]:
-    """Return (theta, *arguments) -> function(*arguments), evaluated with theta as the module's parameters."""
+def parametrised(
+    module: nn.Module, function: Callable[..., Tensor], dtype: torch.dtype
+) -> Callable[..., Tensor]:
+    """Return (theta, *arguments) -> function(*arguments), with theta as the module's parameters.
+
+    Buffers are used in `dtype`, so that a float64 module can be evaluated in float32.
+    """
     wrapped = _Forward(module, function)
     shapes = {name: p.shape for name, p in wrapped.named_parameters()}
     sizes = [shape.numel() for shape in shapes.values()]
+    buffers = {name: b.to(dtype) for name, b in wrapped.named_buffers()}
 
     def call(theta: Tensor, *arguments: Tensor) -> Tensor:
         parts = zip(shapes.items(), theta.split(sizes), strict=True)
-        return functional_call(wrapped, {name: part.view(shape) for (name, shape), part in parts}, arguments)
+        parameters = {name: part.view(shape) for (name, shape), part in parts}
+        return functional_call(wrapped, {**parameters, **buffers}, arguments)
 
     return call
 
@@ -62,16 +70,18 @@ def pointwise_problem(
         targets: what it is compared with, (B, D).
         weights: of the residuals, (B, D).
     """
-    function = parametrised(module, residuals)
+    function = parametrised(module, residuals, x.dtype)
+    single = parametrised(module, residuals, torch.float32)
 
     def of_sample(theta: Tensor, sample: Tensor) -> Tensor:
-        return function(theta, sample.unsqueeze(0)).squeeze(0)
+        return single(theta, sample.unsqueeze(0)).squeeze(0)
 
     def weighted(theta: Tensor) -> Tensor:
         return ((function(theta, x) - targets) * weights).flatten()
 
     def jacobian(theta: Tensor) -> Tensor:
-        return (vmap(jacrev(of_sample), (None, 0))(theta, x) * weights.unsqueeze(-1)).flatten(0, -2)
+        rows = vmap(jacrev(of_sample), (None, 0))(theta.float(), x.float())
+        return (rows * weights.float().unsqueeze(-1)).flatten(0, -2)
 
     return LeastSquares(torch.no_grad()(weighted), jacobian)
 
@@ -88,10 +98,11 @@ def recursive_problem(
         targets: true increments, (B, W, D).
         weights: of the residuals, (B, W, D).
     """
-    function = parametrised(module, increment)
+    function = parametrised(module, increment, x.dtype)
+    single = parametrised(module, increment, torch.float32)
 
     def of_sample(theta: Tensor, sample: Tensor) -> Tensor:
-        return function(theta, sample.unsqueeze(0)).squeeze(0)
+        return single(theta, sample.unsqueeze(0)).squeeze(0)
 
     def weighted(theta: Tensor) -> Tensor:
         state, residual, rows = x, torch.zeros_like(x), []
@@ -103,12 +114,12 @@ def recursive_problem(
 
     def jacobian(theta: Tensor) -> Tensor:
         derivatives = vmap(jacrev(of_sample, argnums=(0, 1)), (None, 0))
-        state, sensitivity, rows = x, x.new_zeros(*x.shape, len(theta)), []
+        state, sensitivity, rows = x, torch.zeros(*x.shape, len(theta), device=x.device), []
         for k in range(targets.shape[1]):
-            of_theta, of_state = derivatives(theta, state)
+            of_theta, of_state = derivatives(theta.float(), state.float())
             with torch.no_grad():
                 sensitivity = sensitivity + of_theta + of_state @ sensitivity
-                rows.append(sensitivity * weights[:, k, :, None])
+                rows.append(sensitivity * weights[:, k, :, None].float())
                 state = state + function(theta, state)
         return torch.stack(rows, dim=1).flatten(0, 2)
 

@@ -55,7 +55,7 @@ class LevenbergMarquardt(Optimizer):
         group = self.param_groups[0]
         theta = parameters_to_vector(group["params"]).detach()
         residuals, jacobian = problem.residuals(theta), problem.jacobian(theta).detach()
-        normal, gradient = gram(jacobian), jacobian.T @ residuals
+        normal, gradient = gram(jacobian).to(theta), (jacobian.T @ residuals.to(jacobian)).to(theta)
         loss, other = residuals @ residuals, held_back.residuals(theta).square().sum()
         for _ in range(ATTEMPTS):
             move = damped_step(normal, gradient, group["damping"])

@@ -1,0 +1,174 @@
+"""What came of one filter on one scenario: estimates, consistency, rows of the table, numbers."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from ahnn.evaluation import Case, Row
+from ahnn.metrics import Scores, score
+from ahnn_plugins.ukf.consistency import GAUSSIAN, band, coverage, deviations, nees, share_within
+from ahnn_plugins.ukf.scenario import Filter, Problem, Setting
+from ahnn_plugins.ukf.smoother import unscented_smoother
+from ahnn_plugins.ukf.types import FilterResult, Status
+
+
+class Outcome(NamedTuple):
+    """A filter, or its smoother, on the test trajectories of one scenario.
+
+    Attributes:
+        name: in tables.
+        start: scenario, `true` or `perturbed`.
+        floor: whether the flow is perfect knowledge.
+        estimate: (B, T + 1, D) after updates, the start first; NaN where a member is lost.
+        chol: (B, T + 1, D, D) lower factors of what the filter believes its error to be.
+        nees: (B, T + 1).
+        first: sample of the first update.
+        result: of the filter.
+    """
+
+    name: str
+    start: str
+    floor: bool
+    estimate: Tensor
+    chol: Tensor
+    nees: Tensor
+    first: int
+    result: FilterResult
+
+    @property
+    def lost(self) -> int:
+        """Number of members whose status is not OK."""
+        return int((self.result.status != Status.OK).sum())
+
+
+def filtered(chosen: Filter, setting: Setting, problem: Problem, start: str, result: FilterResult) -> Outcome:
+    """Return the outcome of a filter."""
+    parts = chosen.name, start, chosen.floor, result.means, result.chols
+    return _outcome(*parts, setting=setting, problem=problem, result=result)
+
+
+def smoothed(chosen: Filter, setting: Setting, problem: Problem, start: str, result: FilterResult) -> Outcome:
+    """Return the outcome of the smoother behind a filter that ran with `smoothing=True`."""
+    s = unscented_smoother(result)
+    result = result._replace(initial=s.initial, backward=None)
+    parts = f"{chosen.name} + RTS", start, chosen.floor, s.means, s.chols
+    return _outcome(*parts, setting=setting, problem=problem, result=result)
+
+
+def _outcome(
+    name: str,
+    start: str,
+    floor: bool,
+    means: Tensor,
+    chols: Tensor,
+    *,
+    setting: Setting,
+    problem: Problem,
+    result: FilterResult,
+) -> Outcome:
+    estimate = torch.cat((result.initial.mean[:, None], means), dim=1)
+    chol = torch.cat((result.initial.chol[:, None], chols), dim=1)
+    normalised = nees(estimate - problem.truth, chol)
+    return Outcome(name, start, floor, estimate, chol, normalised, setting.cadence, result)
+
+
+def rows(outcome: Outcome, case: Case, without: Scores | None) -> list[Row]:
+    """Return the lines of an outcome: over the whole arc, and from the first update on.
+
+    Args:
+        outcome: of a filter.
+        case: the model.
+        without: scores of the same start without a filter, to say why a filter is worse; None skips that.
+    """
+    whole = case.score(outcome.estimate)
+    settled = settled_scores(outcome, case)
+    extra = {"from_first_update": False, "lost": outcome.lost}
+    return [
+        Row(outcome.name, outcome.start, whole, _remark(outcome, whole, without), outcome.floor, extra),
+        Row(
+            f"{outcome.name}, 1st fix on",
+            outcome.start,
+            settled,
+            _consistency_remark(outcome),
+            outcome.floor,
+            {**extra, "from_first_update": True},
+        ),
+    ]
+
+
+def settled_scores(outcome: Outcome, case: Case) -> Scores:
+    """Return the scores from the first update on, that sample included."""
+    estimate, truth = (x[:, outcome.first :] for x in (outcome.estimate, case.test.states))
+    energies = case.system.energy(estimate), case.system.energy(truth)
+    return score(estimate, truth, energies, case.system.inertia)
+
+
+def _remark(outcome: Outcome, whole: Scores, without: Scores | None) -> str:
+    """Say which members were lost, and why the filter is worse than none where it is."""
+    remarks = []
+    if outcome.lost:
+        codes = {Status(int(s)).name.lower().replace("_", " ") for s in outcome.result.status if int(s)}
+        remarks.append(f"{outcome.lost} of {len(outcome.nees)} lost ({', '.join(sorted(codes))})")
+    if without is not None and not whole.position <= without.position:
+        low, high = _band(outcome)
+        mean = float(outcome.nees[:, outcome.first :].nanmean())
+        if outcome.lost:
+            reason = "lost members"
+        elif outcome.start == "true" and mean <= high:
+            reason = "the start is exact, measurements are not"
+        else:
+            reason = "overconfident" if mean > high else "cautious" if mean < low else "measurement noise"
+        remarks.append(f"worse than no filter: {reason}")
+    return "; ".join(remarks)
+
+
+def _consistency_remark(outcome: Outcome) -> str:
+    low, high = _band(outcome)
+    mean = float(outcome.nees[:, outcome.first :].nanmean())
+    verdict = "in" if low <= mean <= high else "not in"
+    return f"NEES {mean:.3g}, {verdict} {low:.1f}–{high:.1f}"
+
+
+def _band(outcome: Outcome) -> tuple[float, float]:
+    """Return the 95 % band of the NEES averaged over the living members at one time."""
+    return band(outcome.estimate.shape[-1], len(outcome.nees) - outcome.lost)
+
+
+def numbers(outcome: Outcome, case: Case) -> dict[str, Any]:
+    """Return everything that metrics.json says of an outcome, as plain values.
+
+    Means run over trajectories and over times from the first update on; bands are those of the mean over
+    trajectories at one time, and `in_band` is the share of times at which that mean lies in its band.
+    """
+    result, first = outcome.result, outcome.first
+    error = outcome.estimate - case.test.states
+    after = slice(first, None)
+    members = len(outcome.nees) - outcome.lost
+    width = result.innovations.shape[-1]
+    kept = result.nis.masked_fill(result.rejected, torch.nan)
+    shares = coverage(error[:, after], deviations(outcome.chol[:, after]))
+    return {
+        "whole_arc": case.score(outcome.estimate)._asdict(),
+        "from_first_update": settled_scores(outcome, case)._asdict(),
+        "nees": _series(outcome.nees[:, after], band(error.shape[-1], members)),
+        "nis": _series(kept, band(width, members)),
+        "coverage": {f"{k}_sigma": {"share": shares[k], "gaussian": p} for k, p in GAUSSIAN.items()},
+        "status": {status.name: int((result.status == status).sum()) for status in Status},
+        "failed_steps": result.failed_step[result.failed_step >= 0].tolist(),
+        "repairs": int(result.repairs.sum()),
+        "rejected_measurements": int(result.rejected.sum()),
+        "log_likelihood": float(result.log_likelihood.mean()),
+    }
+
+
+def _series(values: Tensor, limits: tuple[float, float]) -> dict[str, Any]:
+    """Return mean, band and share of times in the band of values (B, T)."""
+    over_members = values.nanmean(0)
+    return {
+        "mean": float(values.nanmean()),
+        "band_95": list(limits),
+        "in_band": share_within(over_members, limits),
+    }
