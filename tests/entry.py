@@ -23,6 +23,7 @@ SMALL = [
     "data.batch_size=16",
     "model.network.width=8",
     "trainer.max_epochs=3",
+    "plugins=none",
     "trainer.accelerator=cpu",
     "logger=none",
 ]

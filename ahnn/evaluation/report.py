@@ -67,13 +67,15 @@ def finish(
 def publish(
     logger: TensorBoardLogger, settings: dict[str, Any], findings: Findings, about: dict[str, Any]
 ) -> None:
-    """Write hyper-parameters with their scores, and the figures, into TensorBoard."""
+    """Write hyper-parameters with their scores, numbers of plugins, and the figures, into TensorBoard."""
     scores = {"hp/val_loss": about["val_loss"]}
     for row in findings.rows:
         if not row.floor:
             scores[f"hp/{row.name}_{row.start}_position"] = row.scores.position
             scores[f"hp/{row.name}_{row.start}_velocity"] = row.scores.velocity
     logger.log_hyperparams(flatten(settings), scores)
+    numbers = flatten(findings.numbers)
+    logger.log_metrics({key: float(v) for key, v in numbers.items() if isinstance(v, int | float)})
     for name, figure in findings.figures.items():
         logger.experiment.add_figure(name, figure, close=False)
     logger.finalize("success")

@@ -25,18 +25,17 @@ def results_table(title: str, rows: Iterable[Row], system: System) -> Table:
         table.add_column(f"{quantity}\n\\[{getattr(units, quantity)}]", justify="right", no_wrap=True)
     for quantity in ("position", "velocity"):
         table.add_column(f"pooled\n{quantity}", justify="right", no_wrap=True)
-    remarks = any(row.note for row in rows)
-    if remarks:
-        table.add_column("remark")
     for row in rows:
         s = row.scores
         values = (s.position, s.velocity, s.energy, s.position_pooled, s.velocity_pooled)
-        cells = [row.name, row.start, *(number(value) for value in values), *([row.note] * remarks)]
-        table.add_row(*cells, style="dim" if row.floor else None)
-    table.caption = (
-        "RMSE over unseen trajectories: mean over trajectories of the rms vector norm;\n"
-        "pooled: over trajectories, times and components."
+        table.add_row(row.name, row.start, *map(number, values), style="dim" if row.floor else None)
+    explanation = (
+        "RMSE over unseen trajectories: mean over trajectories of the rms vector norm;",
+        "pooled: over trajectories, times and components.",
     )
+    remarks = [f"{row.name}, {row.start} start: {row.note}" for row in rows if row.note]
+    table.caption = "\n".join((*explanation, *remarks))
+    table.caption_justify = "left"
     return table
 
 

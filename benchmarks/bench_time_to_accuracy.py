@@ -1,0 +1,121 @@
+"""Time to the paper's AHNN5 accuracy: the laptop budget beside the plain way of training, in one run.
+
+    python benchmarks/bench_time_to_accuracy.py [cap]
+
+The plain way: one-step loss, AdamW at batch 256 from a per-sample DataLoader, gradient by autograd, float32,
+residuals in units of the state. Both learn the same structure from the same trajectories and are judged on
+25 validation trajectories, whose rollouts are not counted in the time. The plain way is stopped at `cap`
+times our time (default 12), so a ratio printed with ">" is a lower bound.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import torch
+from hydra import compose, initialize_config_dir
+from torch.utils.data import DataLoader, TensorDataset
+
+from ahnn.config import OmegaConf  # registers the resolvers of conf/
+from ahnn.evaluation.rollout import rollout
+from ahnn.integrators import INTEGRATORS
+from ahnn.metrics import errors, rmse_norm
+from ahnn.paths import conf_dir
+from ahnn.train import build_parts
+
+TASKS = {
+    "spring, generic": (["system=mass_spring"], 1.55e-4),
+    "orbit, separable": (["experiment=molniya_separable"], 173.81),
+}
+CHECKS = 12
+"""Rollouts of the plain way, spread evenly over its time."""
+
+
+class PlainField(torch.nn.Module):
+    """J grad H of a model's Hamiltonian with the gradient taken by autograd."""
+
+    def __init__(self, hamiltonian: torch.nn.Module) -> None:
+        super().__init__()
+        self.hamiltonian = hamiltonian
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Return dx/dt, shape (B, D)."""
+        with torch.enable_grad():
+            x = x.detach().requires_grad_() if not x.requires_grad else x
+            energy = self.hamiltonian.energy(x).sum()
+            dq, dp = torch.autograd.grad(energy, x, create_graph=self.training)[0].chunk(2, dim=-1)
+        return torch.cat((dp, -dq), dim=-1)
+
+
+def position_error(flow, truth: torch.Tensor, dt: float, dof: int) -> float:
+    """Return the mean over trajectories of the rms position error of whole rollouts."""
+    prediction = rollout(flow, truth[:, 0], dt, truth.shape[1])
+    return float(rmse_norm(errors(prediction, truth)[..., :dof]))
+
+
+def ours(data, model, target: float) -> float:
+    """Return the seconds of Levenberg-Marquardt on derivatives until the target is met."""
+    optimizer = model.optimisation.optimizer(model.parameters())
+    truth, dof = data.trajectories("val").states[:25], data.system.dof
+    loader = data.train_dataloader()
+    spent, epoch = 0.0, 0
+    while True:
+        loader.set_epoch(epoch)
+        begin = time.perf_counter()
+        for batch in loader:
+            optimizer.step(lambda batch=batch: model.problems(batch))
+        spent, epoch = spent + time.perf_counter() - begin, epoch + 1
+        error = position_error(model.flow(), truth, data.system.dt, dof)
+        print(f"  laptop budget {spent:7.1f} s  {error:.3g}", flush=True)
+        if error <= target:
+            return spent
+
+
+def plain(data, model, target: float, limit: float) -> float | None:
+    """Return the seconds of the plain way until the target is met, None beyond the limit."""
+    model = model.float()
+    field, rk4, dt = PlainField(model.learner), INTEGRATORS["rk4"], data.system.dt
+    states = data.trajectories("train").states
+    pairs = TensorDataset(states[:, :-1].flatten(0, 1).float(), states[:, 1:].flatten(0, 1).float())
+    optimizer = torch.optim.AdamW(model.parameters(), lr=1e-3)
+    scale = (states.flatten(0, 1).amax(0) - states.flatten(0, 1).amin(0)).float() / 2
+    truth, dof = data.trajectories("val").states[:25], data.system.dof
+    spent, due = 0.0, limit / CHECKS
+    while True:
+        begin = time.perf_counter()
+        for x, y in DataLoader(pairs, batch_size=256, shuffle=True):
+            optimizer.zero_grad()
+            torch.nn.functional.huber_loss(rk4.step(field, x, dt) / scale, y / scale).backward()
+            optimizer.step()
+            if spent + time.perf_counter() - begin < due:
+                continue
+            spent, due = spent + time.perf_counter() - begin, due + limit / CHECKS
+            error = position_error(model.flow(), truth, dt, dof)
+            print(f"  plain way     {spent:7.1f} s  {error:.3g}", flush=True)
+            if error <= target or spent >= limit:
+                return spent if error <= target else None
+            begin = time.perf_counter()
+
+
+def main() -> None:
+    """Print the ratio of both tasks."""
+    cap = float(sys.argv[1]) if len(sys.argv) > 1 else 12.0
+    torch.set_num_threads(1)
+    for name, (overrides, target) in TASKS.items():
+        print(f"{name}: position error {target} of the paper's AHNN5", flush=True)
+        with initialize_config_dir(str(conf_dir()), version_base="1.3"):
+            cfg = compose("train", [*overrides, "folder=."])
+        OmegaConf.resolve(cfg)
+        torch.manual_seed(cfg.seed)
+        data, model = build_parts(cfg)
+        model.calibrate(data.statistics())
+        _, rival = build_parts(cfg)
+        rival.calibrate(data.statistics())
+        fast = ours(data, model, target)
+        slow = plain(data, rival, target, cap * fast)
+        print(f"  ratio {'>' if slow is None else ''} {(slow or cap * fast) / fast:.1f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
