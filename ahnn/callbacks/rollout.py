@@ -12,25 +12,26 @@ from ahnn.models import AbstractDynamics
 
 
 class ValidationRollout(Callback):
-    """Logs `val/rollout_position`, the rms vector norm of whole validation rollouts, in the system's unit.
+    """Logs `val/rollout`, the rms vector norm of the position error of whole validation rollouts.
+
+    It is what a user of the model sees, in the system's unit, and may choose the best checkpoint: a one-step
+    loss that falls does not always mean a rollout that improves.
 
     Args:
         count: trajectories to roll out.
-        times: how often over the training.
+        every: epochs between two rollouts.
     """
 
-    def __init__(self, count: int, times: int) -> None:
-        if count < 1 or times < 1:
-            received = f"count={count}, times={times}"
-            message = f"callbacks.rollout: expected count >= 1 and times >= 1; received {received}"
+    def __init__(self, count: int, every: int) -> None:
+        if count < 1 or every < 1:
+            received = f"count={count}, every={every}"
+            message = f"callbacks.rollout: expected count >= 1 and every >= 1; received {received}"
             raise UserError(message)
-        self.count, self.times = count, times
+        self.count, self.every = count, every
 
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Roll out from the true start of a few validation trajectories."""
-        epochs = trainer.max_epochs or 1
-        due = (trainer.current_epoch + 1) % max(1, epochs // self.times) == 0
-        if trainer.sanity_checking or not trainer.is_global_zero or not due:
+        if trainer.sanity_checking or (trainer.current_epoch + 1) % self.every:
             return
         data: WindowDataModule = trainer.datamodule  # pyright: ignore[reportAttributeAccessIssue]
         assert isinstance(pl_module, AbstractDynamics)
@@ -38,5 +39,4 @@ class ValidationRollout(Callback):
         flow = pl_module.flow()
         prediction = rollout(flow, truth[:, 0].to(pl_module.device), data.system.dt, truth.shape[1]).cpu()
         position = errors(prediction, truth)[..., : data.system.dof]
-        for logger in trainer.loggers:
-            logger.log_metrics({"val/rollout_position": float(rmse_norm(position))}, trainer.global_step)
+        pl_module.log("val/rollout", float(rmse_norm(position)), logger=False, rank_zero_only=True)
