@@ -39,4 +39,4 @@ class ValidationRollout(Callback):
         flow = pl_module.flow()
         prediction = rollout(flow, truth[:, 0].to(pl_module.device), data.system.dt, truth.shape[1]).cpu()
         position = errors(prediction, truth)[..., : data.system.dof]
-        pl_module.log("val/rollout", float(rmse_norm(position)), logger=False, rank_zero_only=True)
+        pl_module.log("val/rollout", float(rmse_norm(position)), logger=False, sync_dist=True)

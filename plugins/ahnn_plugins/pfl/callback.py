@@ -123,7 +123,7 @@ class PFLCallback(L.Callback):
             pruner = PFLPruner(self._max_epochs, **self.settings._asdict())
             self.trial.report(loss, self._seed_index * self._max_epochs + epoch)
             finals = pruner.finals(self.trial.study)
-            decision = pruner.decide(self.trial.study, _frozen(self.trial))
+            decision = pruner.decide_against(finals, _frozen(self.trial))
         else:
             finals = self.record.finals() if self.record is not None else []
             decision = decide([self._losses], finals, self.settings)

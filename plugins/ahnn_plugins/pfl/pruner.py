@@ -46,8 +46,12 @@ class PFLPruner(BasePruner):
 
     def decide(self, study: Study, trial: FrozenTrial) -> Decision:
         """Return the decision behind `prune`, with its numbers."""
+        return self.decide_against(self.finals(study), trial)
+
+    def decide_against(self, finals: list[float], trial: FrozenTrial) -> Decision:
+        """Return the decision on a trial among complete ones with these final losses."""
         own = list(seed_series(trial.intermediate_values, self.max_epochs).values())
-        return decide(own, self.finals(study), self.settings)
+        return decide(own, finals, self.settings)
 
     def finals(self, study: Study) -> list[float]:
         """Return the final loss, averaged over the seeds, of every COMPLETE trial that reported losses."""

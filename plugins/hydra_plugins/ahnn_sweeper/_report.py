@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import warnings
 from collections.abc import Callable
@@ -73,18 +74,35 @@ def _short(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
+def _spans_decades(study: optuna.Study) -> bool:
+    """Return whether the values are positive and the largest is over 100 times the smallest."""
+    values = [trial.value for trial in study.get_trials(deepcopy=False) if trial.state.name == "COMPLETE"]
+    finite = [value for value in values if value is not None]
+    return min(finite) > 0 and max(finite) > 100 * min(finite)
+
+
+def _log10(trial: FrozenTrial) -> float:
+    assert trial.value is not None
+    return math.log10(trial.value)
+
+
 def _write_plots(study: optuna.Study, sweep_dir: Path) -> None:
-    """Write history, importance and parallel-coordinate plots; what a study cannot show is left out."""
+    """Write history, importance and parallel-coordinate plots; what a study cannot show is left out.
+
+    Values that span decades, as losses do, are shown by their logarithms: else all good trials look alike.
+    """
     import matplotlib as mpl
 
     mpl.use("Agg")
     import matplotlib.pyplot as plt
     from optuna.visualization import matplotlib as plots
 
-    makers: dict[str, Callable[[optuna.Study], Any]] = {
-        "history": plots.plot_optimization_history,
-        "importance": plots.plot_param_importances,
-        "parallel": plots.plot_parallel_coordinate,
+    log = _spans_decades(study)
+    options: dict[str, Any] = {"target": _log10, "target_name": "log10 of the value"} if log else {}
+    makers: dict[str, Callable[[], Any]] = {
+        "history": lambda: plots.plot_optimization_history(study).set_yscale("log" if log else "linear"),
+        "importance": lambda: plots.plot_param_importances(study, **options),
+        "parallel": lambda: plots.plot_parallel_coordinate(study, **options),
     }
     for name, make in makers.items():
         target = sweep_dir / f"{name}.png"
@@ -92,8 +110,8 @@ def _write_plots(study: optuna.Study, sweep_dir: Path) -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             try:
-                make(study)
-                plt.gcf().savefig(unfinished, dpi=150, bbox_inches="tight")
+                make()
+                plt.gcf().savefig(unfinished, dpi=100, bbox_inches="tight")
                 unfinished.replace(target)
             except (ValueError, RuntimeError, ImportError) as error:  # too few trials, all values equal, ...
                 logger.info("no plot %s: %s", target.name, error)

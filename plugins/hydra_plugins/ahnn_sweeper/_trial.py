@@ -51,7 +51,7 @@ class TrialCallback(Callback):
     def on_job_start(self, config: DictConfig, **kwargs: Any) -> None:  # noqa: ARG002
         """Claim the trial: from now on it lives as long as this process."""
         node = config.get("trial")
-        if node is None or os.environ.get("LOCAL_RANK", "0") != "0":  # of several devices, rank 0 speaks
+        if node is None or not _speaks():
             return
         self._trial = load_trial(node.storage, node.study_name, node.trial_id)
         self._trial.set_user_attr("run_by", this_process())
@@ -61,6 +61,7 @@ class TrialCallback(Callback):
     def on_job_end(self, config: DictConfig, job_return: JobReturn, **kwargs: Any) -> None:  # noqa: ARG002
         """Tell the study what became of the trial."""
         if self._trial is None or self._lease is None:
+            _forgive_pruning(job_return)
             return
         trial, self._trial = self._trial, None
         self._lease.__exit__()
@@ -82,14 +83,28 @@ def _tell_value(trial: optuna.Trial, value: Any) -> None:
         _fail(trial, f"the job returned {value!r}, expected a finite number")
 
 
+def _speaks() -> bool:
+    """Return whether this process is the first of its job; of several devices, only the first has a trial."""
+    return all(os.environ.get(name, "0") == "0" for name in ("LOCAL_RANK", "RANK", "SLURM_PROCID"))
+
+
+def _forgive_pruning(job_return: JobReturn) -> bool:
+    """Return whether a job was pruned; to Hydra, pruned is complete."""
+    import optuna
+
+    if not isinstance(job_return._return_value, optuna.TrialPruned):
+        return False
+    job_return.status, job_return._return_value = JobStatus.COMPLETED, None
+    return True
+
+
 def _tell_exception(trial: optuna.Trial, job_return: JobReturn) -> None:
-    """Store a pruned trial as PRUNED, any other exception as FAIL; to Hydra, pruned is complete."""
+    """Store a pruned trial as PRUNED, any other exception as FAIL."""
     import optuna
 
     error = job_return._return_value
-    if isinstance(error, optuna.TrialPruned):
+    if _forgive_pruning(job_return):
         trial.study.tell(trial.number, state=optuna.trial.TrialState.PRUNED, skip_if_finished=True)
-        job_return.status, job_return._return_value = JobStatus.COMPLETED, None
         return
     logger.error("trial %d failed", trial.number, exc_info=error)
     text = str(error).partition("\n")[0]

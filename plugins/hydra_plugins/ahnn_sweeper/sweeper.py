@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from hydra_plugins.ahnn_sweeper._space import Space
 
 logger = logging.getLogger(__name__)
+_IN_PROCESS = ("BasicLauncher", "JoblibLauncher", "LocalLauncher")
 
 
 class AhnnOptunaSweeper(Sweeper):
@@ -126,8 +127,22 @@ class AhnnOptunaSweeper(Sweeper):
             )
             raise UserError(message)
         draw = optuna.create_study().ask(space.distributions)
-        self.validate_batch_is_legal([[*space.fixed, *space.overrides(draw.params), "trial=null"]])
+        job = [*space.fixed, *space.overrides(draw.params), "trial=null"]
+        assert self.config is not None
+        self._refuse_shared_process(self.hydra_context.config_loader.load_sweep_config(self.config, job))
         return space
+
+    def _refuse_shared_process(self, job: DictConfig) -> None:
+        """Refuse jobs on several devices inside this process: Lightning would repeat the sweep for each."""
+        assert self.config is not None
+        devices = OmegaConf.select(job, "trainer.devices")
+        launcher = str(self.config.hydra.launcher.get("_target_")).rpartition(".")[2]
+        if isinstance(devices, int) and devices > 1 and launcher in _IN_PROCESS:
+            message = (
+                f"sweeper: expected a launcher that gives a job on {devices} devices a process of its own; "
+                f"received {launcher}; add hydra/launcher=ahnn_process"
+            )
+            raise UserError(message)
 
     def _run(self, study: "optuna.Study", url: str, space: "Space") -> None:
         """Launch trials until none is owed and none of another worker is running."""

@@ -9,6 +9,7 @@ import hydra
 import optuna
 import pytest
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.utils import JobReturn, JobStatus
 from omegaconf import OmegaConf
 from optuna.trial import TrialState, create_trial
 from sweeps import ROOT
@@ -18,6 +19,7 @@ from hydra_plugins.ahnn_sweeper._ledger import count
 from hydra_plugins.ahnn_sweeper._progress import progress_line
 from hydra_plugins.ahnn_sweeper._storage import resolved
 from hydra_plugins.ahnn_sweeper._study import open_study, sampler
+from hydra_plugins.ahnn_sweeper._trial import TrialCallback
 
 
 def running(**attributes: object) -> optuna.trial.FrozenTrial:
@@ -96,3 +98,19 @@ def test_the_pfl_callback_gets_the_trial_of_its_job(tmp_path: Path, monkeypatch:
     assert callback.settings.target_epoch == config.trainer.max_epochs
     assert callback.record.group == "spring/hnn"
     assert callback.record.path == tmp_path / "pfl_record.jsonl"
+
+
+@pytest.mark.parametrize("variable", ["LOCAL_RANK", "SLURM_PROCID"])
+def test_only_the_first_process_of_a_job_speaks_and_a_pruned_one_ends_in_peace(monkeypatch, variable):
+    monkeypatch.setenv(variable, "1")
+    callback = TrialCallback()
+    trial = {"storage": "journal:////nowhere/study.journal", "study_name": "x", "trial_id": 0}
+    config = OmegaConf.create({"trial": trial})
+    callback.on_job_start(config)
+    job = JobReturn(status=JobStatus.FAILED)
+    job.return_value = optuna.TrialPruned("stopped")
+    callback.on_job_end(config, job)
+    assert job.status is JobStatus.COMPLETED
+    job.status, job.return_value = JobStatus.FAILED, RuntimeError("broken")
+    callback.on_job_end(config, job)
+    assert job.status is JobStatus.FAILED
