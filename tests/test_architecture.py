@@ -28,12 +28,13 @@ MAY_IMPORT = {
     "systems": OPEN,
     "data": OPEN | {"integrators", "systems", "normalisation"},
     "models": OPEN | {"integrators", "normalisation", "optim"},
-    "evaluation": OPEN | {"integrators", "metrics", "systems", "data", "models", "checkpoints"},
+    "pretrained": OPEN | {"checkpoints"},
+    "evaluation": OPEN | {"integrators", "metrics", "systems", "data", "models", "checkpoints", "pretrained"},
     "callbacks": OPEN | {"metrics", "data", "models", "evaluation"},
     "setup": OPEN | {"checkpoints", "data", "models"},
     "config": OPEN,
     "train": OPEN | {"config", "data", "models", "evaluation", "setup", "callbacks"},
-    "evaluate": OPEN | {"config", "train", "data", "models", "evaluation", "setup"},
+    "evaluate": OPEN | {"config", "train", "data", "models", "evaluation", "setup", "pretrained"},
 }
 HYDRA = {"train.py", "evaluate.py", "config.py", "evaluation/sweep.py"}
 

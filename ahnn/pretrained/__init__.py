@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import Any
 
-from omegaconf import OmegaConf
+import yaml
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
@@ -51,9 +50,10 @@ def pack(run: Path, name: str) -> Path:
     folder.mkdir(exist_ok=True)
     weights, _ = best_weights(run)
     save_file({key: value.contiguous() for key, value in weights.items()}, folder / "weights.safetensors")
-    cfg: Any = OmegaConf.to_container(OmegaConf.load(run / "config.yaml"))
+    cfg = yaml.safe_load((run / "config.yaml").read_text())
     cfg["data"]["cache"] = "~/.cache/ahnn"
-    OmegaConf.save({k: v for k, v in cfg.items() if k not in MACHINE}, folder / "config.yaml")
+    kept = {key: value for key, value in cfg.items() if key not in MACHINE}
+    (folder / "config.yaml").write_text(yaml.safe_dump(kept, sort_keys=False))
     shutil.copyfile(run / "metrics.json", folder / "metrics.json")
     return folder
 
