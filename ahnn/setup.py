@@ -6,6 +6,7 @@ import copy
 import logging
 import time
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from ahnn.checkpoints import read_checkpoint, require_same
 from ahnn.data import WindowDataModule
 from ahnn.errors import UserError
 from ahnn.models import AbstractDynamics
+from ahnn.types import Window
 
 log = logging.getLogger(__name__)
 
@@ -100,13 +102,21 @@ def announce(trainer: Trainer, data: WindowDataModule, model: AbstractDynamics, 
     )
 
 
-def seconds_per_step(data: WindowDataModule, model: AbstractDynamics, repeats: int = 5) -> float:
-    """Return the median time of an optimiser step, measured on a copy of the model."""
-    model = copy.deepcopy(model)
-    assert model.optimisation is not None
-    optimizer = model.optimisation.optimizer(model.parameters())
+def seconds_per_step(data: WindowDataModule, model: AbstractDynamics) -> float:
+    """Return the mean time of an optimiser step over both phases of the loss, on a copy of the model."""
+    share = model.loss.derivative
     windows = data.train_dataloader().windows
     batch = windows.gather(torch.arange(data.batch_size) % len(windows))
+    phases = ((share, 1.0), (1 - share, 0.0))
+    return sum(weight * _median_step(model, batch, derivative) for weight, derivative in phases if weight > 0)
+
+
+def _median_step(model: AbstractDynamics, batch: Window, derivative: float, repeats: int = 5) -> float:
+    """Return the median time of a step of one phase."""
+    model = copy.deepcopy(model)
+    model.loss = replace(model.loss, derivative=derivative)
+    assert model.optimisation is not None
+    optimizer = model.optimisation.optimizer(model.parameters())
 
     def gradient() -> torch.Tensor:
         optimizer.zero_grad()

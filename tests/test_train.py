@@ -40,7 +40,9 @@ def test_metrics_have_models_and_floors_from_both_starts(run):
     metrics = json.loads((run / "metrics.json").read_text())
     rows = [(row["name"], row["start"], row["floor"]) for row in metrics["rows"]]
     assert rows[:2] == [("ahnn5", "true", False), ("ahnn5", "perturbed", False)]
-    assert [(start, floor) for _, start, floor in rows[2:]] == [("true", True), ("perturbed", True)]
+    assert [(start, floor) for _, start, floor in rows[2:4]] == [("true", True), ("perturbed", True)]
+    assert all("UKF" in name for name, *_ in rows[4:])
+    assert len(rows) == 12
     assert metrics["optimiser_steps"] == 20
     assert metrics["seed"] == 7
     assert metrics["units"]["position"] == "m"
