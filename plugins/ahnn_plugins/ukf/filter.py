@@ -14,7 +14,7 @@ from ahnn_plugins.ukf.inputs import Inputs, checked_inputs
 from ahnn_plugins.ukf.measurements import Measurement
 from ahnn_plugins.ukf.members import Members
 from ahnn_plugins.ukf.records import Step, collected
-from ahnn_plugins.ukf.sigma_points import Weights, draw, unscented_weights
+from ahnn_plugins.ukf.sigma_points import draw, unscented_weights
 from ahnn_plugins.ukf.smoother import backward_kernel
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
 from ahnn_plugins.ukf.types import (
@@ -27,6 +27,7 @@ from ahnn_plugins.ukf.types import (
     Status,
     UnscentedParameters,
     Updated,
+    Weights,
 )
 
 

@@ -2,40 +2,10 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor
 
-from ahnn_plugins.ukf.types import Belief, UnscentedParameters
-
-
-class Weights(NamedTuple):
-    """Weights of 2 D + 1 sigma points; tensors are float64 of shape (B or 1, 1, 1).
-
-    The last two fields rewrite the textbook covariance without its centre weight, which is negative for
-    small alpha. With deviations e_i from the image of the centre, and shift = outer * sum_i e_i,
-
-        sum_i Wc_i (Y_i - mean)(Y_i - mean)ᵀ
-            = outer * sum_{i>0} (e_i - recentring * shift)(...)ᵀ - downdate * shift shiftᵀ
-
-    exactly, and nothing is left to subtract whenever alpha² kappa + D beta >= 0.
-
-    Attributes:
-        radius: sqrt(D + lambda), distance of the points in standard deviations.
-        outer: W_i of every point but the centre, mean and covariance alike.
-        mean_centre: W_m0.
-        covariance_centre: W_c0.
-        recentring: share of the shift that the deviations lose.
-        downdate: what is left to subtract; None if nothing is, for any member.
-    """
-
-    radius: Tensor
-    outer: Tensor
-    mean_centre: Tensor
-    covariance_centre: Tensor
-    recentring: Tensor
-    downdate: Tensor | None
+from ahnn_plugins.ukf.types import Belief, UnscentedParameters, Weights
 
 
 def unscented_weights(

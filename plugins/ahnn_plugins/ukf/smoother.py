@@ -10,9 +10,8 @@ import torch
 from torch import Tensor
 
 from ahnn_plugins.ukf.linalg import tria
-from ahnn_plugins.ukf.sigma_points import Weights
 from ahnn_plugins.ukf.square_root import joint_factor
-from ahnn_plugins.ukf.types import Backward, Belief, FilterResult, SmootherResult, Status
+from ahnn_plugins.ukf.types import Backward, Belief, FilterResult, SmootherResult, Status, Weights
 
 
 def backward_kernel(

@@ -12,8 +12,7 @@ import torch
 from torch import Tensor
 
 from ahnn_plugins.ukf.linalg import cholesky_repaired
-from ahnn_plugins.ukf.sigma_points import Weights
-from ahnn_plugins.ukf.types import Belief, Form, Predicted, Residual, Updated
+from ahnn_plugins.ukf.types import Belief, Form, Predicted, Residual, Updated, Weights
 
 
 def predict(propagated: Tensor, weights: Weights, chol_q: Tensor) -> Predicted:

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from enum import IntEnum
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 from torch import Tensor
-
-if TYPE_CHECKING:
-    from ahnn_plugins.ukf.sigma_points import Weights
 
 
 class Status(IntEnum):
@@ -51,6 +48,34 @@ class UnscentedParameters(NamedTuple):
     alpha: float | Tensor = 1.0
     beta: float | Tensor = 2.0
     kappa: float | Tensor = 0.0
+
+
+class Weights(NamedTuple):
+    """Weights of 2 D + 1 sigma points; tensors are float64 of shape (B or 1, 1, 1).
+
+    The last two fields rewrite the textbook covariance without its centre weight, which is negative for
+    small alpha. With deviations e_i from the image of the centre, and shift = outer * sum_i e_i,
+
+        sum_i Wc_i (Y_i - mean)(Y_i - mean)ᵀ
+            = outer * sum_{i>0} (e_i - recentring * shift)(...)ᵀ - downdate * shift shiftᵀ
+
+    exactly, and nothing is left to subtract whenever alpha² kappa + D beta >= 0.
+
+    Attributes:
+        radius: sqrt(D + lambda), distance of the points in standard deviations.
+        outer: W_i of every point but the centre, mean and covariance alike.
+        mean_centre: W_m0.
+        covariance_centre: W_c0.
+        recentring: share of the shift that the deviations lose.
+        downdate: what is left to subtract; None if nothing is, for any member.
+    """
+
+    radius: Tensor
+    outer: Tensor
+    mean_centre: Tensor
+    covariance_centre: Tensor
+    recentring: Tensor
+    downdate: Tensor | None
 
 
 class Gate(NamedTuple):
