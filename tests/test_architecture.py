@@ -20,6 +20,7 @@ MAY_IMPORT = {
     "paths": set(),
     "progress": set(),
     "arguments": {"errors"},
+    "profiler": set(),
     "integrators": OPEN,
     "normalisation": OPEN,
     "metrics": OPEN,

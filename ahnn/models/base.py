@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -156,14 +157,19 @@ class AbstractDynamics(LightningModule, ABC):
                 loss = loss * batch.share
         else:
             loss = cast(Any, self.optimizers()).step(lambda: self.problems(batch))
-        mean = self.trainer.strategy.reduce(loss.detach().clone(), reduce_op="mean")  # of all devices
-        if not mean.isfinite():
+        mean = float(self._mean_of_devices(loss.detach()))
+        if not math.isfinite(mean):
             message = (
-                f"training: the loss became {float(mean)} in epoch {self.current_epoch}, "
+                f"training: the loss became {mean} in epoch {self.current_epoch}, "
                 f"batch {batch_idx}; the last good checkpoint is kept. Try a smaller optimizer.lr or window."
             )
             raise TrainingError(message)
         return loss
+
+    def _mean_of_devices(self, loss: Tensor) -> Tensor:
+        if self.trainer.world_size == 1:
+            return loss
+        return cast(Tensor, self.trainer.strategy.reduce(loss.clone(), reduce_op="mean"))
 
     def problems(self, batch: Window) -> tuple[LeastSquares, LeastSquares]:
         """Return a fifth of a batch as the problem to step on, and the rest to check the step.
