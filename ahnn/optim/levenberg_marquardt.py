@@ -11,6 +11,7 @@ from torch.optim import Optimizer
 
 from ahnn.errors import UserError
 from ahnn.optim.least_squares import LeastSquares
+from ahnn.optim.normal_equations import damped_step, normal_equations, promised_decrease
 
 SMALLEST, LARGEST = 1e-14, 1e6
 """Range of the damping."""
@@ -55,15 +56,15 @@ class LevenbergMarquardt(Optimizer):
         group = self.param_groups[0]
         theta = parameters_to_vector(group["params"]).detach()
         residuals, jacobian = problem.residuals(theta), problem.jacobian(theta).detach()
-        normal, gradient = gram(jacobian).to(theta), (jacobian.T @ residuals.to(jacobian)).to(theta)
+        blocks = normal_equations(jacobian, residuals, [p.numel() for p in group["params"]])
         loss, other = residuals @ residuals, held_back.residuals(theta).square().sum()
         for _ in range(ATTEMPTS):
-            move = damped_step(normal, gradient, group["damping"])
+            move = damped_step(blocks, group["damping"], theta)
             if move is None:
                 group["damping"] = min(group["damping"] * 10, LARGEST)
                 continue
-            promised = -(2 * gradient @ move + move @ (normal @ move))
-            gain = float((loss - problem.residuals(theta + move).square().sum()) / promised)
+            decrease = loss - problem.residuals(theta + move).square().sum()
+            gain = float(decrease / promised_decrease(blocks, move))
             rise = float(held_back.residuals(theta + move).square().sum() / other) - 1
             accepted = gain > SUFFICIENT and rise <= group["tolerance"]
             group["damping"] = adapted(group["damping"], gain, rise, accepted)
@@ -71,31 +72,6 @@ class LevenbergMarquardt(Optimizer):
                 vector_to_parameters(theta + move, group["params"])
                 break
         return loss / residuals.numel()
-
-
-def gram(jacobian: Tensor, blocks: int = 4) -> Tensor:
-    """Return J^T J, shape (P, P), by its lower triangle of blocks and without rows that are all zero.
-
-    Known parts of a model, such as a kinetic energy p^2 / 2m, make half of the rows vanish.
-    """
-    rows = jacobian[jacobian.abs().amax(-1) > 0]
-    columns = rows.tensor_split(blocks, dim=-1)
-    lower = [[left.T @ right for right in columns[: i + 1]] for i, left in enumerate(columns)]
-    grid = [
-        torch.cat([lower[i][j] if j <= i else lower[j][i].T for j in range(blocks)], dim=1)
-        for i in range(blocks)
-    ]
-    return torch.cat(grid)
-
-
-def damped_step(normal: Tensor, gradient: Tensor, damping: float) -> Tensor | None:
-    """Return the solution of (J^T J + damping D) step = -J^T r, or None if the matrix is not definite."""
-    diagonal = normal.diagonal()
-    matrix = normal + torch.diag(damping * (diagonal + 1e-3 * diagonal.mean()))
-    factor, info = torch.linalg.cholesky_ex(matrix)
-    if int(info) != 0:
-        return None
-    return -torch.cholesky_solve(gradient.unsqueeze(-1), factor).squeeze(-1)
 
 
 def adapted(damping: float, gain: float, rise: float, accepted: bool) -> float:

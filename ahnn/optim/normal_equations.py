@@ -1,0 +1,95 @@
+"""The normal equations J^T J s = -J^T r of a batch, in blocks of parameters that share no residual.
+
+Blocks come from the zeros of the Jacobian. T(p) + V(q) fitted to derivatives has two of half the size, a
+known kinetic energy leaves half of the rows empty, and no residual depends on the constant of an energy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+
+class Block(NamedTuple):
+    """Normal equations of K parameters.
+
+    Attributes:
+        columns: which parameters, shape (K,).
+        matrix: J^T J, shape (K, K).
+        gradient: J^T r, shape (K,).
+    """
+
+    columns: Tensor
+    matrix: Tensor
+    gradient: Tensor
+
+
+def normal_equations(jacobian: Tensor, residuals: Tensor, sizes: Sequence[int]) -> list[Block]:
+    """Return the blocks; parameters that no residual depends on are in none.
+
+    Args:
+        jacobian: J, shape (N, P). Products are formed in its precision.
+        residuals: r, shape (N,). The blocks are in its precision.
+        sizes: of the tensors that the P parameters consist of; a tensor is never split.
+    """
+    used = torch.stack([(part != 0).any(-1) for part in jacobian.split(list(sizes), dim=-1)], dim=-1)
+    columns = torch.arange(jacobian.shape[1], device=jacobian.device).split(list(sizes))
+    blocks = []
+    for members in independent(used):
+        block = torch.cat([part for part, member in zip(columns, members.tolist(), strict=True) if member])
+        rows = used[:, members].any(-1)
+        own = jacobian[rows] if len(block) == jacobian.shape[1] else jacobian[rows][:, block]
+        gradient = own.T @ residuals[rows].to(own)
+        blocks.append(Block(block, gram(own).to(residuals), gradient.to(residuals)))
+    return blocks
+
+
+def independent(used: Tensor) -> Tensor:
+    """Return the sets of columns of `used`, bool (N, G), that share no row, as bool (sets, G).
+
+    They are the connected components of the graph in which two columns are neighbours if a row uses both.
+    """
+    columns = used.float()
+    reach = columns.T @ columns > 0
+    for _ in range(used.shape[1].bit_length()):
+        reach = reach.float() @ reach.float() > 0
+    return reach[reach.any(-1)].unique(dim=0)
+
+
+def gram(jacobian: Tensor, parts: int = 4) -> Tensor:
+    """Return J^T J, shape (P, P), by its lower triangle of products of parts."""
+    columns = jacobian.tensor_split(parts, dim=-1)
+    lower = [[left.T @ right for right in columns[: i + 1]] for i, left in enumerate(columns)]
+    grid = [
+        torch.cat([lower[i][j] if j <= i else lower[j][i].T for j in range(parts)], dim=1)
+        for i in range(parts)
+    ]
+    return torch.cat(grid)
+
+
+def damped_step(blocks: Sequence[Block], damping: float, theta: Tensor) -> Tensor | None:
+    """Return the solution s of (J^T J + damping D) s = -J^T r in the parameters theta, both of shape (P,).
+
+    D is the diagonal of J^T J plus a thousandth of its mean in the block. None if a block is not definite.
+    """
+    step = torch.zeros_like(theta)
+    for columns, matrix, gradient in blocks:
+        diagonal = matrix.diagonal()
+        damped = matrix + torch.diag(damping * (diagonal + 1e-3 * diagonal.mean()))
+        factor, info = torch.linalg.cholesky_ex(damped)
+        if int(info) != 0:
+            return None
+        step[columns] = -torch.cholesky_solve(gradient.unsqueeze(-1), factor).squeeze(-1)
+    return step
+
+
+def promised_decrease(blocks: Sequence[Block], step: Tensor) -> Tensor:
+    """Return r^T r - |r + J s|^2 of a step s, shape (P,), by the linear model of the residuals."""
+    decrease = step.new_zeros(())
+    for columns, matrix, gradient in blocks:
+        own = step[columns]
+        decrease = decrease - (2 * gradient @ own + own @ (matrix @ own))
+    return decrease
