@@ -133,6 +133,8 @@ def explain(error: Exception) -> str:
     source = error if str(error).strip() else (error.__cause__ or error.__context__ or error)
     lines = [line for line in str(source).splitlines() if line.strip()]
     text = lines[0] if lines else type(source).__name__
+    if text.endswith(":") and len(lines) > 1:  # Hydra names the target first, and what it said below
+        text = f"{text} {lines[1]}"
     wrong = re.search(r"Could not override '([\w.@]+)'", text) or re.search(r"Key '([\w.]+)'", text)
     if wrong:
         return f"configuration: unknown key {wrong[1]!r}{nearest_key(wrong[1])}"

@@ -2,7 +2,7 @@
 
 A run directory is self-sufficient: its own config.yaml and checkpoints/best.ckpt are used; `pretrained=NAME`
 makes one from weights that come with the package. Further overrides
-change that configuration; `plugins=NAME` takes the group of that name from the library.
+change that configuration; `plugins=NAME` and `measurement=NAME` take groups of the library.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import nearest
-from ahnn.config import build_all, dotted_keys, guard
+from ahnn.config import dotted_keys, guard
 from ahnn.errors import UserError
 from ahnn.paths import conf_dir
 from ahnn.pretrained import install
-from ahnn.train import build_parts, check_settings
+from ahnn.train import build_parts, build_plugins, check_settings
 
 log = logging.getLogger("ahnn")
 
-USAGE = "usage: python -m ahnn.evaluate run=DIR | pretrained=NAME [plugins=NAME] [key=value ...]"
+USAGE = "usage: python -m ahnn.evaluate run=DIR | pretrained=NAME [plugins=.] [measurement=.] [key=value]"
 
 
 def evaluate(arguments: list[str]) -> float:
@@ -45,7 +45,7 @@ def evaluate(arguments: list[str]) -> float:
     check_settings(cfg)
     torch.set_num_threads(cfg.threads)
     data, model = build_parts(cfg)
-    plugins = build_all(cfg.plugins, "plugins")
+    plugins = build_plugins(cfg, data.system)
     metrics = folder / "metrics.json"
     about: dict[str, Any] = json.loads(metrics.read_text()) if metrics.exists() else {}
     kept = ("seed", "training_seconds", "optimiser_steps", "parameters", "val_loss")
@@ -70,10 +70,10 @@ def run_config(arguments: list[str]) -> tuple[Path, DictConfig]:
     cfg = OmegaConf.load(path)
     assert isinstance(cfg, DictConfig)
     cfg.folder = str(folder)
+    groups = [f"{key}={pairs.pop(key)}" for key in ("plugins", "measurement") if key in pairs]
+    if groups:
+        cfg.plugins = composed_plugins(groups)
     for key, value in pairs.items():
-        if key == "plugins":
-            cfg.plugins = plugin_group(value)
-            continue
         if key not in set(dotted_keys(cfg)):
             message = f"configuration: unknown key {key!r}{nearest(key, dotted_keys(cfg))}"
             raise UserError(message)
@@ -81,12 +81,14 @@ def run_config(arguments: list[str]) -> tuple[Path, DictConfig]:
     return folder, cfg
 
 
-def plugin_group(name: str) -> DictConfig:
-    """Return the configuration of the plugin group of this name, composed by Hydra."""
+def composed_plugins(groups: list[str]) -> DictConfig:
+    """Return the configuration of the plugins that Hydra composes of these groups."""
     from hydra import compose, initialize_config_dir
 
     with initialize_config_dir(str(conf_dir()), version_base="1.3"):
-        return compose("train", [f"plugins={name}", "folder=."]).plugins
+        cfg = compose("train", [*groups, "folder=."])
+    OmegaConf.resolve(cfg.plugins)
+    return cfg.plugins
 
 
 def main() -> None:

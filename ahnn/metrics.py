@@ -52,6 +52,21 @@ def rmse_norm(error: Tensor) -> Tensor:
     return error.square().sum(-1).nanmean(-1).sqrt().mean()
 
 
+def typical_error(error: Tensor, ceiling: float) -> Tensor:
+    """Return the geometric mean over time of the rms over trajectories of the vector norm, a scalar.
+
+    It still tells models apart whose predictions leave the truth altogether: it falls when they stay near for
+    longer, where a root mean square says only how far away they end.
+
+    Args:
+        error: (B, T, n) with NaN rows where a trajectory has ended.
+        ceiling: an error beyond which a prediction is lost; larger ones, and inf, count as this.
+    """
+    norm = error.square().sum(-1).nanmean(0).sqrt()
+    norm = norm[~norm.isnan()].clamp(min=torch.finfo(norm.dtype).tiny, max=ceiling)
+    return norm.log().mean().exp()
+
+
 def score(prediction: Tensor, truth: Tensor, energies: tuple[Tensor, Tensor], inertia: float) -> Scores:
     """Return all scores.
 

@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     from lightning import Trainer
 
     from ahnn.data import WindowDataModule
+    from ahnn.evaluation import EvaluationPlugin
     from ahnn.models import AbstractDynamics
+    from ahnn.systems import System
 
 log = logging.getLogger(__name__)
 
@@ -63,7 +65,7 @@ def train_once(cfg: DictConfig) -> float:
     torch.set_num_threads(cfg.threads)
     seed_everything(cfg.seed, verbose=False)
     data, model = build_parts(cfg)
-    plugins = build_all(cfg.plugins, "plugins")
+    plugins = build_plugins(cfg, data.system)
     checkpoint = resume_point(cfg.ckpt, model, folder / "checkpoints")
     require_writable(folder)
     trainer = build_trainer(cfg)
@@ -121,6 +123,14 @@ def build_parts(cfg: DictConfig) -> tuple[WindowDataModule, AbstractDynamics]:
     model.configure_optimizers()
     model.provenance = {"system": plain_config(cfg.system)}
     return data, model
+
+
+def build_plugins(cfg: DictConfig, system: System) -> dict[str, EvaluationPlugin]:
+    """Build the evaluations that run after fit, and let each refuse a system that it does not fit."""
+    plugins = build_all(cfg.plugins, "plugins")
+    for plugin in plugins.values():
+        plugin.check(system)
+    return plugins
 
 
 def build_trainer(cfg: DictConfig) -> Trainer:

@@ -9,7 +9,7 @@ from helpers import close, generator
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ahnn.metrics import errors, moving_average, rmse_norm, rmse_pooled, score
+from ahnn.metrics import errors, moving_average, rmse_norm, rmse_pooled, score, typical_error
 
 
 def ragged(seed, count=5, samples=9, dof=2):
@@ -32,6 +32,22 @@ def test_both_definitions_agree_with_numpy_on_the_valid_samples(seed):
     norm = np.mean([np.sqrt(np.mean(np.sum(r**2, axis=1))) for r in rows])
     assert float(rmse_pooled(error)) == pytest.approx(pooled, rel=1e-14)
     assert float(rmse_norm(error)) == pytest.approx(norm, rel=1e-14)
+
+
+def test_the_typical_error_is_a_geometric_mean_with_a_ceiling():
+    error = torch.tensor([[[3.0, 4.0], [0.0, 1.0], [6.0, 8.0], [torch.nan] * 2]], dtype=torch.float64)
+    assert float(typical_error(error, 1e3)) == pytest.approx((5.0 * 1.0 * 10.0) ** (1 / 3), rel=1e-14)
+    error[0, 2, 0] = torch.inf
+    assert float(typical_error(error, 40.0)) == pytest.approx((5.0 * 1.0 * 40.0) ** (1 / 3), rel=1e-14)
+    two = torch.cat((error[:, :2], 7 * error[:, :2]))  # rms over trajectories: 5 times the first at each time
+    assert float(typical_error(two, 1e3)) == pytest.approx(5 * (5.0 * 1.0) ** 0.5, rel=1e-14)
+
+
+def test_it_prefers_the_model_that_stays_near_for_longer():
+    steps = torch.arange(1.0, 301.0, dtype=torch.float64)
+    late, early = (torch.where(steps < n, 1e-3 * steps, 1e3).reshape(1, -1, 1) for n in (200, 20))
+    assert float(rmse_norm(early)) < 2 * float(rmse_norm(late))
+    assert float(typical_error(late, 1e6)) < 0.01 * float(typical_error(early, 1e6))
 
 
 def test_scores_are_in_velocities_and_per_component():

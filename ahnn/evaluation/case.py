@@ -89,6 +89,10 @@ class Findings:
 class EvaluationPlugin(Protocol):
     """An evaluation that runs after fit; plugins are named in YAML and built from it."""
 
+    def check(self, system: System) -> None:
+        """Raise UserError for what does not fit the system; called before anything is trained."""
+        ...
+
     def __call__(self, case: Case) -> Findings:
         """Evaluate a trained model."""
         ...

@@ -13,8 +13,8 @@ from ahnn.evaluation import Case
 from ahnn.evaluation.figures import SMOOTHING
 from ahnn_plugins.ukf.consistency import band
 from ahnn_plugins.ukf.outcome import Outcome
-from ahnn_plugins.ukf.scenario import Setting
 from ahnn_plugins.ukf.series import Sawtooth, blocks, rms_over_members, sawtooth, smoothed_rms
+from ahnn_plugins.ukf.setting import Setting
 
 MODEL, FLOOR, NONE = "tab:red", "tab:gray", "tab:blue"
 NAMES = ("position", "velocity")
@@ -65,7 +65,7 @@ def states(case: Case, outcome: Outcome, teeth: Sawtooth) -> Figure:
     b = _member(outcome)
     time, unit = time_axis(case, teeth.sample)
     truth, mean, deviation = _columns(case, case.test.states[b], teeth.mean[b], teeth.deviation[b])
-    updates = _updates(outcome)
+    updates = _updates(outcome, b)
     for i, axes in enumerate(grid):
         low, high = mean[:, i] - 3 * deviation[:, i], mean[:, i] + 3 * deviation[:, i]
         axes.fill_between(time, low, high, color=MODEL, alpha=0.25, lw=0, label="±3σ")
@@ -141,7 +141,7 @@ def consistency(case: Case, setting: Setting, model: dict[str, Outcome], floor: 
         axes.axhspan(*band(count, members), color="tab:green", alpha=0.3, lw=0, label="95 % band")
         axes.axhline(count, color="tab:green", lw=0.8)
         axes.set_ylabel(f"mean {name} ({count} if consistent)")
-    _logarithmic(panels[0], setting.cadence)
+    _logarithmic(panels[0], setting.first)
     _logarithmic(panels[1], 0)
     _legend_below(figure, panels[0])
     panels[0].set_title(f"{case.system.name}: consistency over {members} unseen trajectories")
@@ -211,9 +211,9 @@ def _member(outcome: Outcome) -> int:
     return int((outcome.result.status != 0).to(torch.int64).argmin())
 
 
-def _updates(outcome: Outcome) -> Tensor:
-    """Return the samples at which member 0 was measured."""
-    return torch.nonzero(outcome.result.measured[0] > 0).flatten() + 1
+def _updates(outcome: Outcome, b: int) -> Tensor:
+    """Return the samples at which member b was measured."""
+    return torch.nonzero(outcome.result.measured[b] > 0).flatten() + 1
 
 
 def _frame(axes: Any, curves: list[Tensor], *, symmetric: bool) -> None:

@@ -10,7 +10,8 @@ from torch import Tensor
 from ahnn.evaluation import Case, Row
 from ahnn.metrics import Scores, score
 from ahnn_plugins.ukf.consistency import GAUSSIAN, band, coverage, deviations, nees, share_within
-from ahnn_plugins.ukf.scenario import Filter, Problem, Setting
+from ahnn_plugins.ukf.scenario import Filter, Problem
+from ahnn_plugins.ukf.setting import Setting
 from ahnn_plugins.ukf.smoother import unscented_smoother
 from ahnn_plugins.ukf.types import FilterResult, Status
 
@@ -72,7 +73,7 @@ def _outcome(
     estimate = torch.cat((result.initial.mean[:, None], means), dim=1)
     chol = torch.cat((result.initial.chol[:, None], chols), dim=1)
     normalised = nees(estimate - problem.truth, chol)
-    return Outcome(name, start, floor, estimate, chol, normalised, setting.cadence, result)
+    return Outcome(name, start, floor, estimate, chol, normalised, setting.first, result)
 
 
 def rows(outcome: Outcome, case: Case, without: Scores | None) -> list[Row]:
@@ -112,7 +113,8 @@ def _remark(outcome: Outcome, whole: Scores, without: Scores | None) -> str:
     if outcome.lost:
         codes = {Status(int(s)).name.lower().replace("_", " ") for s in outcome.result.status if int(s)}
         remarks.append(f"{outcome.lost} of {len(outcome.nees)} lost ({', '.join(sorted(codes))})")
-    if without is not None and not whole.position <= without.position:
+    worse = [] if without is None else _worse(whole, without)
+    if worse:
         low, high = _band(outcome)
         mean = float(outcome.nees[:, outcome.first :].nanmean())
         if outcome.lost:
@@ -121,15 +123,28 @@ def _remark(outcome: Outcome, whole: Scores, without: Scores | None) -> str:
             reason = "the start is exact, measurements are not"
         else:
             reason = "overconfident" if mean > high else "cautious" if mean < low else "measurement noise"
-        remarks.append(f"worse than no filter: {reason}")
+        where = "" if len(worse) == 2 else f" in {worse[0]}"
+        remarks.append(f"worse than no filter{where}: {reason}")
     return "; ".join(remarks)
 
 
+def _worse(scores: Scores, without: Scores) -> list[str]:
+    """Return which of position and velocity a filter makes worse."""
+    return [name for name in ("position", "velocity") if not getattr(scores, name) <= getattr(without, name)]
+
+
 def _consistency_remark(outcome: Outcome) -> str:
-    low, high = _band(outcome)
-    mean = float(outcome.nees[:, outcome.first :].nanmean())
-    verdict = "in" if low <= mean <= high else "not in"
-    return f"NEES {mean:.3g}, {verdict} {low:.1f}–{high:.1f}"
+    """Say how NEES and NIS lie to their bands, over times from the first update on."""
+    result = outcome.result
+    nis = result.nis.masked_fill(result.rejected, torch.nan)
+    limits = band(result.innovations.shape[-1], len(outcome.nees) - outcome.lost)
+    parts = (("NEES", outcome.nees[:, outcome.first :], _band(outcome)), ("NIS", nis, limits))
+    return ", ".join(_verdict(name, float(values.nanmean()), limits) for name, values, limits in parts)
+
+
+def _verdict(name: str, mean: float, limits: tuple[float, float]) -> str:
+    low, high = limits
+    return f"{name} {mean:.3g} {'in' if low <= mean <= high else 'not in'} {low:.1f}–{high:.1f}"
 
 
 def _band(outcome: Outcome) -> tuple[float, float]:

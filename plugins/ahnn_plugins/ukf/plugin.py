@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, final
+import math
+from functools import partial
+from typing import Any, Literal, cast, final
 
 import torch
 from torch import Tensor
@@ -15,18 +17,12 @@ from ahnn.evaluation.rollout import rollout
 from ahnn.integrators import INTEGRATORS
 from ahnn.systems import System
 from ahnn_plugins.ukf.figures import ukf_figures
-from ahnn_plugins.ukf.measurements import Measurement, Position
+from ahnn_plugins.ukf.measurements import Measurement
 from ahnn_plugins.ukf.outcome import Outcome, filtered, numbers, rows, smoothed
 from ahnn_plugins.ukf.process_noise import fitted_process_noise
-from ahnn_plugins.ukf.scenario import (
-    Filter,
-    Problem,
-    Setting,
-    assimilate,
-    shown,
-    simulated,
-    validation_problem,
-)
+from ahnn_plugins.ukf.scenario import Filter, Problem, assimilate, shown, simulated, validation_problem
+from ahnn_plugins.ukf.series import moving_averages
+from ahnn_plugins.ukf.setting import Setting, make_setting
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
 from ahnn_plugins.ukf.standard import STANDARD
 from ahnn_plugins.ukf.tuning import Tuning, tuned_once
@@ -41,18 +37,22 @@ class UKFEvaluation:
     """Unscented Kalman filter with the model as its process model, beside one with the exact dynamics.
 
     Two scenarios, `true` and `perturbed` start, see noisy measurements of the test trajectories; the noise is
-    drawn from the seed alone, so that all models see the same. P0 is the system's own.
+    drawn from the seed alone, so that all models see the same.
 
     Args:
         cadence: steps between two measurements.
-        measurement: what is measured; None takes the positions.
+        times: of the measurements, in place of a cadence; None takes the cadence.
+        measurement: what is measured: `position`, `state`, or a model of its own.
         measurement_sd: standard deviation of each measured component, or one for all; None takes the system's
             own for positions.
+        start_sd: standard deviations of the initial error [position, velocity], for P0; None takes the
+            system's own, those that perturbed starts are drawn with.
         process_noise: `fitted` to validation data, or standard deviations [position, velocity] of the error
             of one step.
         alpha, beta, kappa: parameters of the sigma points.
         form: how covariances are carried.
         gate: probability beyond which a measurement is refused as an outlier; None takes all.
+        patience: refusals in a row after which a member has diverged.
         smoother: whether to add the rows of the Rauch-Tung-Striebel smoother.
         tuning: options of `Tuning`, to add the rows of a tuned filter; None leaves them out.
         seed: of measurement noise and of the validation arcs.
@@ -62,55 +62,69 @@ class UKFEvaluation:
         self,
         *,
         cadence: int,
-        measurement: Measurement | dict[str, Any] | None,
+        times: list[float] | None,
+        measurement: Measurement | dict[str, Any] | Literal["position", "state"],
         measurement_sd: float | list[float] | None,
+        start_sd: list[float] | None,
         process_noise: Literal["fitted"] | list[float],
         alpha: float,
         beta: float,
         kappa: float,
         form: Literal["square_root", "standard"],
         gate: float | None,
+        patience: int,
         smoother: bool,
         tuning: dict[str, Any] | None,
         seed: int,
     ) -> None:
-        if isinstance(measurement, dict):
-            message = (
-                f"plugins.ukf.measurement: expected null or a node with _target_; received keys "
-                f"{', '.join(measurement)}"
-            )
-            raise UserError(message)
-        self.cadence, self.seed, self.smoother = cadence, seed, smoother
-        self.measurement, self.measurement_sd = measurement, measurement_sd
-        self.process_noise = process_noise
+        _check_measurement(measurement)
+        _check_noise(process_noise)
+        _check_gate(gate, patience)
+        self.seed, self.smoother, self.process_noise = seed, smoother, process_noise
         self.parameters = UnscentedParameters(alpha, beta, kappa)
-        self.form = {"square_root": SQUARE_ROOT, "standard": STANDARD}[form]
-        self.gate = None if gate is None else Gate(gate)
         self.tuning = None
         if tuning is not None:
             check_arguments("plugins.ukf.tuning", Tuning, tuning)
             self.tuning = Tuning(**tuning)
-        self._check()
+        self._setting = partial(
+            make_setting,
+            measurement=cast(Any, measurement),
+            measurement_sd=measurement_sd,
+            start_sd=start_sd,
+            cadence=cadence,
+            times=times,
+            form={"square_root": SQUARE_ROOT, "standard": STANDARD}[form],
+            gate=None if gate is None else Gate(gate, patience),
+        )
 
-    def _check(self) -> None:
-        if self.cadence < 1:
-            message = f"plugins.ukf.cadence: expected at least 1 step; received {self.cadence}"
-            raise UserError(message)
-        if self.gate is not None and not 0 < self.gate.probability < 1:
-            message = f"plugins.ukf.gate: expected a probability in (0, 1); received {self.gate.probability}"
-            raise UserError(message)
-        noise = self.process_noise
-        if isinstance(noise, list) and (len(noise) != 2 or min(noise) < 0):
+    def check(self, system: System) -> None:
+        """Refuse what does not fit a system, before anything is trained on it.
+
+        Raises:
+            UserError: says which option.
+        """
+        steps = int(system.durations(system.initial_states(1, torch.Generator().manual_seed(0))).max())
+        setting = self._setting(system, steps)
+        if self.tuning is not None and (self.tuning.steps or steps) < setting.first:
             message = (
-                f"plugins.ukf.process_noise: expected `fitted` or two standard deviations [position, "
-                f"velocity] >= 0; received {noise}"
+                f"plugins.ukf.tuning.steps: expected at least {setting.first}, when the first measurement "
+                f"comes; received {self.tuning.steps}"
+            )
+            raise UserError(message)
+        alpha, beta, kappa = self.parameters
+        if not (0 < abs(alpha) < math.inf and math.isfinite(beta) and -2 * system.dof < kappa < math.inf):
+            message = (
+                f"plugins.ukf: expected alpha other than 0, a finite beta and kappa > {-2 * system.dof}; "
+                f"received alpha={alpha}, beta={beta} and kappa={kappa}"
             )
             raise UserError(message)
 
     @torch.no_grad()
     def __call__(self, case: Case) -> Findings:
         """Filter the test trajectories and report scores, consistency and figures."""
-        setting = self._setting(case)
+        self.check(case.system)
+        shortest = min(int(part.lengths.min()) - 1 for part in (case.test, case.validation))
+        setting = self._setting(case.system, shortest)
         findings = Findings(numbers=self._settings(setting))
         problems = self._problems(case, setting)
         outcomes: list[Outcome] = []
@@ -124,7 +138,7 @@ class UKFEvaluation:
         for outcome in outcomes:
             findings.rows += rows(outcome, case, None if outcome.floor else scores[outcome.start])
             entry = findings.numbers["filters"].setdefault(outcome.name, {})
-            entry[outcome.start] = numbers(outcome, case)
+            entry[outcome.start] = numbers(outcome, case) | moving_averages(outcome, case)
         findings.arrays, findings.figures = ukf_figures(case, setting, outcomes, without)
         return findings
 
@@ -179,50 +193,10 @@ class UKFEvaluation:
             start: Problem(case.test.states, states, measurements, case.test.dt) for start, states in starts
         }
 
-    def _setting(self, case: Case) -> Setting:
-        """Return measurements and P0 of a case.
-
-        Raises:
-            UserError: no measurement falls within a trajectory, or they do not fit the system.
-        """
-        steps = min(int(part.lengths.min()) - 1 for part in (case.test, case.validation))
-        if self.cadence > steps:
-            message = (
-                f"plugins.ukf.cadence: expected at most {steps}, the steps of a trajectory; received "
-                f"{self.cadence}"
-            )
-            raise UserError(message)
-        alpha, _, kappa = self.parameters
-        if alpha == 0 or kappa <= -2 * case.system.dof:
-            message = (
-                f"plugins.ukf: expected alpha other than 0 and kappa > {-2 * case.system.dof}; "
-                f"received alpha={alpha} and kappa={kappa}"
-            )
-            raise UserError(message)
-        measurement = self.measurement or Position(case.system.dof, case.system.units.position)
-        sd = self._deviations(case.system, measurement)
-        _check_measurement(measurement, case.test.states[:1, 0])
-        return Setting(measurement, sd, case.system.deviations(), self.cadence, self.form, self.gate)
-
-    def _deviations(self, system: System, measurement: Measurement) -> Tensor:
-        """Return the standard deviations of the measurement noise, (M,)."""
-        given = self.measurement_sd
-        if given is None and self.measurement is None:
-            given = system.noise.measurement
-        names = [f"{n} [{u}]" for n, u in zip(measurement.names, measurement.units, strict=True)]
-        values = given if isinstance(given, list) else [given or 0.0] * len(names)
-        if len(values) != len(names) or min(values) <= 0:
-            message = (
-                f"plugins.ukf.measurement_sd: expected one number > 0 for each of {', '.join(names)}; "
-                f"received {given}"
-            )
-            raise UserError(message)
-        return torch.tensor(values, dtype=torch.float64)
-
     def _settings(self, setting: Setting) -> dict[str, Any]:
         """Return what was assumed, for metrics.json."""
         return {
-            "cadence": setting.cadence,
+            "updates": list(setting.updates),
             "measured": list(setting.measurement.names),
             "measurement_sd": setting.measurement_sd.tolist(),
             "start_sd": setting.start_sd.tolist(),
@@ -232,21 +206,37 @@ class UKFEvaluation:
         }
 
 
-def _check_measurement(measurement: Measurement, x: Tensor) -> None:
-    """Try a measurement model on a state, (1, D).
-
-    Raises:
-        UserError: it does not take states of this size.
-    """
-    expected = (1, len(measurement.names))
-    try:
-        shape = tuple(measurement(x, 0.0).shape)
-    except (RuntimeError, IndexError, ValueError) as error:
+def _check_measurement(measurement: Any) -> None:
+    if isinstance(measurement, str):
+        return
+    if isinstance(measurement, dict):
         message = (
-            f"plugins.ukf.measurement: expected a model of states with {x.shape[-1]} components; "
-            f"{type(measurement).__name__} failed: {error}"
+            "plugins.ukf.measurement: expected position, state or a node with _target_; received keys "
+            f"{', '.join(measurement)}"
         )
-        raise UserError(message) from error
-    if shape != expected:
-        message = f"plugins.ukf.measurement: expected measurements {expected}; received {shape}"
+        raise UserError(message)
+    missing = [name for name in ("names", "units", "residual") if not hasattr(measurement, name)]
+    if missing:
+        message = (
+            "plugins.ukf.measurement: expected a measurement model with names, units, residual; "
+            f"{type(measurement).__name__} has no {', '.join(missing)}"
+        )
+        raise UserError(message)
+
+
+def _check_noise(given: str | list[float]) -> None:
+    if isinstance(given, list) and not (len(given) == 2 and all(0 <= sd < math.inf for sd in given)):
+        message = (
+            f"plugins.ukf.process_noise: expected `fitted` or two standard deviations [position, "
+            f"velocity] >= 0; received {given}"
+        )
+        raise UserError(message)
+
+
+def _check_gate(probability: float | None, patience: int) -> None:
+    if probability is not None and not 0 < probability < 1:
+        message = f"plugins.ukf.gate: expected a probability in (0, 1); received {probability}"
+        raise UserError(message)
+    if patience < 1:
+        message = f"plugins.ukf.patience: expected at least 1 refusal; received {patience}"
         raise UserError(message)

@@ -24,7 +24,8 @@ from torch import Tensor
 
 from ahnn.types import Flow, Trajectories
 from ahnn_plugins.ukf.consistency import nees
-from ahnn_plugins.ukf.scenario import Filter, Problem, Setting, assimilate, shown
+from ahnn_plugins.ukf.scenario import Filter, Problem, assimilate, shown
+from ahnn_plugins.ukf.setting import Setting
 
 SCALES = tuple(10.0**k for k in range(-1, 5))
 """Candidates for c; measured optima lie between 20 and 100."""
@@ -77,7 +78,7 @@ def fitted_process_noise(
         candidate = chosen._replace(flow=flow, process_noise=scales[:, None, None] * one_step)
         result = assimilate(candidate, setting, problem.repeated(count))
     error = result.means - problem.truth[:, 1:].repeat(count, 1, 1)
-    settled = nees(error, result.chols)[:, setting.cadence - 1 :].nanmean(-1)
+    settled = nees(error, result.chols)[:, setting.first - 1 :].nanmean(-1)
     settled = settled.masked_fill(result.status != 0, torch.inf)
     values = settled.reshape(count, batch).mean(-1).tolist()
     scale = crossing(SCALES, values, float(size))

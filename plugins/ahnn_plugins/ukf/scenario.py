@@ -11,36 +11,13 @@ from torch import Tensor
 
 from ahnn.progress import progress_bar
 from ahnn.types import Flow, TimeStep, Trajectories
-from ahnn_plugins.ukf.cadence import every
 from ahnn_plugins.ukf.covariances import initial_belief
 from ahnn_plugins.ukf.filter import unscented_filter
-from ahnn_plugins.ukf.measurements import Measurement
-from ahnn_plugins.ukf.types import FilterResult, Form, Gate, UnscentedParameters
+from ahnn_plugins.ukf.setting import Setting
+from ahnn_plugins.ukf.types import FilterResult, UnscentedParameters
 
-
-class Setting(NamedTuple):
-    """How measurements are made and what a filter is told, the same for every model.
-
-    Attributes:
-        measurement: the model of the measurements.
-        measurement_sd: (M,) standard deviations, of the simulated noise and of R alike.
-        start_sd: (D,) standard deviations of the initial error; P0 is diagonal.
-        cadence: steps between two measurements.
-        form: square-root or standard.
-        gate: refuses improbable measurements; None takes all.
-    """
-
-    measurement: Measurement
-    measurement_sd: Tensor
-    start_sd: Tensor
-    cadence: int
-    form: Form
-    gate: Gate | None
-
-    @property
-    def measurement_noise(self) -> Tensor:
-        """R, (M, M)."""
-        return torch.diag(self.measurement_sd**2)
+MEASUREMENTS = 1_000_003
+"""Added to a seed for the measurement noise: with the seed of the initial errors it would repeat them."""
 
 
 class Problem(NamedTuple):
@@ -87,13 +64,14 @@ class Filter(NamedTuple):
 def simulated(setting: Setting, truth: Tensor, dt: float, seed: int) -> Tensor:
     """Return noisy measurements (B, T, M) of true trajectories (B, T + 1, D), NaN between measurements."""
     batch, samples, _ = truth.shape
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(seed + MEASUREMENTS)
     width = len(setting.measurement.names)
     noise = torch.randn(batch, samples - 1, width, generator=generator, dtype=torch.float64)
-    exact = torch.full_like(noise, torch.nan)
-    for k in range(setting.cadence, samples, setting.cadence):
-        exact[:, k - 1] = setting.measurement(truth[:, k], k * dt)
-    return every(exact + noise * setting.measurement_sd, setting.cadence)
+    measurements = torch.full_like(noise, torch.nan)
+    for k in (k for k in setting.updates if k < samples):
+        exact = setting.measurement(truth[:, k], k * dt)
+        measurements[:, k - 1] = exact + noise[:, k - 1] * setting.measurement_sd
+    return measurements
 
 
 def validation_problem(

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.evaluation import Case
 from ahnn.evaluation.figures import SMOOTHING
 from ahnn.metrics import moving_average
 from ahnn_plugins.ukf.consistency import deviations
@@ -60,3 +61,11 @@ def rms_over_members(error: Tensor, inertia: float) -> Tensor:
 def smoothed_rms(error: Tensor, inertia: float) -> Tensor:
     """Return the trailing means over 240 samples of `rms_over_members`, (2, T)."""
     return torch.stack([moving_average(row, SMOOTHING) for row in rms_over_members(error, inertia)])
+
+
+def moving_averages(outcome: Outcome, case: Case) -> dict[str, dict[str, list[float]]]:
+    """Return the moving averages of both errors at the measured samples, as plain values for metrics.json."""
+    position, velocity = smoothed_rms(outcome.estimate - case.test.states, case.system.inertia)
+    at = torch.nonzero((outcome.result.measured > 0).any(0)).flatten() + 1
+    series = {"sample": at, "position": position[at], "velocity": velocity[at]}
+    return {f"moving_average_{SMOOTHING}": {key: value.tolist() for key, value in series.items()}}

@@ -6,7 +6,9 @@ asked for at once, with a constant liar in place of the results still missing, a
 
 from __future__ import annotations
 
+import hashlib
 import json
+import math
 import warnings
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,23 +17,20 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.arguments import fits, nearest
 from ahnn.data.store import write_atomically
 from ahnn.errors import UserError
 from ahnn.metrics import errors, rmse_norm
-from ahnn_plugins.ukf.scenario import Filter, Problem, Setting, assimilate, shown
+from ahnn_plugins.ukf.scenario import Filter, Problem, assimilate, shown
+from ahnn_plugins.ukf.setting import Setting
 from ahnn_plugins.ukf.types import Status, UnscentedParameters
 
 if TYPE_CHECKING:
     from optuna import Study
+    from optuna.distributions import BaseDistribution
 
-RANGES = {
-    "alpha": (1e-3, 1.0),
-    "beta": (0.0, 4.0),
-    "kappa": (0.0, 3.0),
-    "scale_q": (1e-2, 1e2),
-    "scale_r": (1e-1, 1e1),
-}
-"""Search space; alpha and the factors of Q and R on a logarithmic scale. The paper gives none."""
+NAMES = ("alpha", "beta", "kappa", "scale_q", "scale_r")
+"""What may be searched; the last two are factors of Q and R."""
 
 LOGARITHMIC = ("alpha", "scale_q", "scale_r")
 
@@ -44,6 +43,7 @@ class Tuning:
     """How much is searched.
 
     Attributes:
+        ranges: [low, high] of each constant that is searched; the others keep their values.
         trials: filters that are tried.
         trajectories: validation trajectories, one arc of each.
         steps: length of an arc; None takes whole trajectories.
@@ -51,6 +51,7 @@ class Tuning:
         seed: of the sampler.
     """
 
+    ranges: dict[str, list[float]]
     trials: int
     trajectories: int
     steps: int | None
@@ -58,11 +59,35 @@ class Tuning:
     seed: int
 
     def __post_init__(self) -> None:
-        """Refuse counts below one."""
-        for name, value in asdict(self).items():
-            if name != "seed" and value is not None and value < 1:
+        """Refuse counts below one, and ranges that are none."""
+        counts = {"trials": self.trials, "trajectories": self.trajectories, "batch": self.batch}
+        for name, value in (counts | {"steps": self.steps or 1}).items():
+            if value < 1:
                 message = f"plugins.ukf.tuning.{name}: expected at least 1; received {value}"
                 raise UserError(message)
+        for name, interval in self.ranges.items():
+            _check_range(name, interval)
+
+    def space(self) -> dict[str, BaseDistribution]:
+        """Return the search space."""
+        from optuna.distributions import FloatDistribution
+
+        return {
+            name: FloatDistribution(*interval, log=name in LOGARITHMIC)
+            for name, interval in self.ranges.items()
+        }
+
+
+def _check_range(name: str, interval: Any) -> None:
+    if name not in NAMES:
+        message = f"plugins.ukf.tuning.ranges: unknown key {name!r}{nearest(name, NAMES)}"
+        raise UserError(message)
+    least = 0.0 if name in LOGARITHMIC else -math.inf
+    plain = fits(interval, list[float]) and len(interval) == 2
+    if not plain or not least < interval[0] < interval[1] < math.inf:
+        words = "0 < low < high" if name in LOGARITHMIC else "low < high"
+        message = f"plugins.ukf.tuning.ranges.{name}: expected [low, high], {words}; received {interval}"
+        raise UserError(message)
 
 
 class Tuned(NamedTuple):
@@ -74,7 +99,7 @@ class Tuned(NamedTuple):
 
     def apply(self, chosen: Filter) -> Filter:
         """Return a filter with the tuned constants."""
-        v = self.values
+        v = own_values(chosen) | self.values
         return chosen._replace(
             parameters=UnscentedParameters(v["alpha"], v["beta"], v["kappa"]),
             process_noise=v["scale_q"] * chosen.process_noise,
@@ -91,20 +116,41 @@ def tune(chosen: Filter, setting: Setting, problem: Problem, options: Tuning) ->
         problem: V validation arcs.
         options: how much is searched.
     """
-    study = _study(options.seed)
-    parameters = chosen.parameters._asdict()
-    start = {name: float(parameters.get(name, 1.0)) for name in RANGES}  # factors of Q and R begin at 1
-    study.enqueue_trial(start)
+    study, space = _study(options.seed), options.space()
+    study.enqueue_trial(_begin(chosen, options))
     sizes = [min(options.batch, options.trials - i) for i in range(0, options.trials, options.batch)]
     calls = len(sizes) * (problem.truth.shape[1] - 1)
     with shown(chosen.flow, f"tuning {chosen.name}: {options.trials} trials", calls) as flow:
         for size in sizes:
-            trials = [study.ask(_space()) for _ in range(size)]
+            trials = [study.ask(space) for _ in range(size)]
             values = objectives(chosen._replace(flow=flow), setting, problem, [t.params for t in trials])
             for trial, value in zip(trials, values, strict=True):
                 study.tell(trial, value)
     best = study.best_trial
     return Tuned(dict(best.params), float(study.best_value), float(study.trials[0].values[0]))
+
+
+def own_values(chosen: Filter) -> dict[str, float]:
+    """Return the constants of a filter as the search names them; the factors of Q and R are 1."""
+    parameters = {name: float(value) for name, value in chosen.parameters._asdict().items()}
+    return {**parameters, "scale_q": 1.0, "scale_r": 1.0}
+
+
+def _begin(chosen: Filter, options: Tuning) -> dict[str, float]:
+    """Return the first trial, the constants that the filter has.
+
+    Raises:
+        UserError: one lies outside its range.
+    """
+    own = own_values(chosen)
+    for name, (low, high) in options.ranges.items():
+        if not low <= own[name] <= high:
+            message = (
+                f"plugins.ukf.tuning.ranges.{name}: expected a range with the untuned {own[name]:g} in it, "
+                f"where the search begins; received {[low, high]}"
+            )
+            raise UserError(message)
+    return {name: own[name] for name in options.ranges}
 
 
 def objectives(
@@ -116,6 +162,7 @@ def objectives(
     initial standard deviation, from the first update on: what is before it no filter can change.
     """
     count, (batch, _, size) = len(trials), problem.truth.shape
+    trials = [own_values(chosen) | trial for trial in trials]
 
     def column(name: str) -> Tensor:
         return torch.tensor([t[name] for t in trials], dtype=torch.float64).repeat_interleave(batch)
@@ -126,7 +173,7 @@ def objectives(
         measurement_noise=column("scale_r")[:, None, None] * chosen.measurement_noise,
     )
     result = assimilate(candidate, setting, problem.repeated(count))
-    first = setting.cadence - 1
+    first = setting.first - 1
     truth = problem.truth[:, 1 + first :].repeat(count, 1, 1)
     error = errors(result.means[:, first:], truth) / setting.start_sd
     lost = (result.status != Status.OK).reshape(count, batch).any(-1)
@@ -141,13 +188,21 @@ def objectives(
 def tuned_once(chosen: Filter, setting: Setting, problem: Problem, options: Tuning, path: Path) -> Tuned:
     """Return the tuned constants that a file holds for this very search, or search and write it."""
     recipe = _recipe(chosen, setting, problem, options)
-    if path.is_file():
-        stored = json.loads(path.read_text())
-        if stored["recipe"] == recipe:
-            return Tuned(stored["values"], stored["objective"], stored["untuned"])
+    stored = _stored(path)
+    if stored.get("recipe") == recipe:
+        return Tuned(stored["values"], stored["objective"], stored["untuned"])
     tuned = tune(chosen, setting, problem, options)
     write_atomically(path, json.dumps({**tuned._asdict(), "recipe": recipe}, indent=2).encode())
     return tuned
+
+
+def _stored(path: Path) -> dict[str, Any]:
+    """Return what a file of tuned values holds; nothing if it is missing or damaged."""
+    try:
+        stored = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return {}
+    return stored if isinstance(stored, dict) else {}
 
 
 def _recipe(chosen: Filter, setting: Setting, problem: Problem, options: Tuning) -> dict[str, Any]:
@@ -158,12 +213,13 @@ def _recipe(chosen: Filter, setting: Setting, problem: Problem, options: Tuning)
         "image": image,
         "process_noise": chosen.process_noise,
         "measurement_noise": chosen.measurement_noise,
+        "start_sd": setting.start_sd,
         "parameters": torch.tensor([float(p) for p in chosen.parameters]),
     }
+    arcs = b"".join(part.numpy().tobytes() for part in (problem.starts, problem.measurements))
     return {
         "tuning": asdict(options),
-        "measurement": type(setting.measurement).__name__,
-        "cadence": setting.cadence,
+        "arcs": hashlib.sha256(arcs).hexdigest(),
         "form": setting.form.name,
         "gate": None if setting.gate is None else list(setting.gate),
         **{name: [f"{v:.5e}" for v in tensor.flatten().tolist()] for name, tensor in tensors.items()},
@@ -180,11 +236,3 @@ def _study(seed: int) -> Study:
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
         sampler = optuna.samplers.TPESampler(seed=seed, constant_liar=True)
     return optuna.create_study(sampler=sampler)
-
-
-def _space() -> dict[str, Any]:
-    from optuna.distributions import FloatDistribution
-
-    return {
-        name: FloatDistribution(low, high, log=name in LOGARITHMIC) for name, (low, high) in RANGES.items()
-    }

@@ -14,14 +14,16 @@ from ahnn.systems import Molniya
 from ahnn_plugins.ukf import SQUARE_ROOT, Position, UnscentedParameters
 from ahnn_plugins.ukf.consistency import band, coverage, nees, share_within
 from ahnn_plugins.ukf.process_noise import crossing
-from ahnn_plugins.ukf.scenario import Filter, Problem, Setting, assimilate, simulated, validation_problem
+from ahnn_plugins.ukf.scenario import Filter, Problem, assimilate, simulated, validation_problem
+from ahnn_plugins.ukf.setting import Setting
 
 
 @pytest.mark.parametrize(("start", "whole"), [("true", (0.0, 1.0)), ("perturbed", (13.0, 17.0))])
 def test_exact_dynamics_on_125_orbits(start: str, whole: tuple[float, float]) -> None:
     system = Molniya(name="orbits", dt=60.0, steps=1440)
     truth = generate(system, 125, seed=1).states
-    setting = Setting(Position(), torch.ones(3).double(), system.deviations(), 60, SQUARE_ROOT, None)
+    hourly = tuple(range(60, 1441, 60))
+    setting = Setting(Position(), torch.ones(3).double(), system.deviations(), hourly, SQUARE_ROOT, None)
     begin = truth[:, 0] + (perturbations(system, 125, seed=0) if start == "perturbed" else 0.0)
     problem = Problem(truth, begin, simulated(setting, truth, 60.0, seed=0), 60.0)
     flow = exact_flow(system, INTEGRATORS[system.integrator])
@@ -71,7 +73,9 @@ def test_crossing_of_a_power_law_is_exact() -> None:
 def test_validation_arcs_spread_over_their_trajectories() -> None:
     system = Molniya(name="orbits", dt=60.0, steps=40)
     data = generate(system, 3, seed=0)
-    setting = Setting(Position(), torch.ones(3).double(), system.deviations(), 5, SQUARE_ROOT, None)
+    setting = Setting(
+        Position(), torch.ones(3).double(), system.deviations(), tuple(range(5, 61, 5)), SQUARE_ROOT, None
+    )
     arcs = validation_problem(setting, data, 3, steps=10, seed=0)
     for b, begin in enumerate((0, 15, 30)):
         assert torch.equal(arcs.truth[b], data.states[b, begin : begin + 11])

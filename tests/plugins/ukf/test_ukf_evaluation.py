@@ -21,6 +21,9 @@ from ahnn.integrators import INTEGRATORS
 from ahnn.paths import conf_dir
 from ahnn.systems import MassSpring, Molniya, System
 from ahnn.types import Flow
+from ahnn_plugins.ukf import SQUARE_ROOT, Position
+from ahnn_plugins.ukf.scenario import simulated
+from ahnn_plugins.ukf.setting import Setting
 
 RK4 = INTEGRATORS["rk4"]
 SPRING = MassSpring(name="spring", dt=0.01, steps=200)
@@ -50,11 +53,11 @@ def make_case(tmp_path: Path) -> Callable[..., Case]:
     return make
 
 
-def run(case: Case, *overrides: str, group: str = "ukf") -> Findings:
+def run(case: Case, *overrides: str, group: str = "ukf", measurement: str = "position") -> Findings:
     """Evaluate a case by the plugin that the YAML and some overrides describe."""
     changes = [f"++plugins.ukf.{override}" for override in overrides]
     with initialize_config_dir(str(conf_dir()), version_base="1.3"):
-        cfg = compose("train", [f"plugins={group}", "folder=.", *changes])
+        cfg = compose("train", [f"plugins={group}", f"measurement={measurement}", "folder=.", *changes])
     return build_all(cfg.plugins, "plugins")["ukf"](case)
 
 
@@ -124,8 +127,7 @@ def test_smoother_has_its_own_rows_and_is_better(spring: Case) -> None:
 
 def test_ground_station_from_yaml(make_case: Callable) -> None:
     case = make_case(ORBITS, exact_flow(ORBITS, RK4))
-    station = "{_target_:ahnn_plugins.ukf.stations.GroundStation,latitude:60,longitude:30,range_rate:true}"
-    findings = run(case, f"measurement={station}", "measurement_sd=[0.1,1e-4,1e-4,1e-5]", "cadence=10")
+    findings = run(case, "cadence=10", measurement="ground_station")
     assert findings.numbers["measured"] == ["range", "azimuth", "elevation", "range_rate"]
     assert findings.rows[3].scores.position < 3.0  # km; without measurements tens of km
 
@@ -134,14 +136,27 @@ def test_ground_station_from_yaml(make_case: Callable) -> None:
     ("change", "message"),
     [
         ("cadence=0", "cadence: expected at least 1"),
-        ("cadence=201", "cadence: expected at most 200, the steps of a trajectory; received 201"),
+        ("cadence=201", "cadence: expected .* at most 200, the steps of a trajectory; received 201"),
+        ("times=[0.1,0.3,0.2]", "times: expected increasing multiples of dt = 0.01, from 0.01 to 2"),
+        ("times=[0.105]", r"times: expected increasing multiples .* received \[0.105\]"),
+        ("times=[0.0]", "times: expected increasing multiples"),
+        ("times=[]", "times: expected increasing multiples"),
+        ("start_sd=[1.0]", r"start_sd: expected two numbers > 0, \[position m, velocity m/s\]"),
+        ("measurement_sd=nan", "measurement_sd: expected one number > 0"),
+        ("alpha=nan", "expected alpha other than 0, a finite beta"),
+        ("patience=0", "patience: expected at least 1 refusal"),
+        ("measurement=velocity", "measurement: expected .* position, state"),
+        ("measurement={_target_:ahnn_plugins.ukf.Gate}", "Gate has no names, units, residual"),
         ("cadence=fast", "cadence: expected int; received 'fast'"),
         ("process_noise=[1.0]", "process_noise: expected `fitted` or two"),
         ("process_noise=guessed", "process_noise: expected one of fitted or a list of float"),
         ("measurement_sd=[1.0,2.0]", r"measurement_sd: expected one number > 0 for each of q1 \[m\]"),
-        ("measurement={latitude:3}", "measurement: expected null or a node with _target_; received keys lat"),
+        (
+            "measurement={latitude:3}",
+            "measurement: expected position, state or a node with _target_; received keys",
+        ),
         ("gate=1.5", r"gate: expected a probability in \(0, 1\)"),
-        ("kappa=-2.0", "expected alpha other than 0 and kappa > -2"),
+        ("kappa=-2.0", "a finite beta and kappa > -2"),
         ("tuning={trial:3}", "tuning: unknown key 'trial'; did you mean 'trials'"),
     ],
 )
@@ -150,7 +165,39 @@ def test_mistakes_are_named(spring: Case, change: str, message: str) -> None:
         run(spring, change)
 
 
+def test_measurements_at_given_times(spring: Case) -> None:
+    findings = run(spring, "times=[0.3,0.5,1.7]")
+    assert findings.numbers["updates"] == [30, 50, 170]
+    told = findings.numbers["filters"]["model + UKF"]["true"]["moving_average_240"]
+    assert told["sample"] == [30, 50, 170]
+    assert all(value > 0 for value in told["position"])
+
+
+def test_satellites_and_whole_states_are_measured_from_yaml(make_case: Callable[..., Case]) -> None:
+    case = make_case(ORBITS, exact_flow(ORBITS, RK4))
+    ranges = run(case, "cadence=10", measurement="gnss_range")
+    states = run(case, "cadence=10", "measurement_sd=[1,1,1,1e-3,1e-3,1e-3]", measurement="state")
+    assert len(ranges.numbers["measured"]) == 4
+    assert len(states.numbers["measured"]) == 6
+    assert ranges.rows[3].scores.position < 1.0
+    assert states.rows[3].scores.position < 3.0
+
+
+def test_measurement_noise_is_not_the_initial_error(spring: Case) -> None:
+    setting = Setting(Position(1, "m"), torch.ones(1), SPRING.deviations(), (1, 2), SQUARE_ROOT, None)
+    truth = torch.zeros(6, 3, 2, dtype=torch.float64)
+    noise = simulated(setting, truth, 0.01, seed=0).flatten()
+    drawn = (spring.perturbation / SPRING.deviations()).flatten()
+    assert not torch.isclose(noise[:, None], drawn).any()
+
+
+def test_a_filter_that_spoils_the_velocity_alone_says_so(make_case: Callable[..., Case]) -> None:
+    case = make_case(SPRING, exact_flow(SPRING, RK4))
+    findings = run(case, "process_noise=[0.0,5e-5]")
+    row = next(row for row in findings.rows if row.start == "perturbed")
+    assert row.note == "worse than no filter in velocity: measurement noise"
+
+
 def test_a_measurement_of_another_system_is_refused(spring: Case) -> None:
-    station = "{_target_:ahnn_plugins.ukf.stations.GroundStation,latitude:60,longitude:30}"
     with pytest.raises(UserError, match="states with 2 components; GroundStation failed"):
-        run(spring, f"measurement={station}", "measurement_sd=1.0")
+        run(spring, measurement="ground_station")

@@ -13,17 +13,27 @@ from ahnn.evaluation.open_loop import exact_flow
 from ahnn.integrators import INTEGRATORS
 from ahnn.systems import MassSpring
 from ahnn_plugins.ukf import SQUARE_ROOT, Position, UnscentedParameters, tuning
-from ahnn_plugins.ukf.scenario import Filter, Problem, Setting, validation_problem
+from ahnn_plugins.ukf.scenario import Filter, Problem, validation_problem
+from ahnn_plugins.ukf.setting import Setting
 from ahnn_plugins.ukf.tuning import LOST, Tuning, objectives, tune, tuned_once
 
 SYSTEM = MassSpring(name="spring", dt=0.01, steps=200)
 WRONG = MassSpring(name="wrong", dt=0.01, steps=200, stiffness=5.05)
-OPTIONS = Tuning(trials=25, trajectories=4, steps=100, batch=8, seed=0)
+RANGES = {
+    "alpha": [1e-3, 1.0],
+    "beta": [0.0, 4.0],
+    "kappa": [0.0, 3.0],
+    "scale_q": [1e-2, 1e2],
+    "scale_r": [0.1, 10.0],
+}
+OPTIONS = Tuning(ranges=RANGES, trials=25, trajectories=4, steps=100, batch=8, seed=0)
 
 
 @pytest.fixture
 def search() -> tuple[Filter, Setting, Problem]:
-    setting = Setting(Position(1, "m"), torch.full((1,), 3e-4), SYSTEM.deviations(), 20, SQUARE_ROOT, None)
+    updates = tuple(range(20, 101, 20))
+    sd = torch.full((1,), 3e-4)
+    setting = Setting(Position(1, "m"), sd, SYSTEM.deviations(), updates, SQUARE_ROOT, None)
     arcs = validation_problem(setting, generate(SYSTEM, 4, seed=0), 4, 100, seed=0)
     q = 1e-9 * torch.eye(2, dtype=torch.float64)  # far too little for a wrong spring
     flow = exact_flow(WRONG, INTEGRATORS["rk4"])
@@ -61,7 +71,7 @@ def test_values_are_stored_and_used_again(
     search: tuple, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "ukf_tuned.json"
-    options = Tuning(trials=4, trajectories=4, steps=100, batch=4, seed=0)
+    options = Tuning(ranges=RANGES, trials=4, trajectories=4, steps=100, batch=4, seed=0)
     first = tuned_once(*search, options, path)
     chosen, setting, arcs = search
     other = chosen._replace(process_noise=2 * chosen.process_noise)
@@ -70,8 +80,37 @@ def test_values_are_stored_and_used_again(
         assert tuned_once(*search, options, path) == first
         with pytest.raises(pytest.fail.Exception, match="searched again"):
             tuned_once(other, setting, arcs, options, path)
+        with pytest.raises(pytest.fail.Exception, match="searched again"):
+            tuned_once(chosen, setting, arcs._replace(measurements=2 * arcs.measurements), options, path)
+    path.write_text("{")
+    assert tuned_once(*search, options, path) == first
 
 
-def test_mistakes_are_named() -> None:
-    with pytest.raises(UserError, match=r"tuning.batch: expected at least 1; received 0"):
-        Tuning(trials=1, trajectories=1, steps=None, batch=0, seed=0)
+def test_only_what_has_a_range_is_searched(search: tuple) -> None:
+    only_q = Tuning(ranges={"scale_q": [1e-2, 1e2]}, trials=6, trajectories=4, steps=100, batch=6, seed=0)
+    found = tune(*search, only_q)
+    assert set(found.values) == {"scale_q"}
+    assert found.apply(search[0]).parameters == search[0].parameters
+    assert found.objective < found.untuned
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"batch": 0}, "tuning.batch: expected at least 1; received 0"),
+        ({"ranges": {"alfa": [0, 1]}}, "ranges: unknown key 'alfa'; did you mean 'alpha'"),
+        ({"ranges": {"alpha": [0.0, 1.0]}}, r"ranges.alpha: expected \[low, high\], 0 < low < high"),
+        ({"ranges": {"kappa": [2.0, 1.0]}}, r"ranges.kappa: expected \[low, high\], low < high"),
+        ({"ranges": {"kappa": "wide"}}, "ranges.kappa: expected .* received wide"),
+    ],
+)
+def test_mistakes_are_named(change: dict, message: str) -> None:
+    options = {"ranges": RANGES, "trials": 1, "trajectories": 1, "steps": None, "batch": 1, "seed": 0}
+    with pytest.raises(UserError, match=message):
+        Tuning(**{**options, **change})
+
+
+def test_a_range_that_the_search_cannot_begin_in_is_refused(search: tuple) -> None:
+    away = Tuning(ranges={"alpha": [1e-3, 0.5]}, trials=2, trajectories=4, steps=100, batch=2, seed=0)
+    with pytest.raises(UserError, match="with the untuned 1 in it"):
+        tune(*search, away)

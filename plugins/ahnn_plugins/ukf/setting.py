@@ -1,0 +1,155 @@
+"""How measurements are made and what a filter is told of them: what all models of an evaluation share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from ahnn.errors import UserError
+from ahnn.systems import System
+from ahnn_plugins.ukf.measurements import Measurement, Position, State
+from ahnn_plugins.ukf.types import Form, Gate
+
+
+class Setting(NamedTuple):
+    """How measurements are made and what a filter is told, the same for every model.
+
+    Attributes:
+        measurement: the model of the measurements.
+        measurement_sd: (M,) standard deviations, of the simulated noise and of R alike.
+        start_sd: (D,) standard deviations of the initial error; P0 is diagonal.
+        updates: numbers of the samples that are measured, increasing, from 1.
+        form: square-root or standard.
+        gate: refuses improbable measurements; None takes all.
+    """
+
+    measurement: Measurement
+    measurement_sd: Tensor
+    start_sd: Tensor
+    updates: tuple[int, ...]
+    form: Form
+    gate: Gate | None
+
+    @property
+    def measurement_noise(self) -> Tensor:
+        """R, (M, M)."""
+        return torch.diag(self.measurement_sd**2)
+
+    @property
+    def first(self) -> int:
+        """The first sample that is measured."""
+        return self.updates[0]
+
+
+def make_setting(
+    system: System,
+    steps: int,
+    *,
+    measurement: Measurement | Literal["position", "state"],
+    measurement_sd: float | Sequence[float] | None,
+    start_sd: Sequence[float] | None,
+    cadence: int,
+    times: Sequence[float] | None,
+    form: Form,
+    gate: Gate | None,
+) -> Setting:
+    """Return the setting of a system from the options of `UKFEvaluation`.
+
+    Args:
+        system: what is measured.
+        steps: of the shortest trajectory.
+        measurement: a model, or the name of one that reads the state itself.
+        measurement_sd: standard deviations of its noise; None takes the system's own for positions.
+        start_sd: of the initial positions and velocities; None takes the system's own.
+        cadence: steps between two measurements.
+        times: of the measurements, in place of a cadence.
+        form: as in `Setting`.
+        gate: as in `Setting`.
+
+    Raises:
+        UserError: no measurement falls within a trajectory, or an option does not fit the system.
+    """
+    updates = _cadence(cadence, steps) if times is None else _samples(times, system.dt, steps)
+    model = named(measurement, system) if isinstance(measurement, str) else measurement
+    default = system.noise.measurement if measurement == "position" else None
+    sd = _deviations(model, default if measurement_sd is None else measurement_sd)
+    _try(model, system, updates[0] * system.dt)
+    return Setting(model, sd, _start(system, start_sd), updates, form, gate)
+
+
+def named(measurement: str, system: System) -> Measurement:
+    """Return the measurement of a system's positions, or of its whole states."""
+    if measurement == "position":
+        return Position(system.dof, system.units.position)
+    return State(system.dof, (system.units.position, f"{system.units.velocity} · mass"))
+
+
+def _cadence(cadence: int, steps: int) -> tuple[int, ...]:
+    if not 1 <= cadence <= steps:
+        message = (
+            f"plugins.ukf.cadence: expected at least 1 and at most {steps}, the steps of a trajectory; "
+            f"received {cadence}"
+        )
+        raise UserError(message)
+    return tuple(range(cadence, steps + 1, cadence))
+
+
+def _samples(times: Sequence[float], dt: float, steps: int) -> tuple[int, ...]:
+    """Return the samples at given times."""
+    samples = [round(t / dt) if math.isfinite(t) else -1 for t in times]
+    there = all(abs(k * dt - t) <= 1e-6 * dt and 1 <= k <= steps for k, t in zip(samples, times, strict=True))
+    if not samples or not there or samples != sorted(set(samples)):
+        message = (
+            f"plugins.ukf.times: expected increasing multiples of dt = {dt:g}, from {dt:g} to "
+            f"{steps * dt:g}; received {list(times)}"
+        )
+        raise UserError(message)
+    return tuple(samples)
+
+
+def _deviations(model: Measurement, given: float | Sequence[float] | None) -> Tensor:
+    """Return the standard deviations of the measurement noise, (M,)."""
+    names = [f"{n} [{u}]" for n, u in zip(model.names, model.units, strict=True)]
+    values = list(given) if isinstance(given, Sequence) else [given or 0.0] * len(names)
+    if len(values) != len(names) or not all(0 < value < math.inf for value in values):
+        message = (
+            f"plugins.ukf.measurement_sd: expected one number > 0 for each of {', '.join(names)}; "
+            f"received {given}"
+        )
+        raise UserError(message)
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def _start(system: System, given: Sequence[float] | None) -> Tensor:
+    """Return the standard deviations of the initial error, (D,)."""
+    if given is None:
+        return system.deviations()
+    if len(given) != 2 or not all(0 < value < math.inf for value in given):
+        message = (
+            f"plugins.ukf.start_sd: expected two numbers > 0, [position {system.units.position}, velocity "
+            f"{system.units.velocity}]; received {list(given)}"
+        )
+        raise UserError(message)
+    blocks = torch.tensor([given[0], given[1] * system.inertia], dtype=torch.float64)
+    return blocks.repeat_interleave(system.dof)
+
+
+def _try(measurement: Any, system: System, time: float) -> None:
+    """Try a measurement model on an initial state."""
+    x = system.initial_states(1, torch.Generator().manual_seed(0))
+    expected = (1, len(measurement.names))
+    try:
+        shape = tuple(measurement(x, time).shape)
+    except (RuntimeError, IndexError, ValueError) as error:
+        message = (
+            f"plugins.ukf.measurement: expected a model of states with {x.shape[-1]} components; "
+            f"{type(measurement).__name__} failed: {error}"
+        )
+        raise UserError(message) from error
+    if shape != expected:
+        message = f"plugins.ukf.measurement: expected measurements {expected}; received {shape}"
+        raise UserError(message)
