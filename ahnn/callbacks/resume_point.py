@@ -9,6 +9,7 @@ from lightning import LightningModule, Trainer
 from lightning.pytorch.callbacks import Checkpoint
 
 from ahnn.errors import UserError
+from ahnn.models import AbstractDynamics
 
 
 class ResumePoint(Checkpoint):
@@ -33,8 +34,10 @@ class ResumePoint(Checkpoint):
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
         """Write when due, but not on the last batch of an epoch."""
-        del pl_module, outputs, batch, batch_idx
+        del outputs, batch, batch_idx
         if trainer.global_step % self.every == 0 and not trainer.is_last_batch:
+            assert isinstance(pl_module, AbstractDynamics)
+            pl_module.require_finite()
             trainer.save_checkpoint(self.path)
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 from lightning import Callback, LightningModule, Trainer
 
 from ahnn.data import WindowDataModule
@@ -32,11 +35,27 @@ class ValidationRollout(Callback):
             message = f"callbacks.rollout: expected count >= 1 and every >= 1; received {received}"
             raise UserError(message)
         self.count, self.every = count, every
+        self.latest = math.inf
+
+    def state_dict(self) -> dict[str, float]:
+        """Return the latest value, which epochs without a rollout repeat."""
+        return {"latest": self.latest}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Take the latest value from a checkpoint."""
+        self.latest = state_dict["latest"]
 
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Roll out from the true start of a few validation trajectories."""
-        if trainer.sanity_checking or (trainer.current_epoch + 1) % self.every:
+        """Log the value of this epoch, or the latest one; the last epoch always has its own."""
+        if trainer.sanity_checking:
             return
+        epoch = trainer.current_epoch + 1
+        if epoch % self.every == 0 or epoch == trainer.max_epochs:
+            self.latest = self._error(trainer, pl_module)
+        pl_module.log("val/rollout", self.latest, logger=False, sync_dist=True)
+
+    def _error(self, trainer: Trainer, pl_module: LightningModule) -> float:
+        """Return the typical error of rollouts from the true start of a few validation trajectories."""
         data: WindowDataModule = trainer.datamodule  # pyright: ignore[reportAttributeAccessIssue]
         assert isinstance(pl_module, AbstractDynamics)
         truth = data.trajectories("val").states[: self.count]
@@ -44,5 +63,4 @@ class ValidationRollout(Callback):
         prediction = rollout(flow, truth[:, 0].to(pl_module.device), data.system.dt, truth.shape[1]).cpu()
         position = errors(prediction, truth)[:, 1:, : data.system.dof]
         size = float(rmse_pooled(truth[..., : data.system.dof]))
-        typical = typical_error(position, ceiling=LOST * size)
-        pl_module.log("val/rollout", float(typical), logger=False, sync_dist=True)
+        return float(typical_error(position, ceiling=LOST * size))

@@ -2,58 +2,70 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
-import torch
 from lightning import Callback, LightningModule, Trainer
 from torch.nn.utils import get_total_norm
 from torch.optim import Optimizer
 
 from ahnn.errors import TrainingError, UserError
 
+OF_STEP = ("lr", "damping", "gradient_norm")
+"""Keys of a parameter group that are recorded where an optimiser has them."""
+
+RECORDS = 100
+"""Least number of records of a training, so that a short one has curves too."""
+
 
 class Telemetry(Callback):
     """Writes loss, learning rate and gradient norm, and stops the run when a gradient is not finite.
 
     Args:
-        every: optimiser steps between two records.
+        every: most optimiser steps between two records.
     """
 
     def __init__(self, every: int) -> None:
         if every < 1:
             message = f"callbacks.telemetry: every: expected at least 1 step; received {every}"
             raise UserError(message)
-        self.every = every
+        self.most = self.every = every
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Record more often where the whole training is short."""
+        del pl_module
+        total = int(trainer.num_training_batches) * int(trainer.max_epochs or 1)
+        self.every = max(1, min(self.most, total // RECORDS))
 
     def on_before_optimizer_step(
         self, trainer: Trainer, pl_module: LightningModule, optimizer: Optimizer
     ) -> None:
-        """Measure the gradient norm on the steps that are recorded.
+        """Measure the gradient on the steps that are recorded.
 
         Raises:
             TrainingError: the norm is not finite.
         """
-        if trainer.global_step % self.every:
-            return
         gradients = [p.grad for p in pl_module.parameters() if p.grad is not None]
-        norm = get_total_norm(gradients) if gradients else torch.zeros(())
-        if not norm.isfinite():
+        if trainer.global_step % self.every or not gradients:
+            return
+        norm = float(get_total_norm(gradients))
+        if not math.isfinite(norm):
             message = (
-                f"training: the gradient norm became {float(norm)} in epoch {trainer.current_epoch}; "
+                f"training: the gradient norm became {norm} in epoch {trainer.current_epoch}; "
                 "the last good checkpoint is kept. Try a smaller optimizer.lr or window."
             )
             raise TrainingError(message)
-        group = optimizer.param_groups[0]
-        metrics = {f"train/{name}": float(group[name]) for name in ("lr", "damping") if name in group}
-        self._write(trainer, {"train/gradient_norm": float(norm), **metrics})
+        optimizer.param_groups[0]["gradient_norm"] = norm
 
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        """Record the training loss."""
+        """Record the training loss and what the optimiser says of its step."""
         del pl_module, batch, batch_idx
         if trainer.global_step % self.every == 0:
-            self._write(trainer, {"train/loss": float(outputs["loss"])})
+            group = trainer.optimizers[0].param_groups[0]
+            of_step = {f"train/{name}": float(group[name]) for name in OF_STEP if name in group}
+            self._write(trainer, {"train/loss": float(outputs["loss"]), **of_step})
 
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Record the validation metrics."""

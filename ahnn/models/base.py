@@ -166,6 +166,24 @@ class AbstractDynamics(LightningModule, ABC):
             raise TrainingError(message)
         return loss
 
+    def on_validation_start(self) -> None:
+        """Look at the weights that the last step of an epoch left, before any checkpoint holds them."""
+        self.require_finite()
+
+    def require_finite(self) -> None:
+        """Check the weights, as the loss of a step says nothing of what the step made of them.
+
+        Raises:
+            TrainingError: a weight is not finite.
+        """
+        if all(bool(p.isfinite().all()) for p in self.parameters()):
+            return
+        message = (
+            f"training: weights became nan or inf at step {self.trainer.global_step} in epoch "
+            f"{self.current_epoch}; the last good checkpoint is kept. Try a smaller optimizer.lr or window."
+        )
+        raise TrainingError(message)
+
     def _mean_of_devices(self, loss: Tensor) -> Tensor:
         if self.trainer.world_size == 1:
             return loss

@@ -11,7 +11,7 @@ from torch.optim import Optimizer
 
 from ahnn.errors import UserError
 from ahnn.optim.least_squares import LeastSquares
-from ahnn.optim.normal_equations import damped_step, normal_equations, promised_decrease
+from ahnn.optim.normal_equations import damped_step, gradient_norm, normal_equations, promised_decrease
 
 SMALLEST, LARGEST = 1e-14, 1e6
 """Range of the damping."""
@@ -57,6 +57,7 @@ class LevenbergMarquardt(Optimizer):
         theta = parameters_to_vector(group["params"]).detach()
         residuals, jacobian = problem.residuals(theta), problem.jacobian(theta).detach()
         blocks = normal_equations(jacobian, residuals, [p.numel() for p in group["params"]])
+        group["gradient_norm"] = 2 * gradient_norm(blocks) / residuals.numel()  # of the mean square
         loss, other = residuals @ residuals, held_back.residuals(theta).square().sum()
         for _ in range(ATTEMPTS):
             move = damped_step(blocks, group["damping"], theta)

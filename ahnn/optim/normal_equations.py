@@ -6,6 +6,7 @@ known kinetic energy leaves half of the rows empty, and no residual depends on t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -68,6 +69,11 @@ def gram(jacobian: Tensor, parts: int = 4) -> Tensor:
         for i in range(parts)
     ]
     return torch.cat(grid)
+
+
+def gradient_norm(blocks: Sequence[Block]) -> float:
+    """Return |J^T r|, half the norm of the gradient of r^T r."""
+    return math.hypot(*(float(block.gradient.norm()) for block in blocks))
 
 
 def damped_step(blocks: Sequence[Block], damping: float, theta: Tensor) -> Tensor | None:

@@ -47,7 +47,9 @@ def test_a_linear_problem_is_solved_in_two_steps():
     exact = torch.linalg.lstsq(torch.cat((x, torch.ones(50, 1)), 1), y).solution
     best = float((torch.cat((x, torch.ones(50, 1)), 1) @ exact - y).square().mean())
     assert losses[-1] == pytest.approx(best, rel=1e-12)
-    close(torch.cat((line.weight.flatten(), line.bias)), exact.flatten(), 1e-7)
+    close(
+        torch.cat((line.weight.flatten(), line.bias)), exact.flatten(), 1e-6
+    )  # J has the eps of float32, 1.2e-7
 
 
 @pytest.mark.parametrize("name", ["generic", "separable", "node", "mlp", "hnn_derivative", "central_body"])

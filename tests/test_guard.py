@@ -1,0 +1,64 @@
+"""What watches a training: finite weights in every checkpoint, curves of short runs, rollouts that choose."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from entry import SMALL, call
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from ahnn.checkpoints import read_checkpoint
+
+LAPTOP = [*SMALL, "data.batch_size=40", "model.network.width=4"]
+
+
+def spoiled(steps):
+    return ["+callbacks.spoil._target_=entry.SpoilAfter", f"+callbacks.spoil.steps={steps}"]
+
+
+def weights(path):
+    return torch.cat([w.flatten().double() for w in read_checkpoint(path)["state_dict"].values()])
+
+
+@pytest.mark.parametrize(
+    ("steps", "epochs", "every", "kept"),
+    [(10, 1, 500, None), (20, 3, 500, 10), (15, 3, 5, 10), (25, 3, 5, 20)],
+)
+def test_no_checkpoint_ever_holds_weights_that_are_not_finite(tmp_path, capsys, steps, epochs, every, kept):
+    changes = [f"trainer.max_epochs={epochs}", f"callbacks.last.every={every}", *spoiled(steps)]
+    assert call("ahnn.train", "budget=smoke", *SMALL, *changes, f"run={tmp_path}") == 3
+    assert "last good checkpoint is kept" in capsys.readouterr().err
+    written = list((tmp_path / "checkpoints").glob("*.ckpt"))
+    assert all(weights(path).isfinite().all() for path in written)
+    if kept is None:
+        assert not written
+    else:
+        assert read_checkpoint(tmp_path / "checkpoints" / "last.ckpt")["global_step"] == kept
+
+
+def curve(folder, name):
+    events = EventAccumulator(str(folder / "tensorboard"))
+    events.Reload()
+    return [point.value for point in events.Scalars(name)]
+
+
+@pytest.mark.parametrize("optimiser", [["budget=smoke"], []])
+def test_a_short_training_has_curves_with_a_gradient_that_is_not_zero(tmp_path, optimiser):
+    small = [*(SMALL if optimiser else LAPTOP)]
+    small.remove("logger=none")
+    assert call("ahnn.train", *optimiser, *small, "trainer.max_epochs=2", f"run={tmp_path}") == 0
+    for name in ("train/loss", "train/gradient_norm"):
+        values = curve(tmp_path, name)
+        assert len(values) >= 8
+        assert all(value > 0 for value in values)
+
+
+def test_rollouts_of_some_epochs_choose_among_these_and_the_last(tmp_path):
+    changes = ["callbacks.rollout.every=2", "trainer.max_epochs=3"]
+    assert call("ahnn.train", *LAPTOP, *changes, f"run={tmp_path}") == 0
+    best = read_checkpoint(tmp_path / "checkpoints" / "best.ckpt")
+    assert best["epoch"] in (1, 2)
+    (state,) = (v for k, v in best["callbacks"].items() if "ValidationRollout" in k)
+    assert 0 < state["latest"] < math.inf
