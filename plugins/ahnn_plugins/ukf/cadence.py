@@ -7,20 +7,24 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn_plugins.ukf.types import Numbers, as_float64
 
-def every(measurements: Tensor, k: int) -> Tensor:
+
+def every(measurements: Numbers, k: int) -> Tensor:
     """Return the measurements (B, T, M) with all but each k-th row set to NaN.
 
     Row i is measured after step i + 1, so that the rows kept are k - 1, 2 k - 1, ... (the paper: k = 60).
 
     Raises:
-        ValueError: if k is not positive.
+        ValueError: if k is not a positive whole number, or measurements are not (B, T, M).
     """
-    if k < 1:
-        message = f"every: expected a cadence of at least 1 step, got {k}"
+    # NaN has no remainder, so that it is refused too.
+    if k < 1 or k % 1 != 0:
+        message = f"every: expected a cadence of a whole number of steps, at least 1, got {k}"
         raise ValueError(message)
-    step = torch.arange(1, measurements.shape[1] + 1, device=measurements.device)
-    return torch.where((step % k == 0)[:, None], measurements, torch.nan)
+    rows = _rows(measurements, "every")
+    step = torch.arange(1, rows.shape[1] + 1, device=rows.device)
+    return torch.where((step % k == 0)[:, None], rows, torch.nan)
 
 
 class Schedule(NamedTuple):
@@ -35,7 +39,7 @@ class Schedule(NamedTuple):
     measurements: Tensor
 
 
-def schedule(times: Tensor, measurements: Tensor, max_step: float, start_time: float = 0.0) -> Schedule:
+def schedule(times: Numbers, measurements: Numbers, max_step: float, start_time: float = 0.0) -> Schedule:
     """Return steps of at most max_step that hit each of the K measurement times.
 
     Each gap is cut into equal steps. A measurement at the start time itself needs a step of its own and is
@@ -48,13 +52,18 @@ def schedule(times: Tensor, measurements: Tensor, max_step: float, start_time: f
         start_time: time of the initial belief.
 
     Raises:
-        ValueError: if times are not increasing from the start, or K differs.
+        ValueError: if times are not (K,), finite and increasing from the start, K differs or is zero, or
+            max_step is not positive.
     """
-    if measurements.shape[1] != len(times):
-        message = f"schedule: expected measurements (B, {len(times)}, M), got {tuple(measurements.shape)}"
+    given, ends = _rows(measurements, "schedule"), as_float64(times, "schedule: times")
+    if ends.ndim != 1 or len(ends) == 0 or given.shape[1] != len(ends):
+        message = (
+            f"schedule: expected times (K,) with K >= 1 and measurements (B, K, M), got "
+            f"{tuple(ends.shape)} and {tuple(given.shape)}"
+        )
         raise ValueError(message)
-    gaps = torch.diff(times.to(torch.float64), prepend=torch.tensor([start_time], dtype=torch.float64))
-    if not bool((gaps > 0.0).all()) or max_step <= 0.0:
+    gaps = torch.diff(ends, prepend=ends.new_tensor([start_time]))
+    if not bool(((gaps > 0.0) & gaps.isfinite()).all()) or not max_step > 0.0:
         message = (
             f"schedule: expected times increasing from {start_time:g} and max_step > 0, got smallest gap "
             f"{float(gaps.min()):g} and max_step {max_step:g}"
@@ -62,7 +71,16 @@ def schedule(times: Tensor, measurements: Tensor, max_step: float, start_time: f
         raise ValueError(message)
     # A gap of 60.000000000000007 is one step of 60, not two of 30.
     counts = torch.ceil(gaps / max_step - 1e-9).clamp(min=1.0).to(torch.int64)
-    batch, _, size = measurements.shape
-    rows = measurements.new_full((batch, int(counts.sum()), size), torch.nan)
-    rows[:, counts.cumsum(0) - 1] = measurements
+    batch, _, size = given.shape
+    rows = given.new_full((batch, int(counts.sum()), size), torch.nan)
+    rows[:, counts.cumsum(0) - 1] = given
     return Schedule(torch.repeat_interleave(gaps / counts, counts), rows)
+
+
+def _rows(measurements: Numbers, who: str) -> Tensor:
+    """Return measurements (B, T, M) as float64."""
+    rows = as_float64(measurements, f"{who}: measurements")
+    if rows.ndim != 3:
+        message = f"{who}: expected measurements (B, T, M), got {tuple(rows.shape)}"
+        raise ValueError(message)
+    return rows

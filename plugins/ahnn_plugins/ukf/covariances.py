@@ -6,35 +6,37 @@ import torch
 from torch import Tensor
 
 from ahnn_plugins.ukf.linalg import tria
-from ahnn_plugins.ukf.types import Belief
+from ahnn_plugins.ukf.types import Belief, Numbers, as_float64
 
 TOLERANCE = 1e-10
 """Asymmetry, and negative eigenvalue, that counts as rounding in a matrix scaled to unit diagonal."""
 
 
-def initial_belief(mean: Tensor, covariance: Tensor) -> Belief:
+def initial_belief(mean: Numbers, covariance: Numbers) -> Belief:
     """Return the Gaussian belief that a filter starts from.
 
     Args:
-        mean: (B, D) states.
+        mean: (B, D) states, B >= 1.
         covariance: (D, D) shared, or (B, D, D); symmetric and positive definite.
 
     Raises:
         ValueError: if a mean is not finite, or the covariance is not a positive definite (D, D) matrix.
     """
-    if mean.ndim != 2:
-        message = f"initial_belief: mean must have shape (B, D), got {tuple(mean.shape)}; use mean[None]"
-        raise ValueError(message)
+    mean = as_float64(mean, "initial_belief: mean")
+    if mean.ndim != 2 or 0 in mean.shape:
+        shape = tuple(mean.shape)
+        message = f"initial_belief: expected a mean of shape (B, D) with B >= 1, got {shape}"
+        raise ValueError(message + ("; use mean[None]" if mean.ndim == 1 else ""))
     finite = torch.isfinite(mean).all(-1)
     if not bool(finite.all()):
         message = f"initial_belief: mean of member {int((~finite).nonzero()[0])} is not finite; drop it"
         raise ValueError(message)
     batch, size = mean.shape
     chol = covariance_factor(covariance, "P0", batch=batch, size=size, definite=True)
-    return Belief(mean.to(torch.float64), chol.to(mean.device).expand(batch, size, size))
+    return Belief(mean, chol.to(mean.device).expand(batch, size, size))
 
 
-def covariance_factor(matrix: Tensor, name: str, *, batch: int, size: int, definite: bool) -> Tensor:
+def covariance_factor(matrix: Numbers, name: str, *, batch: int, size: int, definite: bool) -> Tensor:
     """Return the lower factor, (D, D) or (B, D, D), of a covariance matrix given by a user.
 
     Args:
@@ -45,13 +47,15 @@ def covariance_factor(matrix: Tensor, name: str, *, batch: int, size: int, defin
         definite: refuse a singular matrix.
 
     Raises:
-        ValueError: wrong shape, not finite, not symmetric, indefinite, or singular where that is refused.
+        ValueError: no numbers, wrong shape, not finite, not symmetric, indefinite, or singular where that is
+            refused.
     """
+    matrix = as_float64(matrix, name)
     shape = tuple(matrix.shape)
     if shape not in {(size, size), (batch, size, size)}:
         message = f"{name}: expected shape ({size}, {size}) or ({batch}, {size}, {size}), got {shape}"
         raise ValueError(message)
-    stacked = matrix.to(torch.float64).reshape(-1, size, size)
+    stacked = matrix.reshape(-1, size, size)
     scale = _check_entries(stacked, name)
     chol, info = torch.linalg.cholesky_ex(stacked)
     failed = info != 0
@@ -62,21 +66,40 @@ def covariance_factor(matrix: Tensor, name: str, *, batch: int, size: int, defin
 
 
 def _check_entries(matrix: Tensor, name: str) -> Tensor:
-    """Return scales (B, D), the standard deviations, of matrices that are finite and symmetric."""
+    """Return scales (B, D), the standard deviations, of matrices that are finite and symmetric.
+
+    A component of zero variance, which is correlated with nothing, has scale 1.
+    """
     if not bool(torch.isfinite(matrix).all()):
         message = f"{name}: expected finite entries, got {matrix.tolist()}"
         raise ValueError(message)
     variance = torch.diagonal(matrix, dim1=-2, dim2=-1)
-    scale = torch.where(variance > 0.0, variance, 1.0).sqrt()
-    asymmetry = (matrix - matrix.mT).abs()
-    if bool((asymmetry > TOLERANCE * scale.unsqueeze(-1) * scale.unsqueeze(-2)).any()):
+    if bool((variance < 0.0).any()):
+        b, i = (int(n) for n in torch.nonzero(variance < 0.0)[0])
+        where = f" of member {b}" if len(matrix) > 1 else ""
+        message = (
+            f"{name}: expected no negative variance, got [{i}, {i}] = {float(variance[b, i]):.6g}{where}"
+        )
+        raise ValueError(message)
+    deviation = variance.sqrt()
+    product = deviation.unsqueeze(-1) * deviation.unsqueeze(-2)
+    asymmetry = (matrix - matrix.mT).abs() - TOLERANCE * product
+    if bool((asymmetry > 0.0).any()):
         b, i, j = (int(n) for n in torch.nonzero(asymmetry == asymmetry.max())[0])
         message = (
             f"{name}: expected a symmetric matrix, got [{i}, {j}] = {float(matrix[b, i, j])} "
             f"but [{j}, {i}] = {float(matrix[b, j, i])}; use (A + A.mT) / 2 if that is meant"
         )
         raise ValueError(message)
-    return scale
+    impossible = (variance == 0.0).unsqueeze(-1) & (matrix != 0.0)
+    if bool(impossible.any()):
+        b, i, j = (int(n) for n in torch.nonzero(impossible)[0])
+        message = (
+            f"{name}: expected zeros beside the zero variance [{i}, {i}], got "
+            f"[{i}, {j}] = {float(matrix[b, i, j]):.6g}; it is indefinite"
+        )
+        raise ValueError(message)
+    return torch.where(variance > 0.0, deviation, 1.0)
 
 
 def _check_eigenvalues(matrix: Tensor, scale: Tensor, failed: Tensor, name: str, definite: bool) -> None:

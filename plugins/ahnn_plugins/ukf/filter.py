@@ -18,16 +18,17 @@ from ahnn_plugins.ukf.sigma_points import draw, unscented_weights
 from ahnn_plugins.ukf.smoother import backward_kernel
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
 from ahnn_plugins.ukf.types import (
-    Backward,
     Belief,
     FilterResult,
     Form,
     Gate,
+    Numbers,
     ProcessNoise,
     Status,
     UnscentedParameters,
     Updated,
     Weights,
+    described,
 )
 
 
@@ -48,11 +49,11 @@ class _Problem(NamedTuple):
 def unscented_filter(
     flow: Flow,
     belief: Belief,
-    measurements: Tensor,
+    measurements: Numbers,
     measurement: Measurement,
     process_noise: ProcessNoise,
-    measurement_noise: Tensor,
-    dt: float | Tensor,
+    measurement_noise: Numbers,
+    dt: Numbers,
     *,
     parameters: UnscentedParameters | None = None,
     form: Form = SQUARE_ROOT,
@@ -69,11 +70,12 @@ def unscented_filter(
     Args:
         flow: any function (x (N, D), dt) -> (N, D); called once a step, with N = B (2 D + 1).
         belief: about the states at the start, see `initial_belief`.
-        measurements: (B, T, M), NaN where a component is missing.
+        measurements: (B, T, M), NaN where a component is missing; these and the numbers below may be
+            tensors, arrays or lists.
         measurement: the model of the measurements.
         process_noise: Q of one step, (D, D) or (B, D, D), or a function of the step's length.
         measurement_noise: R, (M, M) or (B, M, M).
-        dt: length of every step, or (T,) lengths.
+        dt: length of every step, or (T,) lengths; positive.
         parameters: of the sigma points; the defaults of `UnscentedParameters` if None.
         form: `SQUARE_ROOT` or `STANDARD`.
         gate: refuses improbable measurement rows; None takes all.
@@ -81,31 +83,34 @@ def unscented_filter(
         start_time: time of the initial belief.
 
     Raises:
-        ValueError: for inputs whose shapes do not fit, infinite measurements, matrices that are not
-            covariances, or parameters without sigma points. Failures of single members raise nothing:
-            they are in the result's `status`.
+        ValueError: for inputs of another type or shape, infinite measurements, matrices that are not
+            covariances, steps that are not positive, or parameters without sigma points; from within the
+            loop for a flow or a measurement model that returns another shape, and for a process noise
+            that gives no covariance for one of the lengths. Failures of single members raise nothing: they
+            are in the result's `status`.
     """
     inputs = checked_inputs(
         belief, measurements, measurement, process_noise, measurement_noise, dt, form, start_time
     )
     parameters = UnscentedParameters() if parameters is None else parameters
+    batch, size = belief.mean.shape
     problem = _Problem(
         flow=flow,
         measurement=measurement,
         inputs=inputs,
-        weights=unscented_weights(parameters, belief.mean.shape[-1], belief.mean.device),
+        weights=unscented_weights(parameters, size, belief.mean.device, batch=batch),
         form=form,
-        thresholds=_thresholds(gate, measurements),
+        thresholds=_thresholds(gate, inputs.measurements),
         patience=0 if gate is None else gate.patience,
         smoothing=smoothing,
     )
     members = books.start(belief)
     current, steps = belief, []
-    for k in range(measurements.shape[1]):
+    for k in range(len(inputs.dt)):
         members, step = _step(problem, members, current, belief, k)
         steps.append(step)
         current = step.posterior
-    return collected(steps, members, belief, measurements)
+    return collected(steps, members, belief, inputs.measurements)
 
 
 def _step(
@@ -119,10 +124,16 @@ def _step(
     members = books.add_repairs(members, repaired)
     members = _checked_prediction(members, predicted, k)
     predicted = books.frozen(members, predicted, initial)
-    members, backward = _backward(problem, members, propagated, belief, chol_q)
+    backward = None
+    if problem.smoothing:
+        backward, mended = backward_kernel(propagated, belief.chol, weights, chol_q)
+        if mended is not None and repaired is not None:
+            # The kernel holds the predicted covariance: what was mended there is no second repair.
+            mended = mended & ~repaired
+        members = books.add_repairs(members, mended)
     if not inputs.is_measured[k]:
         return members, Step(predicted, predicted, None, None, backward)
-    images = problem.measurement(draw(predicted, weights), inputs.times[k])
+    images = _measured(problem.measurement, draw(predicted, weights), inputs.times[k])
     updated = problem.form.update(
         predicted, images, inputs.measurements[:, k], problem.measurement.residual, weights, inputs.chol_r
     )
@@ -135,11 +146,26 @@ def _propagate(flow: Flow, points: Tensor, dt: float) -> Tensor:
     """Return the points (B, S, D) after the flow, in one call on all of them."""
     flat = points.reshape(-1, points.shape[-1])
     propagated = flow(flat, dt)
-    if propagated.shape != flat.shape:
-        shapes = f"{tuple(flat.shape)}, got {tuple(propagated.shape)}"
-        message = f"unscented_filter: expected flow(x, dt) of the shape of x, {shapes}"
+    if not isinstance(propagated, Tensor) or propagated.shape != flat.shape:
+        message = (
+            f"unscented_filter: expected flow(x, dt) to return a tensor of the shape of x, "
+            f"{tuple(flat.shape)}, got {described(propagated)}"
+        )
         raise ValueError(message)
     return propagated.to(points.dtype).reshape(points.shape)
+
+
+def _measured(measurement: Measurement, points: Tensor, t: float) -> Tensor:
+    """Return the measurements (B, S, M) of the points (B, S, D) at time t."""
+    images = measurement(points, t)
+    expected = (*points.shape[:-1], len(measurement.names))
+    if not isinstance(images, Tensor) or images.shape != expected:
+        message = (
+            f"unscented_filter: expected measurement(x, t) to return a tensor {expected} for x "
+            f"{tuple(points.shape)} and the names {measurement.names}, got {described(images)}"
+        )
+        raise ValueError(message)
+    return images
 
 
 def _checked_prediction(members: Members, predicted: Belief, k: int) -> Members:
@@ -167,8 +193,8 @@ def _decide(
     has_row = has_row & members.alive
     rejected = has_row & (updated.nis > problem.thresholds[count])
     accepted = has_row & ~rejected
-    repaired = None if updated.repaired is None else updated.repaired & accepted
-    members = books.add_repairs(members, repaired)
+    repairs = None if updated.repairs is None else updated.repairs * accepted
+    members = books.add_repairs(members, repairs)
     members = members._replace(
         rejections=torch.where(accepted, 0, members.rejections + rejected),
         log_likelihood=members.log_likelihood + torch.where(accepted, updated.log_likelihood, 0.0),
@@ -177,22 +203,13 @@ def _decide(
     return members, books.choose(accepted, updated.belief, predicted), rejected
 
 
-def _backward(
-    problem: _Problem, members: Members, propagated: Tensor, belief: Belief, chol_q: Tensor
-) -> tuple[Members, Backward | None]:
-    if not problem.smoothing:
-        return members, None
-    kernel, repaired = backward_kernel(propagated, belief.chol, problem.weights, chol_q)
-    return books.add_repairs(members, repaired), kernel
-
-
 def _thresholds(gate: Gate | None, measurements: Tensor) -> Tensor:
     """Return the largest NIS that is taken, (M + 1,), by the number of components that are there."""
     size = measurements.shape[-1]
     if gate is None:
         return measurements.new_full((size + 1,), torch.inf)
-    if not 0.0 < gate.probability < 1.0 or gate.patience < 1:
-        message = f"Gate: expected a probability in (0, 1) and patience >= 1, got {gate}"
+    if not isinstance(gate, Gate) or not 0.0 < gate.probability < 1.0 or gate.patience < 1:
+        message = f"unscented_filter: expected a Gate(probability in (0, 1), patience >= 1), got {gate!r}"
         raise ValueError(message)
     values = [0.0, *(float(chi2.ppf(gate.probability, n)) for n in range(1, size + 1))]
     return torch.tensor(values, dtype=torch.float64, device=measurements.device)

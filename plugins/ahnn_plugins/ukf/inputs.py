@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -10,7 +11,7 @@ from torch import Tensor
 
 from ahnn_plugins.ukf.covariances import covariance_factor
 from ahnn_plugins.ukf.measurements import Measurement
-from ahnn_plugins.ukf.types import Belief, Form, ProcessNoise
+from ahnn_plugins.ukf.types import Belief, Form, Numbers, ProcessNoise, as_float64, described
 
 
 class Inputs(NamedTuple):
@@ -37,11 +38,11 @@ class Inputs(NamedTuple):
 
 def checked_inputs(
     belief: Belief,
-    measurements: Tensor,
+    measurements: Numbers,
     measurement: Measurement,
     process_noise: ProcessNoise,
-    measurement_noise: Tensor,
-    dt: float | Tensor,
+    measurement_noise: Numbers,
+    dt: Numbers,
     form: Form,
     start_time: float,
 ) -> Inputs:
@@ -50,18 +51,20 @@ def checked_inputs(
     Raises:
         ValueError: as in `unscented_filter`.
     """
+    _check_parts(belief, measurement, form)
+    _check_belief(belief)
     batch, size = belief.mean.shape
     device = belief.mean.device
     width = len(measurement.names)
-    _check_belief(belief)
-    _check_measurements(measurements, batch, width)
-    lengths, times = _grid(dt, measurements.shape[1], start_time)
+    rows = as_float64(measurements, "unscented_filter: measurements", device)
+    _check_measurements(rows, batch, width)
+    lengths, times = _grid(dt, rows.shape[1], start_time)
     chol_r = covariance_factor(
-        measurement_noise.to(device), "R", batch=batch, size=width, definite=form.needs_definite_noise
-    )
-    present = ~torch.isnan(measurements)
+        measurement_noise, "R", batch=batch, size=width, definite=form.needs_definite_noise
+    ).to(device)
+    present = ~torch.isnan(rows)
     return Inputs(
-        measurements=measurements.to(torch.float64),
+        measurements=rows,
         present=present,
         is_measured=present.any(-1).any(0).tolist(),
         dt=lengths,
@@ -71,13 +74,29 @@ def checked_inputs(
     )
 
 
+def _check_parts(belief: Belief, measurement: Measurement, form: Form) -> None:
+    """Refuse arguments that are something else than the loop calls."""
+    missing = [name for name in ("names", "residual", "__call__") if not hasattr(measurement, name)]
+    if not isinstance(belief, Belief):
+        expected, received = "a Belief", f"{described(belief)}; use initial_belief"
+    elif missing:
+        expected = "a measurement model with names, residual and a call (x, t)"
+        received = f"{measurement!r} without {', '.join(missing)}; see Measurement"
+    elif not isinstance(form, Form):
+        expected, received = "a Form, SQUARE_ROOT or STANDARD", repr(form)
+    else:
+        return
+    message = f"unscented_filter: expected {expected}, got {received}"
+    raise ValueError(message)
+
+
 def _check_belief(belief: Belief) -> None:
-    batch, size = belief.mean.shape
-    if belief.chol.shape != (batch, size, size) or belief.mean.dtype != torch.float64:
+    mean, chol = belief
+    right = mean.ndim == 2 and len(mean) > 0 and chol.shape == (*mean.shape, mean.shape[1])
+    if not right or mean.dtype != torch.float64 or chol.dtype != torch.float64:
         message = (
-            f"unscented_filter: expected a float64 belief with mean (B, D) and chol (B, D, D), got "
-            f"{belief.mean.dtype} {tuple(belief.mean.shape)} and {tuple(belief.chol.shape)}; "
-            f"use initial_belief"
+            f"unscented_filter: expected a float64 belief with mean (B, D), B >= 1, and chol (B, D, D), got "
+            f"{mean.dtype} {tuple(mean.shape)} and {chol.dtype} {tuple(chol.shape)}; use initial_belief"
         )
         raise ValueError(message)
 
@@ -97,15 +116,22 @@ def _check_measurements(measurements: Tensor, batch: int, width: int) -> None:
         raise ValueError(message)
 
 
-def _grid(dt: float | Tensor, steps: int, start_time: float) -> tuple[list[float], list[float]]:
+def _grid(dt: Numbers, steps: int, start_time: float) -> tuple[list[float], list[float]]:
     """Return the lengths of the steps, and the times at which they end."""
-    if not isinstance(dt, Tensor) or dt.ndim == 0:
-        length = float(dt)
-        return [length] * steps, [start_time + length * (k + 1) for k in range(steps)]
-    if dt.shape != (steps,):
-        message = f"unscented_filter: expected dt a number or of shape ({steps},), got {tuple(dt.shape)}"
+    if not math.isfinite(start_time):
+        message = f"unscented_filter: expected a finite start_time, got {start_time}"
         raise ValueError(message)
-    lengths = dt.to(torch.float64)
+    lengths = as_float64(dt, "unscented_filter: dt")
+    if lengths.ndim > 0 and lengths.shape != (steps,):
+        message = f"unscented_filter: expected dt a number or of shape ({steps},), got {tuple(lengths.shape)}"
+        raise ValueError(message)
+    wrong = lengths[~((lengths > 0.0) & lengths.isfinite())]
+    if len(wrong) > 0:
+        message = f"unscented_filter: expected finite steps dt > 0, got {float(wrong[0])}"
+        raise ValueError(message)
+    if lengths.ndim == 0:
+        length = float(lengths)
+        return [length] * steps, [start_time + length * (k + 1) for k in range(steps)]
     return lengths.tolist(), (start_time + lengths.cumsum(0)).tolist()
 
 
@@ -114,11 +140,11 @@ def _process_factor(
 ) -> Callable[[float], Tensor]:
     """Return the factor of Q, (B, D, D), as a function of the step; each length is factored once."""
 
-    def factor(matrix: Tensor) -> Tensor:
-        chol = covariance_factor(matrix.to(device), "Q", batch=batch, size=size, definite=False)
-        return chol.expand(batch, size, size)
+    def factor(matrix: Numbers) -> Tensor:
+        chol = covariance_factor(matrix, "Q", batch=batch, size=size, definite=False)
+        return chol.to(device).expand(batch, size, size)
 
-    if isinstance(process_noise, Tensor):
+    if not callable(process_noise):
         constant = factor(process_noise)
         return lambda _: constant
     known: dict[float, Tensor] = {}

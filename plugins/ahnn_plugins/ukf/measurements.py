@@ -41,7 +41,10 @@ class Measurement(Protocol):
 
 def wrap(angle: Tensor) -> Tensor:
     """Return the angle in (-pi, pi]; an angle that is already there is returned as it is, bit for bit."""
-    return angle - 2.0 * math.pi * torch.ceil((angle - math.pi) / (2.0 * math.pi))
+    turned = angle - 2.0 * math.pi * torch.round(angle / (2.0 * math.pi))
+    # Rounding may have put it just outside.
+    turned = torch.where(turned > math.pi, turned - 2.0 * math.pi, turned)
+    return torch.where(turned <= -math.pi, turned + 2.0 * math.pi, turned)
 
 
 class Position:

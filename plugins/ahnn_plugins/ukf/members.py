@@ -57,11 +57,11 @@ def fail(members: Members, bad: Tensor, status: Status, step: int) -> Members:
     )
 
 
-def add_repairs(members: Members, repaired: Tensor | None) -> Members:
-    """Count the repairs of living members."""
-    if repaired is None:
+def add_repairs(members: Members, repairs: Tensor | None) -> Members:
+    """Count the repairs of living members, (B,) bool or int64."""
+    if repairs is None:
         return members
-    return members._replace(repairs=members.repairs + (repaired & members.alive))
+    return members._replace(repairs=members.repairs + repairs * members.alive)
 
 
 def frozen(members: Members, belief: Belief, stand_in: Belief) -> Belief:

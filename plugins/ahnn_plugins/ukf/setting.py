@@ -141,6 +141,13 @@ def _start(system: System, given: Sequence[float] | None) -> Tensor:
 def _try(measurement: Any, system: System, time: float) -> None:
     """Try a measurement model on an initial state."""
     x = system.initial_states(1, torch.Generator().manual_seed(0))
+    mass = getattr(measurement, "mass", system.inertia)
+    if mass != system.inertia:
+        message = (
+            f"plugins.ukf.measurement: expected {type(measurement).__name__} with mass={system.inertia:g}, "
+            f"that of the system, whose momenta it reads; received mass={mass:g}"
+        )
+        raise UserError(message)
     expected = (1, len(measurement.names))
     try:
         shape = tuple(measurement(x, time).shape)

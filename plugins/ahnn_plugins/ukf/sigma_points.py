@@ -5,11 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ahnn_plugins.ukf.types import Belief, UnscentedParameters, Weights
+from ahnn_plugins.ukf.types import Belief, UnscentedParameters, Weights, as_float64
 
 
 def unscented_weights(
-    parameters: UnscentedParameters, size: int, device: torch.device | None = None
+    parameters: UnscentedParameters, size: int, device: torch.device | None = None, *, batch: int = 1
 ) -> Weights:
     """Return the weights for states of D components.
 
@@ -20,13 +20,13 @@ def unscented_weights(
         parameters: alpha, beta and kappa, each a number or a (B,) tensor.
         size: D.
         device: of the weights.
+        batch: B.
 
     Raises:
-        ValueError: if D + lambda = alpha² (D + kappa) is not positive.
+        ValueError: if a parameter is not finite or not of length 1 or B, or D + lambda = alpha² (D + kappa)
+            is not positive.
     """
-    alpha, beta, kappa = torch.broadcast_tensors(
-        *(torch.as_tensor(p, dtype=torch.float64, device=device).reshape(-1, 1, 1) for p in parameters)
-    )
+    alpha, beta, kappa = torch.broadcast_tensors(*_checked(parameters, device, batch))
     total = alpha**2 * (size + kappa)
     if not bool((total > 0.0).all()):
         b = int((~(total > 0.0)).flatten().nonzero()[0])
@@ -47,6 +47,21 @@ def unscented_weights(
         recentring=(1.0 - radicand.clamp(min=0.0).sqrt()) / outer_sum,
         downdate=(-radicand).clamp(min=0.0) / outer_sum if bool((radicand < 0.0).any()) else None,
     )
+
+
+def _checked(parameters: UnscentedParameters, device: torch.device | None, batch: int) -> list[Tensor]:
+    """Return finite alpha, beta and kappa, each (1, 1, 1) or (B, 1, 1) float64."""
+    columns = []
+    for name, value in zip(UnscentedParameters._fields, parameters, strict=True):
+        column = as_float64(value, f"unscented_weights: {name}", device)
+        if tuple(column.shape) not in {(), (1,), (batch,)} or not bool(column.isfinite().all()):
+            message = (
+                f"unscented_weights: expected {name} to be one finite number or one for each of {batch} "
+                f"members, got {column.tolist()}"
+            )
+            raise ValueError(message)
+        columns.append(column.reshape(-1, 1, 1))
+    return columns
 
 
 def draw(belief: Belief, weights: Weights) -> Tensor:

@@ -13,6 +13,9 @@ from ahnn_plugins.ukf.linalg import tria
 from ahnn_plugins.ukf.square_root import joint_factor
 from ahnn_plugins.ukf.types import Backward, Belief, FilterResult, SmootherResult, Status, Weights
 
+RANK = 1e-12
+"""Singular values below this share of the largest, of a factor with rows of unit length, count as zero."""
+
 
 def backward_kernel(
     propagated: Tensor, chol: Tensor, weights: Weights, chol_q: Tensor
@@ -21,6 +24,7 @@ def backward_kernel(
 
     The gain is G = C P⁻¹ with C the covariance of the states before and after, P the predicted covariance
     (Särkkä 2008, eq. 14); the conditional covariance is that of the smoother, P_k - G P Gᵀ, as a factor.
+    Where P is singular, G = C P⁺ with the pseudo-inverse of P scaled to unit variances.
 
     Args:
         propagated: (B, S, D) sigma points after the flow.
@@ -29,7 +33,7 @@ def backward_kernel(
         chol_q: (B, D, D) factor of the process noise.
 
     Returns:
-        The law, and which members needed a repair, (B,) bool, or None.
+        The law, and which members needed a repair or had a singular P, (B,) bool; None if no member.
     """
     size = chol.shape[-1]
     outer = propagated[:, 1:] - propagated[:, :1]
@@ -37,7 +41,41 @@ def backward_kernel(
     joint, repaired = joint_factor(outer, shift, chol, weights, chol_q.mT)
     chol_next, cross, chol_given = joint[:, :size, :size], joint[:, size:, :size], joint[:, size:, size:]
     gain = torch.linalg.solve_triangular(chol_next, cross, upper=False, left=False)
+    singular = _singular(chol_next)
+    if bool(singular.any()):
+        parts = chol_next[singular], cross[singular], chol_given[singular]
+        gain[singular], chol_given[singular] = _singular_law(*parts)
+        repaired = singular if repaired is None else singular | repaired
     return Backward(gain, chol_given), repaired
+
+
+def _singular(chol: Tensor) -> Tensor:
+    """Return which finite lower factors (B, D, D) have no inverse to rounding, (B,) bool."""
+    diagonal = torch.diagonal(chol, dim1=-2, dim2=-1)
+    deviation = chol.norm(dim=-1)
+    # The diagonal is no smaller than the smallest singular value, but may well be larger: it only tells whom
+    # to look at.
+    suspect = (diagonal <= 100.0 * RANK * deviation).any(-1) & deviation.isfinite().all(-1)
+    if bool(suspect.any()):
+        values = torch.linalg.svdvals(_scaled(chol[suspect])[0])
+        suspect[suspect.clone()] = values[:, -1] <= RANK * values[:, 0]
+    return suspect
+
+
+def _singular_law(chol_next: Tensor, cross: Tensor, chol_given: Tensor) -> tuple[Tensor, Tensor]:
+    """Return gains and conditional factors (B, D, D) where the predicted covariance has no inverse."""
+    scaled, deviation = _scaled(chol_next)
+    gain = cross @ (torch.linalg.pinv(scaled, rtol=RANK) / deviation.mT)
+    # What of the state leaves no trace in the image stays uncertain.
+    rest = cross - gain @ chol_next
+    return gain, tria(torch.cat((chol_given.mT, rest.mT), dim=1))
+
+
+def _scaled(chol: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the factor of the correlation matrix, and the deviations (B, D, 1); a zero row stays."""
+    deviation = chol.norm(dim=-1, keepdim=True)
+    deviation = torch.where(deviation > 0.0, deviation, 1.0)
+    return chol / deviation, deviation
 
 
 @torch.no_grad()
@@ -62,7 +100,8 @@ def unscented_smoother(result: FilterResult) -> SmootherResult:
     initial = smoothed.pop()
     smoothed.reverse()
     means = torch.stack([belief.mean for belief in smoothed], dim=1)
-    return SmootherResult(initial, means, torch.stack([belief.chol for belief in smoothed], dim=1))
+    chols = torch.stack([belief.chol for belief in smoothed], dim=1)
+    return SmootherResult(initial, means, chols, result.status, result.repairs)
 
 
 def _step_back(result: FilterResult, kernels: Backward, before: Belief, after: Belief, k: int) -> Belief:

@@ -68,7 +68,8 @@ def update(
     # An integer tensor times a float would be float32.
     count = present.sum(-1).to(nis.dtype)
     log_likelihood = -0.5 * (nis + count * math.log(2.0 * math.pi)) - diagonal.log().sum(-1)
-    return Updated(Belief(mean, chol), innovation, nis, log_likelihood, singular, repaired)
+    repairs = None if repaired is None else repaired.to(torch.int64)
+    return Updated(Belief(mean, chol), innovation, nis, log_likelihood, singular, repairs)
 
 
 def joint_factor(
@@ -99,12 +100,22 @@ def joint_factor(
 
 
 def _lowered(chol: Tensor, shift: Tensor, weights: Weights) -> tuple[Tensor, Tensor | None]:
-    """Subtract what negative weights leave; where that is impossible leave it out and report a repair."""
+    """Subtract what negative weights leave; where that is impossible leave it out and report a repair.
+
+    Where it would leave a variance that is not positive, the factor is zero and no repair is reported, as in
+    the standard form.
+    """
     if weights.downdate is None:
         return chol, None
     needed = (weights.downdate > 0.0).flatten()
     lowered, possible = downdate(chol, weights.downdate.sqrt().squeeze(-1) * shift)
-    return torch.where(needed[:, None, None], lowered, chol), needed & ~possible
+    chol = torch.where(needed[:, None, None], lowered, chol)
+    impossible = needed & ~possible
+    if not bool(impossible.any()):
+        return chol, impossible
+    variance = chol.square().sum(-1) - weights.downdate.squeeze(-1) * shift.square()
+    lost = impossible & (variance <= 0.0).any(-1)
+    return torch.where(lost[:, None, None], 0.0, chol), impossible & (variance > 0.0).all(-1)
 
 
 SQUARE_ROOT = Form("square-root", predict, update, needs_definite_noise=False)

@@ -1,7 +1,8 @@
 """Standard form: covariances are formed, as in the textbook (Wan & van der Merwe 2000, algorithm 3.1).
 
 Here as a reference and for teaching. A covariance that is no longer positive definite is mended, and the
-mending is reported for the member that it happened to.
+mending is reported for the member that it happened to. One with a variance that is not positive cannot be
+mended: the member collapses.
 """
 
 from __future__ import annotations
@@ -50,14 +51,17 @@ def update(
     whitened = torch.linalg.solve_triangular(chol_y.mT, cross, upper=True, left=False)
     white = torch.linalg.solve_triangular(chol_y, innovation.unsqueeze(-1), upper=False)
     mean = prior.mean + (whitened @ white).squeeze(-1)
-    chol, repaired = cholesky_repaired(_symmetric(prior.covariance - whitened @ whitened.mT))
+    chol, repaired_x = cholesky_repaired(_symmetric(prior.covariance - whitened @ whitened.mT))
     nis = white.square().sum((-2, -1))
     diagonal = torch.diagonal(chol_y, dim1=-2, dim2=-1)
     # An integer tensor times a float would be float32.
     count = present.sum(-1).to(nis.dtype)
     log_likelihood = -0.5 * (nis + count * math.log(2.0 * math.pi)) - diagonal.log().sum(-1)
-    singular = (diagonal == 0.0).any(-1)
-    return Updated(Belief(mean, chol), innovation, nis, log_likelihood, singular, repaired | repaired_y)
+    # The factor of a covariance with a variance that is not positive is zero.
+    lost = (torch.diagonal(chol, dim1=-2, dim2=-1) == 0.0).any(-1)
+    singular = (diagonal == 0.0).any(-1) | lost
+    repairs = repaired_x.to(torch.int64) + repaired_y
+    return Updated(Belief(mean, chol), innovation, nis, log_likelihood, singular, repairs)
 
 
 def _centred(outer: Tensor, centre: Tensor, weights: Weights) -> tuple[Tensor, Tensor]:

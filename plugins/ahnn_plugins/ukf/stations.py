@@ -1,6 +1,7 @@
 """Measurements of a satellite state [position, velocity] in an inertial frame: ground station and GNSS.
 
-Light time, refraction and polar motion are not modelled. Momenta are read as velocities (mass of 1 kg).
+Light time, refraction and polar motion are not modelled. A range-rate needs velocities: a station knows the
+mass that turns momenta into them.
 """
 
 from __future__ import annotations
@@ -39,9 +40,10 @@ class GroundStation:
         rotation_rate: of the Earth, rad/s.
         radius: equatorial, km.
         flattening: of the ellipsoid; 0 for a sphere.
+        mass: of the satellite in kg; the range-rate is that of the velocity p / mass.
 
     Raises:
-        ValueError: if the latitude is not in [-90, 90].
+        ValueError: if the latitude is not in [-90, 90], the mass is not positive, or a state is too short.
     """
 
     def __init__(
@@ -55,10 +57,15 @@ class GroundStation:
         rotation_rate: float = EARTH_RATE,
         radius: float = EARTH_RADIUS,
         flattening: float = EARTH_FLATTENING,
+        mass: float = 1.0,
     ) -> None:
         if not -90.0 <= latitude <= 90.0:
             message = f"GroundStation: expected a latitude in [-90, 90] degrees, got {latitude}"
             raise ValueError(message)
+        if not 0.0 < mass < math.inf:
+            message = f"GroundStation: expected a mass > 0 kg, got {mass}"
+            raise ValueError(message)
+        self.mass = mass
         self.names = ("range", "azimuth", "elevation", *(("range_rate",) if range_rate else ()))
         self.units = ("km", "rad", "rad", *(("km/s",) if range_rate else ()))
         self.latitude = math.radians(latitude)
@@ -73,6 +80,7 @@ class GroundStation:
 
     def __call__(self, x: Tensor, t: float) -> Tensor:
         """Return [range km, azimuth rad, elevation rad(, range-rate km/s)], (..., M), of x (..., 6)."""
+        _check_state(x, 6 if len(self.names) == 4 else 3, "GroundStation")
         angle = self.longitude + self.earth_angle + self.rotation_rate * t
         cosine, sine = math.cos(angle), math.sin(angle)
         site = x.new_tensor((self.equatorial * cosine, self.equatorial * sine, self.polar))
@@ -83,7 +91,7 @@ class GroundStation:
         parts = [distance, wrap(torch.atan2(east, north)), elevation]
         if len(self.names) == 4:
             spin = self.rotation_rate * self.equatorial
-            relative = x[..., 3:6] - x.new_tensor((-spin * sine, spin * cosine, 0.0))
+            relative = x[..., 3:6] / self.mass - x.new_tensor((-spin * sine, spin * cosine, 0.0))
             parts.append((line * relative).sum(-1) / distance)
         return torch.stack(parts, dim=-1)
 
@@ -110,12 +118,12 @@ class GnssRange:
         positions: (N, 3), or a (T, N, 3) table with one row for each of `times`.
         times: (T,) times of the table, increasing; None for constant positions.
         clock: index of the state component that holds the receiver's clock error as a length; None if the
-            ranges are free of it.
+            ranges are free of it. Counts from the end where it is negative.
         unit: of a range.
 
     Raises:
-        ValueError: if the shapes of positions and times do not fit, or a measurement is asked for at a
-            time that the table does not hold.
+        ValueError: if the shapes of positions and times do not fit, a measurement is asked for at a time
+            that the table does not hold, or a state has no component `clock`.
     """
 
     def __init__(
@@ -142,6 +150,8 @@ class GnssRange:
 
     def __call__(self, x: Tensor, t: float) -> Tensor:
         """Return the pseudoranges (..., N) of the states x (..., D) at time t."""
+        clock = 0 if self.clock is None else self.clock
+        _check_state(x, max(3, clock + 1, -clock), "GnssRange")
         satellites = self._at(t).to(x)
         ranges = (x[..., None, :3] - satellites).square().sum(-1).sqrt()
         return ranges if self.clock is None else ranges + x[..., self.clock, None]
@@ -164,3 +174,9 @@ class GnssRange:
             )
             raise ValueError(message)
         return self.positions[nearest]
+
+
+def _check_state(x: Tensor, least: int, who: str) -> None:
+    if x.shape[-1] < least:
+        message = f"{who}: expected states of at least {least} components, got {tuple(x.shape)}"
+        raise ValueError(message)

@@ -2,11 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import IntEnum
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
+import torch
+from numpy.typing import NDArray
 from torch import Tensor
+
+Numbers = Tensor | NDArray[Any] | Sequence[Any] | float
+"""Numbers as users have them: a tensor, an array, nested sequences or one number."""
+
+
+def as_float64(value: Numbers, who: str, device: torch.device | None = None) -> Tensor:
+    """Return numbers of any shape as a float64 tensor.
+
+    Raises:
+        ValueError: if they are no numbers, or not of a rectangular shape; begins with `who`.
+    """
+    try:
+        return torch.as_tensor(value, dtype=torch.float64, device=device)
+    except (TypeError, ValueError, RuntimeError) as error:
+        message = f"{who}: expected numbers in a tensor, an array or nested lists, got {described(value)}"
+        raise ValueError(message) from error
+
+
+def described(value: object) -> str:
+    """Return the type of a value for a message, and its shape if it has one."""
+    shape = getattr(value, "shape", None)
+    return type(value).__name__ + ("" if shape is None else f" {tuple(shape)}")
 
 
 class Status(IntEnum):
@@ -16,7 +40,7 @@ class Status(IntEnum):
     NOT_FINITE = 1
     """The flow or the measurement model overflowed or returned NaN."""
     COLLAPSED = 2
-    """A predicted variance is zero, or the innovation covariance is singular."""
+    """A variance is not positive, or the innovation covariance is singular."""
     DIVERGED = 3
     """The gate rejected too many measurements in a row."""
 
@@ -105,8 +129,9 @@ class Updated(NamedTuple):
         innovation: (B, M), zero where the component is missing.
         nis: (B,) normalised innovation squared of the components that are there.
         log_likelihood: (B,) log density of those components under the prediction.
-        singular: (B,) bool, the innovation covariance cannot be inverted.
-        repaired: (B,) bool, or None where the form had nothing to repair.
+        singular: (B,) bool, the innovation covariance cannot be inverted, or the posterior has a variance
+            that is not positive.
+        repairs: (B,) int64, covariances that were mended, or None where the form had nothing to repair.
     """
 
     belief: Belief
@@ -114,7 +139,7 @@ class Updated(NamedTuple):
     nis: Tensor
     log_likelihood: Tensor
     singular: Tensor
-    repaired: Tensor | None
+    repairs: Tensor | None
 
 
 class Residual(Protocol):
@@ -189,7 +214,8 @@ class FilterResult(NamedTuple):
         log_likelihood: (B,) of the accepted measurements.
         status: (B,) int64, see `Status`.
         failed_step: (B,) int64, step at which the status was given; -1 where it is OK.
-        repairs: (B,) int64, covariances that had to be mended.
+        repairs: (B,) int64, covariances that had to be mended, and backward kernels of a covariance that
+            was singular.
         backward: kernels for the smoother, where they were asked for.
     """
 
@@ -221,11 +247,15 @@ class SmootherResult(NamedTuple):
         initial: smoothed belief about the start.
         means: (B, T, D) given all measurements.
         chols: (B, T, D, D) lower factors.
+        status: (B,) int64, that of the filter, see `Status`.
+        repairs: (B,) int64, those of the filter and of its backward kernels.
     """
 
     initial: Belief
     means: Tensor
     chols: Tensor
+    status: Tensor
+    repairs: Tensor
 
     @property
     def covariances(self) -> Tensor:
@@ -233,5 +263,5 @@ class SmootherResult(NamedTuple):
         return self.chols @ self.chols.mT
 
 
-ProcessNoise = Tensor | Callable[[float], Tensor]
+ProcessNoise = Numbers | Callable[[float], Numbers]
 """Covariance Q of one step, (D, D) or (B, D, D), or a function of the length of the step that returns it."""

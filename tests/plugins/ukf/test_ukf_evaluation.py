@@ -198,6 +198,12 @@ def test_a_filter_that_spoils_the_velocity_alone_says_so(make_case: Callable[...
     assert row.note == "worse than no filter in velocity: measurement noise"
 
 
+def test_a_station_that_would_read_momenta_as_velocities_is_refused(make_case: Callable[..., Case]) -> None:
+    heavy = Molniya(name="heavy", dt=60.0, steps=130, mass=2.0)
+    with pytest.raises(UserError, match=r"GroundStation with mass=2, .* received mass=1"):
+        run(make_case(heavy, exact_flow(heavy, RK4)), "cadence=10", measurement="ground_station")
+
+
 def test_a_measurement_of_another_system_is_refused(spring: Case) -> None:
     with pytest.raises(UserError, match="states with 2 components; GroundStation failed"):
         run(spring, measurement="ground_station")

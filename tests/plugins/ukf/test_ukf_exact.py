@@ -10,7 +10,6 @@ from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from ahnn_plugins.ukf import (
     SQUARE_ROOT,
     STANDARD,
-    Position,
     UnscentedParameters,
     initial_belief,
     unscented_filter,
@@ -154,26 +153,6 @@ def test_forms_agree_with_a_negative_centre_weight(close, parameters):
     assert close(results[0].covariances, results[1].covariances, 1e-7, trailing=2)
     for result in results:
         assert result.status.tolist() == result.repairs.tolist() == [0, 0]
-
-
-def test_an_impossible_downdate_is_a_counted_repair():
-    # f(x) = x² with kappa < 0: the scaled covariance of the image is negative.
-    def square(x, dt):
-        del dt
-        return x**2
-
-    result = unscented_filter(
-        square,
-        initial_belief(torch.zeros(2, 2, dtype=torch.float64), torch.eye(2)),
-        torch.full((2, 1, 1), torch.nan, dtype=torch.float64),
-        Position(1),
-        0.01 * torch.eye(2),
-        torch.eye(1),
-        1.0,
-        parameters=UnscentedParameters(1.0, 0.0, torch.tensor([-1.5, 1.0])),
-    )
-    assert result.repairs.tolist() == [1, 0]
-    assert bool(torch.isfinite(result.means).all())
 
 
 @pytest.mark.parametrize("alpha", [1e-3, 0.1, 1.0])

@@ -118,10 +118,20 @@ def test_angles_wrap_to_the_half_open_interval():
     assert torch.allclose(wrap(angles), expected, rtol=1e-14, atol=1e-15)
 
 
+def test_no_angle_wraps_to_just_outside():
+    pi = math.pi
+    edges = [turn * pi for turn in (-7, -5, -3, -1, 1, 3, 5, 7)]
+    near = [math.nextafter(edge, side) for edge in edges for side in (-math.inf, math.inf)]
+    wrapped = wrap(torch.tensor(near + edges, dtype=F64))
+    assert bool(((wrapped > -pi) & (wrapped <= pi)).all())
+    inside = torch.tensor([math.nextafter(-pi, 0.0), math.nextafter(pi, 0.0), pi, 1.0, 5e-324], dtype=F64)
+    assert torch.equal(wrap(inside), inside)
+
+
 @given(st.floats(-1e3, 1e3))
 def test_wrapping_keeps_the_direction(angle):
     wrapped = float(wrap(torch.tensor(angle, dtype=F64)))
-    assert -math.pi < wrapped <= math.pi + 1e-12
+    assert -math.pi < wrapped <= math.pi
     assert math.cos(wrapped) == pytest.approx(math.cos(angle), abs=1e-11)
     assert math.sin(wrapped) == pytest.approx(math.sin(angle), abs=1e-11)
 
@@ -180,3 +190,29 @@ def test_position_and_state_read_the_state():
 def test_a_station_at_an_impossible_latitude():
     with pytest.raises(ValueError, match="got 91"):
         GroundStation(91.0, 0.0)
+
+
+def test_the_range_rate_is_that_of_the_velocity_whatever_the_mass():
+    x = torch.tensor([7000.0, 1000.0, 3000.0, -1.0, 6.5, 3.0], dtype=F64)
+    momenta = torch.cat((x[:3], 2.5 * x[3:]))
+    light = GroundStation(47.0, 11.0, range_rate=True)
+    heavy = GroundStation(47.0, 11.0, range_rate=True, mass=2.5)
+    assert torch.allclose(heavy(momenta, 7.0), light(x, 7.0), rtol=1e-14, atol=0.0)
+    with pytest.raises(ValueError, match="expected a mass > 0 kg, got 0"):
+        GroundStation(47.0, 11.0, mass=0.0)
+
+
+@pytest.mark.parametrize(
+    ("model", "size", "least"),
+    [
+        (GnssRange([[2e4, 0.0, 0.0]], clock=9), 6, 10),
+        (GnssRange([[2e4, 0.0, 0.0]], clock=-7), 6, 7),
+        (GnssRange([[2e4, 0.0, 0.0]]), 1, 3),
+        (GroundStation(0.0, 0.0), 2, 3),
+        (GroundStation(0.0, 0.0, range_rate=True), 4, 6),
+    ],
+)
+def test_states_that_are_too_short_for_a_model(model, size, least):
+    who = type(model).__name__
+    with pytest.raises(ValueError, match=rf"{who}: expected states of at least {least} .* got \(5, {size}\)"):
+        model(torch.ones(5, size, dtype=F64), 0.0)

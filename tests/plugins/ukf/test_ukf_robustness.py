@@ -1,4 +1,4 @@
-"""What must not hurt: missing data, outliers, bad members, bad conditioning."""
+"""What must not hurt: outliers, bad members, bad conditioning."""
 
 from __future__ import annotations
 
@@ -23,21 +23,6 @@ FORMS = [SQUARE_ROOT, STANDARD]
 F64 = torch.float64
 
 
-class Reduced:
-    """Some of the components of another model."""
-
-    def __init__(self, model, keep):
-        self.model, self.keep = model, keep
-        self.names = tuple(model.names[i] for i in keep)
-        self.units = tuple(model.units[i] for i in keep)
-
-    def __call__(self, x, t):
-        return self.model(x, t)[..., self.keep]
-
-    def residual(self, y, y_pred):
-        return y - y_pred
-
-
 def duffing(x, dt):
     p = x[:, 1] - dt * (x[:, 0] ** 3 - x[:, 0])
     return torch.stack((x[:, 0] + dt * p, p), dim=-1)
@@ -57,75 +42,6 @@ def duffing_run(batch=4, steps=80, seed=0, flow=duffing, rows=None, **options):
     q, r = 1e-5 * torch.eye(2), 0.0025 * torch.eye(1)
     result = unscented_filter(flow, belief, rows, Position(1), q, r, 0.05, **options)
     return truth, rows, result
-
-
-@pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
-def test_a_missing_component_equals_the_reduced_measurement(make_linear, close, form):
-    problem, model = make_linear(5, 3, steps=60, batch=2, seed=3)
-    rows = problem.measurements.clone()
-    rows[:, :, 1] = torch.nan
-    belief = initial_belief(problem.mean, problem.p0)
-    arguments = (belief, rows, model, problem.q, problem.r, 1.0)
-    full = unscented_filter(problem.flow, *arguments, form=form)
-    keep = [0, 2]
-    reduced = unscented_filter(
-        problem.flow,
-        belief,
-        rows[..., keep],
-        Reduced(model, keep),
-        problem.q,
-        problem.r[keep][:, keep],
-        1.0,
-        form=form,
-    )
-    assert close(full.means, reduced.means, 1e-12)
-    assert close(full.covariances, reduced.covariances, 1e-12, trailing=2)
-    assert torch.allclose(full.nis, reduced.nis, rtol=1e-11, atol=0.0)
-    assert torch.allclose(full.log_likelihood, reduced.log_likelihood, rtol=1e-12, atol=0.0)
-    assert bool(torch.isnan(full.innovations[..., 1]).all())
-    assert full.measured.unique().tolist() == [2]
-
-
-def test_one_missing_component_leaves_all_that_follows_finite(make_linear):
-    problem, model = make_linear(4, 2, steps=50, batch=3, seed=5)
-    rows = problem.measurements.clone()
-    rows[1, 20, 0] = torch.nan
-    belief = initial_belief(problem.mean, problem.p0)
-    result = unscented_filter(problem.flow, belief, rows, model, problem.q, problem.r, 1.0)
-    assert bool(torch.isfinite(result.means).all())
-    assert bool(torch.isfinite(result.chols).all())
-    assert result.measured[1, 20] == 1
-
-
-def test_a_row_of_nan_is_no_update(make_linear):
-    problem, model = make_linear(4, 2, steps=30, batch=3, seed=6)
-    rows = problem.measurements.clone()
-    rows[1, 10] = torch.nan
-    rows[:, 20] = torch.nan
-    belief = initial_belief(problem.mean, problem.p0)
-    result = unscented_filter(problem.flow, belief, rows, model, problem.q, problem.r, 1.0)
-    for b, k in [(1, 10), (0, 20), (1, 20), (2, 20)]:
-        assert torch.equal(result.means[b, k], result.predicted_means[b, k])
-        assert torch.equal(result.chols[b, k], result.predicted_chols[b, k])
-        assert math.isnan(result.nis[b, k])
-    assert not torch.equal(result.means[0, 10], result.predicted_means[0, 10])
-
-
-def test_nothing_measured_calls_the_model_never():
-    class Untouchable(Position):
-        def __call__(self, x, t):
-            raise AssertionError(x, t)
-
-    result = unscented_filter(
-        duffing,
-        initial_belief(torch.ones(2, 2, dtype=F64), 0.01 * torch.eye(2)),
-        torch.full((2, 7, 1), torch.nan, dtype=F64),
-        Untouchable(1),
-        1e-5 * torch.eye(2),
-        torch.eye(1),
-        0.05,
-    )
-    assert torch.equal(result.means, result.predicted_means)
 
 
 def test_the_gate_shrugs_off_one_outlier():

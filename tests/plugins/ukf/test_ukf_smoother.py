@@ -87,6 +87,55 @@ def test_no_process_noise_smooths_to_one_trajectory(make_linear, close):
             assert close(smoothed.means[:, k], x, 1e-8)
 
 
+@pytest.mark.parametrize(("size", "rank"), [(2, 1), (3, 2), (6, 1), (6, 3), (6, 5)])
+def test_singular_predictions_are_smoothed_with_the_pseudo_inverse(make_linear, close, size, rank):
+    problem, model = make_linear(size, 2, steps=5, batch=40, seed=10 * size + rank)
+    left, values, right = torch.linalg.svd(problem.a)
+    # The flow forgets all but `rank` directions, and no noise fills the others.
+    a = 0.9 * left[:, :rank] @ (values[:rank, None] * right[:rank])
+    q = torch.zeros(size, size, dtype=torch.float64)
+    belief = initial_belief(problem.mean, problem.p0)
+    result = unscented_filter(
+        lambda x, _: x @ a.mT, belief, problem.measurements, model, q, problem.r, 1.0, smoothing=True
+    )
+    smoothed = unscented_smoother(result)
+    assert torch.equal(smoothed.status, result.status)
+    assert result.status.unique().tolist() == [0]
+    assert torch.equal(smoothed.repairs, result.repairs)
+    assert result.repairs.unique().tolist() == [5]
+    # The start determines all: least squares on the whole arc.
+    powers = [torch.linalg.matrix_power(a, k + 1) for k in range(5)]
+    rows = torch.cat([problem.h @ power for power in powers])
+    weight = torch.linalg.inv(torch.block_diag(*[problem.r] * 5))
+    information = torch.linalg.inv(problem.p0) + rows.mT @ weight @ rows
+    gain = torch.linalg.solve(information, rows.mT @ weight)
+    residual = problem.measurements.flatten(1) - problem.mean @ rows.mT
+    initial = problem.mean + residual @ gain.mT
+    assert close(smoothed.initial.mean, initial, 1e-9)
+    assert close(smoothed.initial.covariance, information.inverse().expand(40, -1, -1), 1e-9, trailing=2)
+    for k, power in enumerate(powers):
+        assert float((smoothed.means[:, k] - initial @ power.mT).abs().max()) < 1e-9
+
+
+def test_two_states_that_become_one_have_a_finite_smoother():
+    eye = torch.eye(2, dtype=torch.float64)
+    result = unscented_filter(
+        lambda x, _: torch.stack((x[:, 0], x[:, 0]), 1),
+        initial_belief(torch.zeros(1, 2), eye),
+        torch.ones(1, 5, 1),
+        Position(1),
+        0.0 * eye,
+        eye[:1, :1],
+        1.0,
+        smoothing=True,
+    )
+    smoothed = unscented_smoother(result)
+    # One unknown with a prior of variance 1, seen five times.
+    assert torch.allclose(smoothed.means, torch.full((1, 5, 2), 5.0 / 6.0, dtype=torch.float64), rtol=1e-12)
+    assert torch.allclose(smoothed.initial.covariance, torch.diag(torch.tensor([1 / 6, 1.0])).double())
+    assert smoothed.repairs.tolist() == [5]
+
+
 def pendulum(x, dt):
     p = x[:, 1] - dt * torch.sin(x[:, 0])
     return torch.stack((x[:, 0] + dt * p, p), dim=-1)
