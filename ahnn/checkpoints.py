@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -20,17 +22,38 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         message = f"checkpoint {path}: expected a file; found none. Name the run folder: run=DIR ckpt=last"
         raise UserError(message)
     try:
+        require_intact(path)
         content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # torch raises many types for a damaged file
+    except pickle.UnpicklingError as error:  # torch's own message tells how to execute it
+        message = (
+            f"checkpoint {path}: expected tensors and plain values; received objects that only executing the "
+            "file would restore, which ahnn never does. Train again, or take a checkpoint written by ahnn"
+        )
+        raise UserError(message) from error
+    except Exception as error:  # torch and zipfile raise many types for a damaged file
         reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
         message = (
-            f"checkpoint {path}: expected an intact checkpoint of ahnn; received a damaged file ({reason})"
+            f"checkpoint {path}: expected an intact checkpoint of ahnn; received a damaged file ({reason}). "
+            "Take another one, or train again"
         )
         raise UserError(message) from error
     if not isinstance(content, dict) or "state_dict" not in content or "ahnn" not in content:
         message = f"checkpoint {path}: expected a checkpoint written by ahnn; received something else"
         raise UserError(message)
     return content
+
+
+def require_intact(path: Path) -> None:
+    """Compare every record of a checkpoint with its checksum, which torch does not do.
+
+    Raises:
+        zipfile.BadZipFile: a record is not what was written, or the file is none that `torch.save` writes.
+    """
+    with zipfile.ZipFile(path) as archive:
+        damaged = archive.testzip()
+    if damaged is not None:
+        message = f"record {damaged} does not fit its checksum"
+        raise zipfile.BadZipFile(message)
 
 
 def require_same(who: str, expected: dict[str, Any], received: dict[str, Any]) -> None:

@@ -1,6 +1,6 @@
 """Between Hydra and the library: objects from YAML with checked arguments, and errors as one message.
 
-Exit codes: 0 done, 2 a mistake in what was asked for, 3 training could not go on.
+Exit codes: 0 done, 2 a mistake in what was asked for, 3 training could not go on, 130 stopped by Ctrl-C.
 """
 
 from __future__ import annotations
@@ -10,66 +10,113 @@ import functools
 import inspect
 import logging
 import os
-import re
 import shutil
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import hydra
+from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException
+from hydra.errors import HydraException, InstantiationException
 from hydra.types import RunMode
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from ahnn.arguments import check_arguments, nearest
+from ahnn.arguments import check_arguments, check_names, nearest
 from ahnn.errors import TrainingError, UserError
+from ahnn.messages import NO_OPTION, dotted_keys, explain
 from ahnn.paths import conf_dir
 
 log = logging.getLogger("ahnn")
 
+__all__ = ["build", "build_all", "dotted_keys", "guard", "plain_config", "run_hydra"]
 
-def build(node: DictConfig, who: str, **offered: Any) -> Any:
+
+def build(node: Any, who: str, kind: type = object, **offered: Any) -> Any:
     """Instantiate the `_target_` of a node after checking its arguments.
 
     Args:
         node: a configuration node with `_target_`.
         who: its name, for messages; a nested node with a `_target_` is built unchecked.
+        kind: what it has to be.
         offered: further arguments, objects allowed; a target gets those that it has parameters for.
 
     Raises:
-        UserError: no such target, an unknown or missing argument, or one of a wrong type.
+        UserError: no such target, an unknown or missing argument, one that it refuses, or another kind.
     """
-    arguments = plain_config(node)
+    arguments = plain_config(node) if isinstance(node, DictConfig) else {}
     target = arguments.pop("_target_", None)
     partial = arguments.pop("_partial_", False)
     if target is None:
-        message = f"{who}: expected a node with _target_; received keys {', '.join(arguments) or 'none'}"
+        received = f"keys {', '.join(arguments)}" if arguments else repr(node)
+        message = f"{who}: expected a node with _target_; received {received}"
         raise UserError(message)
     try:
         function = get_object(target)
     except Exception as error:
         message = f"{who}: expected _target_ to name a class or function; received {target!r} ({error})"
         raise UserError(message) from error
-    if target.split(".")[0] not in ("lightning", "torch"):
-        built = {name for name, value in arguments.items() if isinstance(value, dict) and "_target_" in value}
-        check_arguments(who, function, {k: v for k, v in arguments.items() if k not in built})
+    check_names(who, function, arguments, offered, partial=partial)
+    built = {name for name, value in arguments.items() if isinstance(value, dict) and "_target_" in value}
+    check_arguments(who, function, {k: v for k, v in arguments.items() if k not in built})
+    with blaming(who):
+        made = instantiate(node, _convert_="all", _partial_=True)
     taken = inspect.signature(function).parameters
     passed = {name: value for name, value in offered.items() if name in taken}
-    made = functools.partial(instantiate(node, _convert_="all", _partial_=True), **passed)
-    return made if partial else made()
+    call = functools.partial(_call, who, made, **passed)
+    if partial:
+        return call
+    thing = call()
+    if not isinstance(thing, kind):
+        message = f"{who}: expected {kind.__name__}; received {type(thing).__name__}"
+        raise UserError(message)
+    return thing
 
 
-def build_all(nodes: DictConfig, who: str) -> dict[str, Any]:
+def _call(who: str, made: Callable[..., Any], /, *arguments: Any, **named: Any) -> Any:
+    with blaming(who):
+        return made(*arguments, **named)
+
+
+@contextlib.contextmanager
+def blaming(who: str) -> Iterator[None]:
+    """Turn what a constructor says of its arguments into a message that names the configuration node."""
+    try:
+        yield
+    except (UserError, TrainingError):
+        raise
+    except Exception as error:
+        from lightning.fabric.utilities.exceptions import MisconfigurationException
+
+        cause = error.__cause__ if isinstance(error, InstantiationException) and error.__cause__ else error
+        if isinstance(cause, UserError | TrainingError):
+            raise cause from None
+        refusals = (TypeError, ValueError, LookupError, AttributeError, ArithmeticError, ImportError)
+        if not isinstance(cause, (*refusals, HydraException, MisconfigurationException)):
+            raise
+        said = " ".join(str(cause).split()) or type(cause).__name__
+        message = f"{who}: {said}"
+        raise UserError(message) from error
+
+
+def build_all(nodes: DictConfig, who: str, kind: type = object) -> dict[str, Any]:
     """Instantiate every named entry of a group; an entry set to null is left out."""
-    return {str(name): build(node, f"{who}.{name}") for name, node in nodes.items() if node is not None}
+    given = {str(name): node for name, node in nodes.items() if node is not None}
+    return {name: build(node, f"{who}.{name}", kind) for name, node in given.items()}
 
 
-def plain_config(cfg: Any) -> dict[str, Any]:
-    """Return a configuration as plain, resolved values."""
+def plain_config(cfg: Any, who: str = "configuration") -> dict[str, Any]:
+    """Return a configuration as plain, resolved values.
+
+    Raises:
+        UserError: a value in place of keys.
+    """
+    if not isinstance(cfg, DictConfig):
+        message = f"{who}: expected keys with values; received {cfg!r}"
+        raise UserError(message)
     return OmegaConf.to_container(cfg, resolve=True)  # pyright: ignore[reportReturnType]
 
 
@@ -84,22 +131,45 @@ OmegaConf.register_new_resolver("stencil", stencil, replace=True)
 def run_hydra(task: Callable[[DictConfig], Any], config_name: str = "train") -> None:
     """Run a task under Hydra; a user's mistake ends in one message and an exit code, not a traceback."""
     os.environ["HYDRA_FULL_ERROR"] = "1"  # makes Hydra raise, so that the messages are ours
+    # Hydra takes no null for a group. For one that is empty anyway it means what leaving it away does.
+    sys.argv = [argument for argument in sys.argv if argument not in ("experiment=null", "sweep=null")]
 
     @functools.wraps(task)
     def tidy(cfg: DictConfig) -> Any:
-        try:
-            return task(cfg)
-        except UserError:
+        if HydraConfig.get().mode is RunMode.MULTIRUN or cfg.get("trial") is not None:
+            return checked(cfg)  # who runs several jobs has to see how each of them ended
+        if code := guard(lambda: checked(cfg)):
             forget(Path(cfg.folder))
-            raise
+            sys.exit(code)  # past Hydra, which would say that there was an error
+        return None
+
+    def checked(cfg: DictConfig) -> Any:
+        check_preset()
+        return task(cfg)
 
     entry = hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name=config_name)(tidy)
     sys.exit(guard(entry))
 
 
+def check_preset() -> None:
+    """Check the one group that may be without its file: not every budget has a preset of every system.
+
+    Raises:
+        UserError: an option that was asked for by name and does not exist.
+    """
+    choices = HydraConfig.get().runtime.choices
+    name = choices.get("preset")
+    if name in (None, f"{choices.get('budget')}_{choices.get('system')}"):
+        return
+    options = GlobalHydra.instance().config_loader().get_group_options("preset")
+    if name not in options:
+        message = f"configuration: preset: unknown option {name!r}{nearest(name, options)}"
+        raise UserError(message)
+
+
 def forget(folder: Path) -> None:
-    """Remove what Hydra wrote for a run that never began; a sweep keeps it, to list the failure."""
-    if HydraConfig.get().mode is RunMode.RUN and not (folder / "config.yaml").exists():
+    """Remove what Hydra wrote for a run that never began, with none of its seeds."""
+    if not any((f / "config.yaml").exists() for f in (folder, *folder.glob("seed_*"))):
         shutil.rmtree(folder / ".hydra", ignore_errors=True)
         with contextlib.suppress(OSError):
             folder.rmdir()
@@ -109,15 +179,21 @@ def guard(entry: Callable[[], Any]) -> int:
     """Call an entry point and return its exit code."""
     try:
         entry()
+    except KeyboardInterrupt as stop:
+        return report(str(stop) or "stopped by Ctrl-C; the same command begins anew", 130)
     except TrainingError as error:
         return report(str(error), 3)
     except UserError as error:
         return report(str(error), 2)
-    except OSError as error:
-        return report(f"file {error.filename}: {error.strerror or error}", 2)
-    except (HydraException, OmegaConfBaseException) as error:
+    except (HydraException, OmegaConfBaseException) as error:  # before OSError, which some of them are
         if isinstance(error.__cause__, UserError | TrainingError):
             return report(str(error.__cause__), 2)
+        return report(explain(error), 2)
+    except OSError as error:
+        return report(f"file {error.filename}: {error.strerror or error}", 2)
+    except ValueError as error:
+        if not str(error).startswith(NO_OPTION):
+            raise
         return report(explain(error), 2)
     return 0
 
@@ -126,41 +202,3 @@ def report(message: str, code: int) -> int:
     """Write a message to standard error and return the code."""
     sys.stderr.write(f"ahnn: {message}\n")
     return code
-
-
-def explain(error: Exception) -> str:
-    """Return a configuration error of Hydra or OmegaConf as one message with the nearest valid key."""
-    source = error if str(error).strip() else (error.__cause__ or error.__context__ or error)
-    lines = [line for line in str(source).splitlines() if line.strip()]
-    text = lines[0] if lines else type(source).__name__
-    if text.endswith(":") and len(lines) > 1:  # Hydra names the target first, and what it said below
-        text = f"{text} {lines[1]}"
-    wrong = re.search(r"Could not override '([\w.@]+)'", text) or re.search(r"Key '([\w.]+)'", text)
-    if wrong:
-        return f"configuration: unknown key {wrong[1]!r}{nearest_key(wrong[1])}"
-    missing = re.search(r"Could not find '([\w/]+)/([\w.]+)'", text)
-    if missing:
-        options = [line.strip() for line in lines[2:] if line.startswith("\t")]
-        return f"configuration: {missing[1]}: unknown option {missing[2]!r}{nearest(missing[2], options)}"
-    detail = f" ({error.full_key})" if isinstance(error, OmegaConfBaseException) and error.full_key else ""
-    return f"configuration: {text}{detail}"
-
-
-def nearest_key(wrong: str) -> str:
-    """Return a hint with the valid dotted key that is closest to a wrong one, groups included."""
-    from hydra import compose, initialize_config_dir
-    from hydra.core.global_hydra import GlobalHydra
-
-    GlobalHydra.instance().clear()
-    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
-        cfg = compose("train", return_hydra_config=False)
-    groups = [folder.name for folder in conf_dir().iterdir() if folder.is_dir()]
-    return nearest(wrong, sorted({*dotted_keys(cfg), *groups})) if wrong else ""
-
-
-def dotted_keys(cfg: Any, prefix: str = "") -> Iterable[str]:
-    """Yield every key of a nested configuration, dotted."""
-    for key, value in OmegaConf.to_container(cfg, resolve=False).items():  # pyright: ignore
-        yield f"{prefix}{key}"
-        if isinstance(value, dict):
-            yield from dotted_keys(OmegaConf.create(value), f"{prefix}{key}.")

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import logging
+import sys
 import time
 import warnings
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
 from lightning import Trainer
+from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.utilities import rank_zero_only
 
 from ahnn.checkpoints import read_checkpoint, require_same
@@ -59,6 +63,103 @@ def resume_point(ckpt: str | None, model: AbstractDynamics, folder: Path) -> Pat
     received = {"model": dict(content["hyper_parameters"]), "system": content["ahnn"].get("system", {})}
     require_same(f"checkpoint {path}", {"model": dict(model.hparams), **model.provenance}, received)
     return path
+
+
+def require_new(folder: Path, ckpt: str | None) -> None:
+    """Check that a training from the start replaces no other.
+
+    Raises:
+        UserError: the folder holds checkpoints.
+    """
+    found = sorted(path.name for path in (folder / "checkpoints").glob("*.ckpt"))
+    if found and ckpt is None:
+        message = (
+            f"run {folder}: expected a folder without checkpoints; found {', '.join(found)}. "
+            "Go on with ckpt=last, or choose another run="
+        )
+        raise UserError(message)
+
+
+def check_spans(window: int, data: WindowDataModule, model: AbstractDynamics) -> None:
+    """Check that there is one W, and that trajectories are long enough for the derivatives of the loss.
+
+    Raises:
+        UserError: W was set in one place and not in the others, or too few steps.
+    """
+    received = {"window": window, "data.window": data.window, "model.window": model.window}
+    if len({*received.values()}) > 1:
+        odd = next(value for value in received.values() if value != window)
+        message = (
+            "window: expected one W for data, model and label; received "
+            f"{', '.join(f'{name}={value}' for name, value in received.items())}. Set window={odd} alone"
+        )
+        raise UserError(message)
+    steps = data.system.steps
+    if data.stencil > max(steps, data.window) and getattr(data.system, "periods", None) is None:
+        message = (
+            f"loss: derivatives of order {data.stencil} expect at least {data.stencil} steps a trajectory; "
+            f"received {steps}. Set loss.order={max(2, steps // 2 * 2)} or loss.derivative=0"
+        )
+        raise UserError(message)
+
+
+def check_optimisation(model: AbstractDynamics) -> None:
+    """Build optimiser and scheduler for a trial, which also shows whether gradients are stepped on.
+
+    Raises:
+        UserError: the scheduler cannot take its first step.
+    """
+    configured = model.configure_optimizers()
+    if not isinstance(configured, dict):
+        return
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that the optimiser took no step before
+            configured["lr_scheduler"]["scheduler"].step()
+    except (ArithmeticError, TypeError, ValueError) as error:
+        message = f"scheduler: it cannot take a step with these settings: {error}"
+        raise UserError(message) from error
+
+
+def check_steps(trainer: Trainer, model: AbstractDynamics) -> None:
+    """Check that nothing is asked of second-order steps that only gradients can do.
+
+    Raises:
+        UserError: clipped or accumulated gradients.
+    """
+    if model.automatic_optimization:
+        return
+    for name, neutral in (("gradient_clip_val", 0), ("accumulate_grad_batches", 1)):
+        if (value := getattr(trainer, name)) not in (neutral, None):
+            message = (
+                f"trainer.{name}: expected none with levenberg_marquardt, which takes its own steps; "
+                f"received {value}. Leave it away, or choose optimizer=adamw"
+            )
+            raise UserError(message)
+
+
+@contextlib.contextmanager
+def interruptible(trainer: Trainer, how_to_go_on: Callable[[], str]) -> Iterator[None]:
+    """Turn what ends a fit early by the user's will or mistake into one message.
+
+    Lightning answers Ctrl-C with an exit of its own, code 1.
+
+    Raises:
+        KeyboardInterrupt: with what to type to go on.
+        UserError: settings of the trainer that do not go together.
+    """
+    try:
+        yield
+    except (KeyboardInterrupt, SystemExit) as stop:
+        if not isinstance(stop, KeyboardInterrupt) and not isinstance(stop.__context__, KeyboardInterrupt):
+            raise
+        if not trainer.is_global_zero:
+            sys.exit(130)  # of several processes, one speaks
+        message = f"stopped by Ctrl-C; {how_to_go_on()}"
+        raise KeyboardInterrupt(message) from None
+    except MisconfigurationException as error:
+        message = f"trainer: {error}"
+        raise UserError(message) from error
 
 
 def check_devices(trainer: Trainer, model: AbstractDynamics, *, multirun: bool) -> None:

@@ -17,7 +17,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from ahnn.arguments import check_arguments
+from ahnn.arguments import check_arguments, check_names
 from ahnn.config import build, build_all, plain_config, run_hydra
 from ahnn.errors import UserError
 
@@ -27,9 +27,19 @@ if TYPE_CHECKING:
     from ahnn.data import WindowDataModule
     from ahnn.evaluation import EvaluationPlugin
     from ahnn.models import AbstractDynamics
-    from ahnn.systems import System
 
 log = logging.getLogger(__name__)
+
+SEEDS = (0, 2**32 - 1)
+LIMITS = {
+    **dict.fromkeys(("seed", "seeds", "data.seed", "data.order_seed", "evaluation.seed"), SEEDS),
+    "threads": (1, 1024),
+    **dict.fromkeys(("trainer.max_epochs", "trainer.accumulate_grad_batches"), (1, math.inf)),
+}
+"""Least and largest values of numbers that other libraries take unseen and fail on later."""
+
+GIVEN = ("model", "data", "plugins", "about", "loggers", "label", "folder", "settings")
+"""What the evaluation gets from a training and not from its own part of the configuration."""
 
 
 def train(cfg: DictConfig) -> float:
@@ -37,14 +47,21 @@ def train(cfg: DictConfig) -> float:
 
     Several `seeds` train in folders of their own, seed_7 and so on, inside the run folder.
     """
-    if not cfg.seeds:
-        return train_once(cfg)
-    losses = []
-    for seed in cfg.seeds:
-        part = cfg.copy()
-        part.seed, part.seeds, part.folder = seed, None, f"{cfg.folder}/seed_{seed}"
-        losses.append(train_once(part))
-    return sum(losses) / len(losses)
+    from ahnn.setup import quiet, require_new
+
+    quiet()
+    check_settings(cfg)
+    parts = [of_seed(cfg, seed) for seed in cfg.seeds] if cfg.seeds else [cfg]
+    for part in parts:
+        require_new(Path(part.folder), part.ckpt)
+    return sum(train_once(part) for part in parts) / len(parts)
+
+
+def of_seed(cfg: DictConfig, seed: int) -> DictConfig:
+    """Return the configuration of one seed among several."""
+    part = cfg.copy()
+    part.seed, part.seeds, part.folder = seed, None, f"{cfg.folder}/seed_{seed}"
+    return part
 
 
 def train_once(cfg: DictConfig) -> float:
@@ -57,26 +74,27 @@ def train_once(cfg: DictConfig) -> float:
 
     from ahnn.data.store import require_writable, write_atomically
     from ahnn.evaluation.report import finish
-    from ahnn.setup import announce, check_devices, quiet, resume_point
+    from ahnn.setup import announce, check_devices, check_steps, interruptible, resume_point
 
-    quiet()
-    check_settings(cfg)
     folder = Path(cfg.folder)
     torch.set_num_threads(cfg.threads)
     seed_everything(cfg.seed, verbose=False)
     data, model = build_parts(cfg)
-    plugins = build_plugins(cfg, data.system)
+    plugins = build_plugins(cfg, data)
     checkpoint = resume_point(cfg.ckpt, model, folder / "checkpoints")
-    require_writable(folder)
     trainer = build_trainer(cfg)
     check_devices(trainer, model, multirun=HydraConfig.get().mode is RunMode.MULTIRUN)
+    check_steps(trainer, model)
+    data.train_dataloader()  # the last that may be refused: from here on files are written
 
+    require_writable(folder)
     model.calibrate(data.statistics())
     if trainer.is_global_zero:
         write_atomically(folder / "config.yaml", OmegaConf.to_yaml(plain_config(cfg)).encode())
         announce(trainer, data, model, cfg.label)
     started = time.monotonic()
-    trainer.fit(model, data, ckpt_path=checkpoint)
+    with interruptible(trainer, lambda: go_on(cfg)):
+        trainer.fit(model, data, ckpt_path=checkpoint)
     if not trainer.is_global_zero:
         return math.nan
     about = {
@@ -86,7 +104,20 @@ def train_once(cfg: DictConfig) -> float:
         "parameters": sum(p.numel() for p in model.parameters()),
     }
     known = {"loggers": trainer.loggers, "settings": searched_settings(cfg)}
-    return finish(model, data, plugins, about, label=cfg.label, folder=folder, **known, **cfg.evaluation)
+    with interruptible(trainer, lambda: f"it is trained; python -m ahnn.evaluate run={folder} judges it"):
+        return finish(model, data, plugins, about, label=cfg.label, folder=folder, **known, **cfg.evaluation)
+
+
+def go_on(cfg: DictConfig) -> str:
+    """Return how to go on with a training that was stopped."""
+    if cfg.get("trial") is not None:
+        return "the same command goes on with the search"
+    if not (Path(cfg.folder) / "checkpoints" / "last.ckpt").exists():
+        return "there is no checkpoint yet: the same command begins anew"
+    one_of_several = cfg.folder != HydraConfig.get().runtime.output_dir
+    seed = f" seed={cfg.seed} seeds=null" if one_of_several else ""
+    command = "keys of this job" if HydraConfig.get().mode is RunMode.MULTIRUN else "command"
+    return f"go on with the same {command} and run={cfg.folder}{seed} ckpt=last"
 
 
 def searched_settings(cfg: DictConfig) -> dict[str, Any]:
@@ -96,60 +127,70 @@ def searched_settings(cfg: DictConfig) -> dict[str, Any]:
 
 
 def check_settings(cfg: DictConfig) -> None:
-    """Check the keys that belong to no group.
+    """Check the keys that belong to no group, and those that nothing looks at before a training is over.
 
     Raises:
         UserError: a wrong type or an impossible value.
     """
+    from ahnn.evaluation.report import finish
 
-    def settings(*, seed: int, threads: int, window: int, label: str, ckpt: str | None) -> None: ...
+    def settings(
+        *, seed: int, seeds: list[int] | None, threads: int, window: int, label: str, ckpt: str | None
+    ) -> None: ...
 
-    names = ("seed", "threads", "window", "label", "ckpt")
-    check_arguments("configuration", settings, {name: cfg[name] for name in names})
-    if cfg.threads < 1 or cfg.seed < 0:
-        message = f"configuration: expected threads >= 1 and seed >= 0; received {cfg.threads} and {cfg.seed}"
+    def trainer(*, max_epochs: int) -> None: ...
+
+    top = {name: cfg[name] for name in ("seed", "threads", "window", "label", "ckpt")}
+    top = plain_config(OmegaConf.create({**top, "seeds": cfg.get("seeds")}))
+    check_arguments("configuration", settings, top)
+    check_arguments("trainer", trainer, {"max_epochs": cfg.trainer.max_epochs})
+    evaluation = plain_config(cfg.evaluation, "evaluation")
+    check_names("evaluation", finish, evaluation, GIVEN)
+    check_arguments("evaluation", finish, evaluation)
+    for name, (least, most) in LIMITS.items():
+        value = OmegaConf.select(cfg, name)
+        for number in value if name == "seeds" and value else [value]:
+            if isinstance(number, int | float) and not least <= number <= most:
+                message = f"configuration: {name}: expected {least} <= n <= {most}; received {number}"
+                raise UserError(message)
+    if cfg.get("seeds") and len({*cfg.seeds}) < len(cfg.seeds):
+        message = f"configuration: seeds: expected different ones; received {list(cfg.seeds)}"
         raise UserError(message)
 
 
 def build_parts(cfg: DictConfig) -> tuple[WindowDataModule, AbstractDynamics]:
     """Build system, DataModule and model; nothing is generated yet, so that mistakes show at once."""
     from ahnn.models import Optimisation
+    from ahnn.setup import check_optimisation, check_spans
 
     system = build(cfg.system, "system")
     data = build(cfg.data, "data", system=system)
     model = build(cfg.model, "model", dof=system.dof, inertia=system.inertia).to(data.dtype)
+    check_spans(cfg.window, data, model)
     scheduler = build(cfg.scheduler, "scheduler") if cfg.scheduler else None
     model.optimisation = Optimisation(build(cfg.optimizer, "optimizer"), scheduler)
-    model.configure_optimizers()
+    check_optimisation(model)
     model.provenance = {"system": plain_config(cfg.system)}
     return data, model
 
 
-def build_plugins(cfg: DictConfig, system: System) -> dict[str, EvaluationPlugin]:
+def build_plugins(cfg: DictConfig, data: WindowDataModule) -> dict[str, EvaluationPlugin]:
     """Build the evaluations that run after fit, and let each refuse a system that it does not fit."""
     plugins = build_all(cfg.plugins, "plugins")
     for plugin in plugins.values():
-        plugin.check(system)
+        plugin.check(data.system)
     return plugins
 
 
 def build_trainer(cfg: DictConfig) -> Trainer:
-    """Build the Lightning trainer with its callbacks and loggers.
+    """Build the Lightning trainer with its callbacks and loggers."""
+    from lightning import Callback, Trainer
+    from lightning.pytorch.loggers import Logger
 
-    Raises:
-        UserError: the machine lacks what is asked for, such as a second GPU.
-    """
-    from lightning.fabric.utilities.exceptions import MisconfigurationException
-
-    parts = {
-        "callbacks": list(build_all(cfg.callbacks, "callbacks").values()),
-        "logger": list(build_all(cfg.logger, "logger").values()),
-    }
-    try:
-        return build(cfg.trainer, "trainer", **parts, default_root_dir=cfg.folder)
-    except MisconfigurationException as error:
-        message = f"trainer: {error}"
-        raise UserError(message) from error
+    callbacks = list(build_all(cfg.callbacks, "callbacks", Callback).values())
+    logger = list(build_all(cfg.logger, "logger", Logger).values())
+    parts = {"callbacks": callbacks, "logger": logger, "default_root_dir": cfg.folder}
+    return build(cfg.trainer, "trainer", Trainer, **parts)
 
 
 def main() -> None:

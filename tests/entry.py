@@ -41,10 +41,13 @@ class CutAfter(Callback):
         steps: optimiser steps that are taken.
         validation: cut when the validation after these steps begins, and not at once.
         kill: send SIGKILL to this process instead of raising.
+        ctrl_c: raise what Ctrl-C raises.
     """
 
-    def __init__(self, steps: int, validation: bool = False, kill: bool = False) -> None:
-        self.steps, self.validation, self.kill = steps, validation, kill
+    def __init__(
+        self, steps: int, validation: bool = False, kill: bool = False, ctrl_c: bool = False
+    ) -> None:
+        self.steps, self.validation, self.kill, self.ctrl_c = steps, validation, kill, ctrl_c
 
     def on_train_batch_end(self, trainer, *_) -> None:
         if not self.validation:
@@ -59,6 +62,8 @@ class CutAfter(Callback):
             return
         if self.kill:
             os.kill(os.getpid(), signal.SIGKILL)
+        if self.ctrl_c:
+            raise KeyboardInterrupt
         raise Interrupted
 
 
@@ -76,16 +81,18 @@ class SpoilAfter(Callback):
 
 @contextmanager
 def untouched() -> Iterator[None]:
-    """Restore what an entry point changes in its process: logging, Hydra, threads, environment."""
+    """Restore what an entry point changes in its process: logging, Hydra, threads, environment, signals."""
     root = logging.getLogger()
     before = root.handlers[:], root.level
     lightning = logging.getLogger("lightning.pytorch").level
+    interrupt = signal.getsignal(signal.SIGINT)
     with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
         patch.setenv("HYDRA_FULL_ERROR", "0")
         try:
             yield
         finally:
             root.handlers[:], root.level = before
+            signal.signal(signal.SIGINT, interrupt)
             logging.getLogger("ahnn").setLevel(logging.NOTSET)
             logging.getLogger("lightning.pytorch").setLevel(lightning)
             GlobalHydra.instance().clear()

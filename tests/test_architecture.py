@@ -34,11 +34,12 @@ MAY_IMPORT = {
     "evaluation": OPEN | {"integrators", "metrics", "systems", "data", "models", "checkpoints", "pretrained"},
     "callbacks": OPEN | {"metrics", "data", "models", "evaluation"},
     "setup": OPEN | {"checkpoints", "data", "models"},
-    "config": OPEN,
+    "messages": OPEN,
+    "config": OPEN | {"messages"},
     "train": OPEN | {"config", "data", "models", "evaluation", "setup", "callbacks"},
     "evaluate": OPEN | {"config", "train", "data", "models", "evaluation", "setup", "pretrained"},
 }
-HYDRA = {"train.py", "evaluate.py", "config.py", "evaluation/sweep.py"}
+HYDRA = {"train.py", "evaluate.py", "config.py", "messages.py", "evaluation/sweep.py"}
 
 
 def name(path):

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import pytest
 
-from ahnn.arguments import check_arguments, fits, nearest
+from ahnn.arguments import check_arguments, check_names, fits, nearest
 from ahnn.errors import UserError
 from ahnn.systems import MassSpring
 
@@ -82,3 +82,36 @@ def test_objects_that_are_built_already_pass():
 def test_the_nearest_name_is_offered_or_all_of_them():
     assert nearest("modle", ["model", "data"]) == "; did you mean 'model'?"
     assert nearest("xyz", ["model", "data"]) == "; it takes model, data"
+
+
+def built(parent, *, size: int, pair: tuple[float, float] = (0.0, 1.0)) -> None: ...
+
+
+@pytest.mark.parametrize(
+    ("names", "options", "expected"),
+    [
+        (["size"], {}, "group: expected key 'parent'; received size"),
+        ([], {"partial": True}, "group: expected key 'size'; received no key"),
+        (["size", "parent"], {"partial": True}, "group: unknown key 'parent'"),
+        (["size", "parent"], {"given": ["parent"]}, "group: unknown key 'parent'; did you mean 'pair'"),
+        (["siz"], {"partial": True}, "group: unknown key 'siz'; did you mean 'size'"),
+    ],
+)
+def test_missing_names_and_those_that_are_not_the_users_are_refused(names, options, expected):
+    with pytest.raises(UserError, match=expected):
+        check_names("group", built, names, **options)
+
+
+def test_names_that_are_all_there_pass():
+    check_names("group", built, ["size", "pair"], partial=True)
+    check_names("group", built, ["size"], ["parent"])
+    check_names("group", lambda **_: None, ["anything"])
+
+
+def test_the_length_of_a_pair_and_the_kind_of_a_value_that_is_none_are_checked():
+    for wrong in ({"pair": [1.0]}, {"pair": [1.0, 2.0, 3.0]}, {"pair": 1.0}):
+        with pytest.raises(UserError, match="expected a list of 2 float"):
+            check_arguments("group", built, wrong)
+    assert fits([1, 2], tuple[float, ...])
+    assert not fits(None, MassSpring)
+    assert fits(None, Any)

@@ -54,6 +54,17 @@ def test_a_damaged_checkpoint_is_one_message(tmp_path, damage):
         read_checkpoint(path)
 
 
+def test_a_flipped_bit_in_the_weights_is_found_and_its_record_named(tmp_path):
+    path = good(tmp_path / "a.ckpt")
+    content = path.read_bytes()
+    ones = torch.ones(3).numpy().tobytes()
+    assert content.count(ones) == 1
+    path.write_bytes(content.replace(ones, ones[:-1] + bytes([ones[-1] ^ 1])))
+    assert not torch.equal(torch.load(path, weights_only=True)["state_dict"]["w"], torch.ones(3))
+    with pytest.raises(UserError, match=r"a\.ckpt: expected an intact .*record a/data/0 does not fit"):
+        read_checkpoint(path)
+
+
 @pytest.mark.parametrize("container", ["zip", "pickle"])
 def test_a_malicious_pickle_is_refused_and_not_run(tmp_path, container):
     path, sentinel = tmp_path / "evil.ckpt", tmp_path / "sentinel"
@@ -62,8 +73,9 @@ def test_a_malicious_pickle_is_refused_and_not_run(tmp_path, container):
         torch.save(content, path)
     else:
         path.write_bytes(pickle.dumps(content))
-    with pytest.raises(UserError, match=r"evil\.ckpt"):
+    with pytest.raises(UserError, match=r"evil\.ckpt: expected") as refused:
         read_checkpoint(path)
+    assert "weights_only" not in str(refused.value)
     assert not sentinel.exists()
 
 

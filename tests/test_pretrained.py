@@ -8,9 +8,11 @@ from pathlib import Path
 import pytest
 import torch
 from omegaconf import OmegaConf
+from safetensors.torch import load_file, save_file
 
 from ahnn.errors import UserError
-from ahnn.pretrained import HERE, best_weights, install, names
+from ahnn.evaluation.report import restore
+from ahnn.pretrained import FILES, HERE, best_weights, install, names
 from ahnn.train import build_parts
 
 ORBITS = Path(__file__).parent / "fixtures" / "j2_orbits.csv"
@@ -33,8 +35,7 @@ def test_a_trained_model_follows_a_reference_orbit_past_periapsis(name, tmp_path
     cfg = OmegaConf.load(tmp_path / "run" / "config.yaml")
     cfg.data.cache = str(tmp_path)
     _, model = build_parts(cfg)
-    weights, _ = best_weights(tmp_path / "run")
-    model.load_state_dict(weights)
+    restore(model, tmp_path / "run")
     states = reference("0")
     x, flow = states[:1], model.flow()
     for _ in range(10):
@@ -55,3 +56,40 @@ def test_an_unknown_name_is_refused_with_the_nearest_one(tmp_path):
     with pytest.raises(UserError, match="did you mean"):
         install(names()[0] + "x", tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("own", ["config.yaml", "checkpoints/best.ckpt"])
+def test_a_folder_with_another_run_is_refused_and_kept(tmp_path, own):
+    (tmp_path / own).parent.mkdir(exist_ok=True)
+    (tmp_path / own).write_text("mine")
+    with pytest.raises(UserError, match=r"holds another run.*run=DIR"):
+        install(names()[0], tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == [own.split("/")[0]]
+    assert (tmp_path / own).read_text() == "mine"
+
+
+def test_a_folder_of_the_same_model_is_made_whole_again(tmp_path):
+    install(names()[0], tmp_path)
+    (tmp_path / "weights.safetensors").write_bytes(b"damaged")
+    (tmp_path / "metrics.json").unlink()
+    install(names()[0], tmp_path)
+    for file in FILES:
+        assert (tmp_path / file).read_bytes() == (HERE / names()[0] / file).read_bytes()
+
+
+def test_damaged_weights_are_one_message(tmp_path):
+    install(names()[0], tmp_path)
+    path = tmp_path / "weights.safetensors"
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(UserError, match=r"weights\.safetensors: expected an intact .* a damaged one"):
+        best_weights(tmp_path)
+
+
+def test_weights_of_another_model_are_one_message(tmp_path):
+    install(names()[0], tmp_path)
+    _, model = build_parts(OmegaConf.load(tmp_path / "config.yaml"))
+    content = load_file(tmp_path / "weights.safetensors")
+    content.pop(next(iter(content)))
+    save_file(content, tmp_path / "weights.safetensors")
+    with pytest.raises(UserError, match=r"expected the weights of its model; received others .*Missing key"):
+        restore(model, tmp_path)

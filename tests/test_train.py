@@ -118,6 +118,7 @@ def test_a_mistake_is_one_message_and_leaves_nothing(mistake, tmp_path, capfd, m
     overrides, expected = MISTAKES[mistake]
     assert call("ahnn.train", *short(tmp_path, *overrides)) == 2
     out, err = capfd.readouterr()
+    assert err.startswith("ahnn: ")  # and nothing of Hydra's before it
     assert err.count("ahnn: ") == 1
     for text in expected:
         assert text in err

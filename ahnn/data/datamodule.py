@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any, Literal
 
@@ -81,8 +82,8 @@ class WindowDataModule(LightningDataModule):
             if value is not None and value < 1:
                 message = f"data: {name}: expected at least 1; received {value}"
                 raise UserError(message)
-        if self.emphasis < 0:
-            message = f"data: emphasis: expected at least 0; received {self.emphasis}"
+        if not 0 <= self.emphasis < math.inf:
+            message = f"data: emphasis: expected a finite number >= 0; received {self.emphasis}"
             raise UserError(message)
         if self.dtype is None:
             message = "data: precision: expected 32 or 64 bits"
@@ -146,7 +147,7 @@ def split_sizes(count: int, shares: list[float]) -> list[int]:
     Raises:
         UserError: shares that are not three positive numbers of sum 1, or a split that stays empty.
     """
-    if len(shares) != 3 or any(s <= 0 for s in shares) or abs(sum(shares) - 1) > 1e-9:
+    if not (len(shares) == 3 and all(s > 0 for s in shares) and abs(sum(shares) - 1) <= 1e-9):
         message = (
             f"data: split: expected three positive shares of sum 1 (train, val, test); received {shares}"
         )

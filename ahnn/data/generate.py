@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import torch
+from torch import Tensor
 
+from ahnn.errors import UserError
 from ahnn.integrators import INTEGRATORS
 from ahnn.progress import track
 from ahnn.systems import System
@@ -16,16 +18,57 @@ def generate(system: System, count: int, seed: int) -> Trajectories:
 
     All are integrated together for as long as the longest one; what lies beyond the end of a shorter one
     is NaN.
+
+    Raises:
+        UserError: the trajectories are too long to be kept, or do not stay finite.
     """
     integrator = INTEGRATORS[system.integrator]
     x = system.initial_states(count, torch.Generator().manual_seed(seed))
     steps = system.durations(x)
     longest = int(steps.max())
-    states = torch.empty(count, longest + 1, x.shape[-1], dtype=torch.float64)
+    states = room(system, x, steps)
     states[:, 0] = x
     for k in track(range(1, longest + 1), f"generating {count} trajectories of {system.name}", longest):
         x = integrator.step(system, x, system.dt)
         states[:, k] = x
     beyond = torch.arange(longest + 1) > steps.unsqueeze(-1)
+    require_finite(system, states, beyond)
     states[beyond] = torch.nan
     return Trajectories(states, steps + 1, system.dt)
+
+
+def room(system: System, x: Tensor, steps: Tensor) -> Tensor:
+    """Return an empty tensor (B, T, D) for trajectories of these steps (B,) from the states x, shape (B, D).
+
+    Raises:
+        UserError: a duration that is none, or more than the memory holds.
+    """
+    count, size = x.shape
+    if int(steps.min()) < 1:
+        received = f"received durations that are none or without end, {int((steps < 1).sum())} of {count}"
+    else:
+        try:
+            return torch.empty(count, int(steps.max()) + 1, size, dtype=torch.float64)
+        except RuntimeError:
+            received = f"received {count} of up to {int(steps.max()):,} steps"
+    message = f"system {system.name}: expected trajectories that fit into memory; {received}. Shorten them"
+    raise UserError(message)
+
+
+def require_finite(system: System, states: Tensor, beyond: Tensor) -> None:
+    """Check trajectories (B, T, D) wherever they are not `beyond` their end, (B, T).
+
+    Raises:
+        UserError: a state is not finite; nothing could be learned from it, nor scored.
+    """
+    wrong = ~(states.isfinite().all(-1) | beyond)
+    if not bool(wrong.any()):
+        return
+    b, k = (int(n) for n in wrong.nonzero()[0])
+    share = f"{int(wrong.any(-1).sum())} of {len(states)} trajectories"
+    message = (
+        f"system {system.name}: expected finite states; {share} leave all bounds, number {b} after {k} steps "
+        f"of dt={system.dt}: received {states[b, k].tolist()}. "
+        "Shorten system.dt or narrow the ranges of the initial states"
+    )
+    raise UserError(message)

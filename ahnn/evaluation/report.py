@@ -9,8 +9,9 @@ from typing import Any
 
 from lightning.pytorch.loggers import Logger, TensorBoardLogger
 
-from ahnn.checkpoints import flatten
+from ahnn.checkpoints import flatten, require_same
 from ahnn.data import WindowDataModule
+from ahnn.errors import UserError
 from ahnn.evaluation.case import EvaluationPlugin, Findings
 from ahnn.evaluation.run import evaluate, make_case, write_findings
 from ahnn.evaluation.table import results_table, show
@@ -48,9 +49,11 @@ def finish(
         save_predictions: whether to keep the predicted trajectories.
         figures: whether to draw; the trials of a search are told apart by numbers.
         settings: of the training, nested plain values, beside those of the model in TensorBoard.
+
+    Raises:
+        UserError: the weights are damaged, or of a model with other arguments.
     """
-    weights, loss = best_weights(folder)
-    model.load_state_dict(weights)
+    loss = restore(model, folder)
     about["val_loss"] = loss = float(about.get("val_loss", "nan")) if loss is None else loss
     case = make_case(model, data, label, seed, folder)
     findings = evaluate(case, plugins, figures=figures)
@@ -62,6 +65,24 @@ def finish(
     log.info("run folder: %s", folder)
     log.info("TensorBoard: tensorboard --logdir %s", folder)
     return loss
+
+
+def restore(model: AbstractDynamics, folder: Path) -> float | None:
+    """Give a model the best weights of a run and return their validation loss, where it is known.
+
+    Raises:
+        UserError: the weights are damaged, or of a model with other arguments.
+    """
+    best = best_weights(folder)
+    asked = {key: value for key, value in model.hparams.items() if key in best.model}
+    require_same(f"run {folder}", {"model": asked}, {"model": best.model})
+    try:
+        model.load_state_dict(best.state)
+    except RuntimeError as error:
+        reason = " ".join(str(error).split())
+        message = f"run {folder}: expected the weights of its model; received others ({reason})"
+        raise UserError(message) from error
+    return best.loss
 
 
 def publish(

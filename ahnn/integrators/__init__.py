@@ -7,7 +7,9 @@ differentiable and free of state. Add a method by adding its numbers and a line 
 from __future__ import annotations
 
 from difflib import get_close_matches
+from typing import Any
 
+from ahnn.arguments import check_arguments
 from ahnn.errors import UserError
 from ahnn.integrators import compositions, tableaus
 from ahnn.integrators.base import Integrator, column
@@ -34,7 +36,7 @@ INTEGRATORS: dict[str, Integrator] = {
 }
 
 
-def make_integrator(name: str, **options: float) -> Integrator:
+def make_integrator(name: str, **options: Any) -> Integrator:
     """Return the integrator of this name.
 
     Args:
@@ -51,14 +53,15 @@ def make_integrator(name: str, **options: float) -> Integrator:
         raise UserError(message)
     if not options:
         return INTEGRATORS[name]
-    allowed = {"tolerance", "max_iterations"} if name == "gl4" else set()
-    if unknown := set(options) - allowed:
-        message = (
-            f"integrator {name}: unknown option {sorted(unknown)[0]!r}; it takes {sorted(allowed) or 'none'}"
-        )
+    if name != "gl4":
+        message = f"integrator {name}: unknown option {sorted(options)[0]!r}; it takes none. gl4 has options"
         raise UserError(message)
-    tolerance = float(options.get("tolerance", 1e-14))
-    return GaussLegendre4(tolerance, int(options.get("max_iterations", 50)))
+
+    def settings(*, tolerance: float = 1e-14, max_iterations: int = 50) -> GaussLegendre4:
+        return GaussLegendre4(tolerance, max_iterations)
+
+    check_arguments(f"integrator {name}", settings, options)
+    return settings(**options)
 
 
 __all__ = [

@@ -69,9 +69,10 @@ class GaussLegendre4(Integrator):
             previous = change
             if not waiting.any():
                 return 0.5 * h * (k1 + k2)
+        largest = float(change.detach()[waiting].max())
         message = (
             f"integrator gl4: the stages of {int(waiting.sum())} of {waiting.numel()} states did not "
-            f"converge in {self.max_iterations} sweeps (largest change {float(change[waiting].max()):.2e}); "
+            f"converge in {self.max_iterations} sweeps (largest change {largest:.2e}); "
             "shorten the time step or raise max_iterations"
         )
         raise UserError(message)

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import yaml
+from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
@@ -22,13 +24,27 @@ MACHINE = ("callbacks", "logger", "run", "folder")
 FILES = ("config.yaml", "metrics.json", "weights.safetensors")
 
 
+class Weights(NamedTuple):
+    """The best weights of a run.
+
+    Attributes:
+        state: by name of the parameter or buffer.
+        model: arguments of the model that they belong to.
+        loss: their validation loss, where it is known.
+    """
+
+    state: dict[str, Tensor]
+    model: dict[str, Any]
+    loss: float | None
+
+
 def names() -> list[str]:
     """Return the names of the trained models."""
     return sorted(folder.name for folder in HERE.iterdir() if (folder / "weights.safetensors").is_file())
 
 
-def install(name: str, folder: Path) -> None:
-    """Make a run folder from a trained model.
+def shipped(name: str) -> Path:
+    """Return the folder of a trained model in the package.
 
     Raises:
         UserError: no model of this name.
@@ -36,9 +52,26 @@ def install(name: str, folder: Path) -> None:
     if name not in names():
         message = f"pretrained: no model {name!r}{nearest(name, names())}"
         raise UserError(message)
+    return HERE / name
+
+
+def install(name: str, folder: Path) -> None:
+    """Make a run folder from a trained model, or make one from the same model whole again.
+
+    Raises:
+        UserError: no model of this name, or the folder holds another run.
+    """
+    source, config = shipped(name), folder / "config.yaml"
+    same = not config.exists() or config.read_bytes() == (source / "config.yaml").read_bytes()
+    if not same or (folder / "checkpoints").exists():
+        message = (
+            f"pretrained {name}: expected a folder of its own; received {folder}, which holds another run. "
+            "Name a new folder with run=DIR"
+        )
+        raise UserError(message)
     folder.mkdir(parents=True, exist_ok=True)
     for file in FILES:
-        shutil.copyfile(HERE / name / file, folder / file)
+        shutil.copyfile(source / file, folder / file)
 
 
 def pack(run: Path, name: str) -> Path:
@@ -48,8 +81,8 @@ def pack(run: Path, name: str) -> Path:
     """
     folder = HERE / name
     folder.mkdir(exist_ok=True)
-    weights, _ = best_weights(run)
-    save_file({key: value.contiguous() for key, value in weights.items()}, folder / "weights.safetensors")
+    state = best_weights(run).state
+    save_file({key: value.contiguous() for key, value in state.items()}, folder / "weights.safetensors")
     cfg = yaml.safe_load((run / "config.yaml").read_text())
     cfg["data"]["cache"] = "~/.cache/ahnn"
     kept = {key: value for key, value in cfg.items() if key not in MACHINE}
@@ -58,14 +91,23 @@ def pack(run: Path, name: str) -> Path:
     return folder
 
 
-def best_weights(run: Path) -> tuple[dict[str, Tensor], float | None]:
-    """Return the best weights of a run folder, and their validation loss where it is known.
+def best_weights(run: Path) -> Weights:
+    """Return the best weights of a run folder.
 
     Raises:
         UserError: the folder has no intact weights.
     """
-    shipped = run / "weights.safetensors"
-    if shipped.is_file() and not (run / "checkpoints" / "best.ckpt").exists():
-        return load_file(shipped), None
-    best = read_checkpoint(run / "checkpoints" / "best.ckpt")
-    return best["state_dict"], best["ahnn"]["val_loss"]
+    path = run / "weights.safetensors"
+    if not path.is_file() or (run / "checkpoints" / "best.ckpt").exists():
+        best = read_checkpoint(run / "checkpoints" / "best.ckpt")
+        return Weights(best["state_dict"], dict(best["hyper_parameters"]), best["ahnn"]["val_loss"])
+    try:
+        state = load_file(path)
+    except SafetensorError as error:
+        message = (
+            f"weights {path}: expected an intact safetensors file; received a damaged one ({error}). "
+            "Install the package again"
+        )
+        raise UserError(message) from error
+    model = yaml.safe_load((run / "config.yaml").read_text())["model"]
+    return Weights(state, {key: value for key, value in model.items() if key != "_target_"}, None)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Generator, Tensor
@@ -13,6 +15,40 @@ from ahnn.errors import UserError
 
 Range = tuple[float, float] | list[float]
 """Closed interval [low, high] from which a parameter of the initial states is drawn uniformly."""
+
+
+class Limit(NamedTuple):
+    """What a parameter must be besides finite, or both ends of a range.
+
+    Attributes:
+        words: for the message, after "finite number".
+        holds: whether a finite number is that.
+    """
+
+    words: str
+    holds: Callable[[float], bool]
+
+
+FINITE = Limit("", math.isfinite)
+POSITIVE = Limit(" > 0", lambda value: value > 0)
+ELLIPTIC = Limit(" >= 0 and < 1", lambda value: 0 <= value < 1)
+"""Eccentricities of orbits that come back."""
+
+
+def require(who: str, value: float | Range, limit: Limit) -> None:
+    """Check a parameter, or a range and both its ends.
+
+    Raises:
+        UserError: it is not finite or not within its limit, or the range is not [low, high] with low <= high.
+    """
+    if isinstance(value, list | tuple):
+        expected, numbers = f"a range [low, high] of finite numbers{limit.words}, low <= high", value
+        shaped = len(value) == 2 and value[0] <= value[1]
+    else:
+        expected, numbers, shaped = f"a finite number{limit.words}", [value], True
+    if not shaped or not all(math.isfinite(number) and limit.holds(number) for number in numbers):
+        message = f"{who}: expected {expected}; received {value}"
+        raise UserError(message)
 
 
 @dataclass(frozen=True)
@@ -70,13 +106,14 @@ class System(ABC):
     mass: float = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse times and masses that make no trajectory."""
-        if not (self.dt > 0 and self.steps >= 1 and self.mass > 0):
-            message = (
-                f"system {self.name}: expected dt > 0, steps >= 1 and mass > 0; "
-                f"received dt={self.dt}, steps={self.steps}, mass={self.mass}"
-            )
-            raise UserError(message)
+        """Refuse parameters that make no trajectory; None is left to mean what it means."""
+        for name, limit in self.limits().items():
+            if getattr(self, name) is not None:
+                require(f"system {self.name}: {name}", getattr(self, name), limit)
+
+    def limits(self) -> dict[str, Limit]:
+        """Return what parameters must be, by name; a subclass adds its own."""
+        return {"dt": POSITIVE, "steps": Limit(" >= 1", lambda value: value >= 1), "mass": POSITIVE}
 
     @abstractmethod
     def energy(self, x: Tensor) -> Tensor:
@@ -118,10 +155,8 @@ def uniform(interval: Range, count: int, generator: Generator, *, name: str) -> 
     """Draw `count` numbers uniformly from a closed interval, shape (count,), float64.
 
     Raises:
-        UserError: the interval is not [low, high] with low <= high.
+        UserError: the interval is not [low, high] with finite low <= high.
     """
-    if len(interval) != 2 or not interval[0] <= interval[1]:
-        message = f"system: {name}: expected a range [low, high] with low <= high; received {interval}"
-        raise UserError(message)
+    require(f"system: {name}", interval, FINITE)
     low, high = interval
     return low + (high - low) * torch.rand(count, generator=generator, dtype=torch.float64)

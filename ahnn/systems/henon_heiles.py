@@ -8,7 +8,7 @@ from typing import final
 import torch
 from torch import Generator, Tensor
 
-from ahnn.systems.base import FilterNoise, Range, System, Units, uniform
+from ahnn.systems.base import FINITE, FilterNoise, Limit, Range, System, Units, uniform
 
 
 @final
@@ -29,6 +29,10 @@ class HenonHeiles(System):
     units = Units(time="1", position="1", velocity="1", energy="1")
     integrator = "kahan_li8"
     noise = FilterNoise(position=1e-3, velocity=1e-3, measurement=1e-3)
+
+    def limits(self) -> dict[str, Limit]:
+        """Return what parameters must be, by name."""
+        return super().limits() | {"amplitude": FINITE}
 
     def energy(self, x: Tensor) -> Tensor:
         """Return the Hénon-Heiles Hamiltonian, shape (...)."""

@@ -8,7 +8,7 @@ from typing import final
 import torch
 from torch import Generator, Tensor
 
-from ahnn.systems.base import FilterNoise, Range, System, Units, uniform
+from ahnn.systems.base import FINITE, POSITIVE, FilterNoise, Limit, Range, System, Units, uniform
 
 
 @final
@@ -30,6 +30,10 @@ class MassSpring(System):
     units = Units(time="s", position="m", velocity="m/s", energy="J")
     integrator = "gl4"
     noise = FilterNoise(position=1e-7**0.5, velocity=1e-7**0.5, measurement=1e-7**0.5)
+
+    def limits(self) -> dict[str, Limit]:
+        """Return what parameters must be, by name."""
+        return super().limits() | {"stiffness": POSITIVE, "q0": FINITE, "p0": FINITE}
 
     def energy(self, x: Tensor) -> Tensor:
         """Return p^2 / 2m + k q^2 / 2 in J, shape (...)."""

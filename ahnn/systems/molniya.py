@@ -8,7 +8,7 @@ from typing import final
 import torch
 from torch import Generator, Tensor
 
-from ahnn.systems.base import FilterNoise, Range, System, Units, uniform
+from ahnn.systems.base import ELLIPTIC, FINITE, POSITIVE, FilterNoise, Limit, Range, System, Units, uniform
 from ahnn.systems.orbits import Elements, period, state_at_periapsis
 
 
@@ -44,6 +44,14 @@ class Molniya(System):
     units = Units(time="s", position="km", velocity="km/s", energy="km²/s²")
     integrator = "kahan_li8"
     noise = FilterNoise(position=10.0**0.5, velocity=1e-3**0.5, measurement=1.0)
+
+    def limits(self) -> dict[str, Limit]:
+        """Return what parameters must be, by name."""
+        above_the_centre = Limit(f" > -r_eq = {-self.r_eq}", lambda value: value > -self.r_eq)
+        angles = dict.fromkeys(("inclination", "raan", "argument_of_periapsis"), FINITE)
+        of_the_planet = {"mu": POSITIVE, "r_eq": POSITIVE, "j2": FINITE}
+        of_the_orbit = {"altitude": above_the_centre, "eccentricity": ELLIPTIC, "periods": POSITIVE}
+        return super().limits() | of_the_planet | of_the_orbit | angles
 
     def energy(self, x: Tensor) -> Tensor:
         """Return T + V with V = -mu/r (1 - J2 (r_eq/r)^2 (3 z^2/r^2 - 1)/2), shape (...)."""

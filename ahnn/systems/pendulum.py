@@ -8,7 +8,7 @@ from typing import final
 import torch
 from torch import Generator, Tensor
 
-from ahnn.systems.base import FilterNoise, Range, System, Units, uniform
+from ahnn.systems.base import FINITE, POSITIVE, FilterNoise, Limit, Range, System, Units, uniform
 
 
 @final
@@ -31,6 +31,10 @@ class Pendulum(System):
     units = Units(time="s", position="rad", velocity="rad/s", energy="J")
     integrator = "kahan_li8"
     noise = FilterNoise(position=1e-3, velocity=1e-3, measurement=1e-3)
+
+    def limits(self) -> dict[str, Limit]:
+        """Return what parameters must be, by name."""
+        return super().limits() | {"length": POSITIVE, "gravity": POSITIVE, "q0": FINITE}
 
     def energy(self, x: Tensor) -> Tensor:
         """Return p^2 / 2 m l^2 + m g l (1 - cos q) in J, shape (...)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import pytest
 import torch
@@ -42,7 +43,17 @@ def test_split_sizes_add_up_or_are_refused(count, shares):
         assert abs(size - share * count) <= 1
 
 
-@pytest.mark.parametrize("shares", [[0.5, 0.5], [0.5, 0.5, 0.0], [0.8, 0.3, -0.1], [0.5, 0.2, 0.2]])
+@pytest.mark.parametrize(
+    "shares",
+    [
+        [0.5, 0.5],
+        [0.5, 0.5, 0.0],
+        [0.8, 0.3, -0.1],
+        [0.5, 0.2, 0.2],
+        [math.nan, 0.5, 0.5],
+        [math.inf, 0.5, 0.5],
+    ],
+)
 def test_shares_that_do_not_split_are_refused(shares):
     with pytest.raises(UserError, match="sum 1"):
         split_sizes(100, shares)
@@ -60,7 +71,16 @@ def test_a_window_longer_than_a_trajectory_is_refused_before_generation(cache, w
 
 
 @pytest.mark.parametrize(
-    "change", [{"batch_size": 0}, {"windows_per_epoch": 0}, {"val_windows": -1}, {"precision": 16}]
+    "change",
+    [
+        {"batch_size": 0},
+        {"windows_per_epoch": 0},
+        {"val_windows": -1},
+        {"precision": 16},
+        {"emphasis": -1.0},
+        {"emphasis": math.nan},
+        {"emphasis": math.inf},
+    ],
 )
 def test_impossible_options_are_refused_by_name(cache, change):
     with pytest.raises(UserError, match=next(iter(change))):

@@ -117,7 +117,7 @@ def test_every_parameter_of_a_system_changes_the_recipe(name):
     for field in dataclasses.fields(system):
         value = getattr(system, field.name)
         if isinstance(value, tuple):
-            other = (value[0], value[1] + 1.0)
+            other = (value[0], value[1] + 0.1)
         else:
             other = f"{value}x" if isinstance(value, str) else (value or 1) * 2
         recipes.append(store.recipe(dataclasses.replace(system, **{field.name: other}), 3, 0))

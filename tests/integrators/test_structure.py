@@ -6,7 +6,9 @@ import pytest
 import torch
 from helpers import SYSTEMS, close, random_states
 
+from ahnn.errors import UserError
 from ahnn.integrators import INTEGRATORS, SymmetricComposition
+from ahnn.integrators.implicit import GaussLegendre4
 
 KEPLER = SYSTEMS["kepler"]
 SYMPLECTIC = [n for n, m in INTEGRATORS.items() if n == "gl4" or isinstance(m, SymmetricComposition)]
@@ -72,3 +74,10 @@ def test_a_step_is_differentiable(name):
 @pytest.mark.parametrize("name", INTEGRATORS)
 def test_a_step_keeps_float32(name):
     assert INTEGRATORS[name].step(KEPLER, random_states(KEPLER, 2, 6).float(), 0.01).dtype == torch.float32
+
+
+def test_stages_that_do_not_converge_are_one_message_with_a_gradient_too():
+    method = GaussLegendre4(max_iterations=1)
+    x = random_states(KEPLER, 2, seed=4).requires_grad_()
+    with pytest.raises(UserError, match=r"gl4: the stages of 2 of 2 states did not converge in 1 sweeps"):
+        method.step(KEPLER, x, 0.1)

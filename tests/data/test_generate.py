@@ -1,0 +1,49 @@
+"""Trajectories are finite up to their ends, or refused before anything is stored."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+import torch
+from helpers import MOLNIYA, SPRING, SYSTEMS, data_module
+
+from ahnn.data.generate import generate
+from ahnn.errors import UserError
+
+ESCAPING = dataclasses.replace(SYSTEMS["henon_heiles"], amplitude=(3.0, 4.0))
+
+
+def test_trajectories_are_finite_up_to_their_ends_and_nan_beyond():
+    states, lengths, _ = generate(dataclasses.replace(MOLNIYA, periods=0.1, dt=300.0), 5, 0)
+    within = torch.arange(states.shape[1]) < lengths.unsqueeze(-1)
+    assert len(set(lengths.tolist())) > 1
+    assert torch.equal(states.isfinite().all(-1), within)
+
+
+def test_states_that_leave_all_bounds_are_refused_and_not_stored(tmp_path):
+    with pytest.raises(UserError, match=r"henon_heiles: expected finite states; 10 of 10 ") as said:
+        data_module(ESCAPING, str(tmp_path), steps=400).setup()
+    assert "dt=0.05" in str(said.value)
+    assert "Shorten system.dt" in str(said.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_one_state_that_is_not_finite_is_enough(monkeypatch):
+    drawn = SPRING.initial_states(4, torch.Generator().manual_seed(0))
+    drawn[2, 1] = torch.inf
+    monkeypatch.setattr(type(SPRING), "initial_states", lambda *_: drawn)
+    with pytest.raises(UserError, match=r"1 of 4 trajectories leave all bounds, number 2 after 0 steps"):
+        generate(dataclasses.replace(SPRING, steps=3), 4, 0)
+
+
+@pytest.mark.parametrize("steps", [0, torch.iinfo(torch.int64).min])
+def test_a_duration_that_is_none_is_refused(monkeypatch, steps):
+    monkeypatch.setattr(type(SPRING), "durations", lambda *_: torch.tensor([5, steps]))
+    with pytest.raises(UserError, match="none or without end, 1 of 2"):
+        generate(SPRING, 2, 0)
+
+
+def test_trajectories_beyond_the_memory_are_refused():
+    with pytest.raises(UserError, match=r"fit into memory; received 3 of up to 1,000,000,000,000,000 steps"):
+        generate(dataclasses.replace(SPRING, steps=10**15), 3, 0)

@@ -1,0 +1,161 @@
+"""Mistakes in a configuration: each is one message with the remedy, exit code 2, and no file is left."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from entry import SMALL, call
+from hydra.core.global_hydra import GlobalHydra
+
+GL4 = "integrator=gl4"
+COSINE = "scheduler=cosine"
+ADAMW = ["optimizer=adamw", "scheduler=none"]
+MISTAKES = {
+    # options of groups
+    "experiment=sprng": "experiment: unknown option 'sprng'; did you mean 'spring'?",
+    "sweep=quik": "sweep: unknown option 'quik'; did you mean 'quick'?",
+    "preset=laptop_molnya": "preset: unknown option 'laptop_molnya'; did you mean 'laptop_molniya'?",
+    "model=anhn": "model: unknown option 'anhn'; did you mean 'ahnn'?",
+    "system=null": "system: expected one of henon_heiles, kepler,",
+    "model=null": "model: expected one of ahnn,",
+    "optimizer=null": "optimizer: expected one of adamw,",
+    "callbacks=null": "callbacks: expected one of default,",
+    "integrator=null": "integrator: expected one of dopri5,",
+    "loss=3": "loss: expected one of derivative, recursive; received 'loss=3'",
+    "budget=null": "budget: expected one of laptop,",
+    "=3": "expected key=value; received '=3'",
+    # names
+    "system=molniya system.inclinatoin=[1,2]": "did you mean 'system.inclination'?",
+    "lr=0.1": "did you mean 'optimizer.lr'?",
+    "~seed": "expected key 'seed'; received none",
+    "optimizer=adamw +optimizer.foo=3": "optimizer: unknown key 'foo'; it takes lr, betas",
+    "+trainer.max_epoch=3": "trainer: unknown key 'max_epoch'; did you mean 'max_epochs'?",
+    "+trainer.callbacks=3": "trainer: unknown key 'callbacks'",
+    "+evaluation.foo=3": "evaluation: unknown key 'foo'; it takes seed, save_predictions, figures",
+    "~model.window": "model: expected key 'window'",
+    "~model.network": "model: expected key 'network'",
+    "~data.window": "data: expected key 'window'",
+    "+callbacks.x._target_=ahnn.systems.Kepler": "callbacks.x: expected key 'name'",
+    "+callbacks.x._target_=torch.nn.Identity": "callbacks.x: expected Callback; received Identity",
+    "+callbacks.x=3": "callbacks.x: expected a node with _target_; received 3",
+    "evaluation=3": "evaluation: expected keys with values; received 3",
+    # values that other libraries judge
+    "optimizer=adamw optimizer.lr=-1": "optimizer: Invalid learning rate: -1",
+    "optimizer=adamw optimizer.lr=foo": "optimizer.lr: expected float or Tensor; received 'foo'",
+    "optimizer=adamw optimizer.lr=null": "optimizer.lr: expected float or Tensor; received None",
+    "optimizer=adamw optimizer.betas=3": "optimizer.betas: expected a list of 2",
+    "optimizer=adamw optimizer.betas=[0.9]": "optimizer.betas: expected a list of 2",
+    "trainer.accelerator=foo": "trainer: You selected an invalid accelerator",
+    "trainer.accelerator=null": "trainer.accelerator: expected str",
+    "trainer.devices=x": "trainer: `devices`",
+    "trainer.gradient_clip_val=abc": "trainer.gradient_clip_val: expected int or float or None",
+    "+trainer.precision=foo": "trainer.precision: expected one of",
+    "optimizer=levenberg_marquardt trainer.gradient_clip_val=1.0": "or choose optimizer=adamw",
+    "+trainer.accumulate_grad_batches=0": "trainer.accumulate_grad_batches: expected 1 <= n",
+    f"optimizer=adamw {COSINE} scheduler.T_max=x": "scheduler.T_max: expected int; received 'x'",
+    f"optimizer=adamw {COSINE} scheduler.T_max=0": "scheduler: it cannot take a step",
+    f"{GL4} integrator.tolerance=x": "integrator gl4.tolerance: expected float; received 'x'",
+    f"{GL4} integrator.tolerance=null": "integrator gl4.tolerance: expected float; received None",
+    f"{GL4} integrator.max_iterations=x": "integrator gl4.max_iterations: expected int",
+    f"{GL4} integrator.max_iterations=2.7": "integrator gl4.max_iterations: expected int; received 2.7",
+    # values that we judge
+    **{f"trainer.max_epochs={n}": "trainer.max_epochs: expected" for n in ("two", "2.5", "null", "-1", "0")},
+    "seed=4294967296": "seed: expected 0 <= n <= 4294967295; received 4294967296",
+    "data.seed=9e22": "data.seed: expected 0 <= n <= 4294967295",
+    "data.order_seed=99999999999999": "data.order_seed: expected 0 <= n",
+    "threads=100000": "threads: expected 1 <= n <= 1024; received 100000",
+    "seeds=7": "seeds: expected a list of int or None; received 7",
+    "seeds=[7,x]": "seeds: expected a list of int or None",
+    "seeds=[7,7]": "seeds: expected different ones",
+    "evaluation.seed=x": "evaluation.seed: expected int; received 'x'",
+    "model.window=7": "Set window=7 alone",
+    "data.window=3": "Set window=3 alone",
+    "data.stencil=5000": "received 60. Set loss.order=60 or loss.derivative=0",
+    "loss.order=2000 loss.derivative=1": "received 60. Set loss.order=60 or loss.derivative=0",
+    "loss.derivative=1 system.steps=8": "order 12 expect at least 12 steps a trajectory; received 8",
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_one_message_and_leaves_nothing(mistake, tmp_path, capfd, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    given = mistake.split()
+    kept = [o for o in SMALL if not any(g.startswith(o.split("=")[0] + "=") for g in given)]
+    smoke = [] if mistake.startswith("budget") else ["budget=smoke"]
+    assert call("ahnn.train", *smoke, *kept, f"run={tmp_path / 'run'}", *given) == 2
+    out, err = capfd.readouterr()
+    assert err.startswith("ahnn: ")
+    assert err.count("\n") == 1
+    assert MISTAKES[mistake] in err
+    assert "Traceback" not in out + err
+    assert list(tmp_path.iterdir()) == []
+    assert not GlobalHydra.instance().is_initialized()
+
+
+def test_a_key_like_no_other_lists_the_top_level_alone(tmp_path, capfd, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert call("ahnn.train", "foo=1") == 2
+    err = capfd.readouterr().err
+    assert "unknown key 'foo'; it takes budget, callbacks, ckpt" in err
+    assert len(err) < 400
+
+
+@pytest.fixture
+def no_evaluation(monkeypatch):
+    """The evaluation after a training has tests of its own."""
+    monkeypatch.setattr("ahnn.evaluation.report.finish", lambda *_, **__: 0.0)
+
+
+@pytest.mark.usefixtures("no_evaluation")
+def test_no_experiment_and_no_preset_of_a_system_are_no_mistake(tmp_path):
+    for name, options in {"a": ["experiment=null", "sweep=null"], "b": ["system=pendulum"]}.items():
+        assert (
+            call("ahnn.train", *SMALL, *ADAMW, "trainer.max_epochs=1", *options, f"run={tmp_path / name}")
+            == 0
+        )
+
+
+@pytest.mark.usefixtures("no_evaluation")
+def test_ctrl_c_says_how_to_go_on_and_a_run_is_not_replaced(tmp_path, capfd):
+    run = [*SMALL, "budget=smoke", f"run={tmp_path}"]
+    cut = ["+callbacks.cut._target_=entry.CutAfter", "+callbacks.cut.ctrl_c=true"]
+    assert call("ahnn.train", *run, *cut, "+callbacks.cut.steps=5") == 130
+    err = capfd.readouterr().err
+    assert "no checkpoint yet: the same command begins anew" in err
+    assert call("ahnn.train", *run, *cut, "+callbacks.cut.steps=15") == 130
+    err = capfd.readouterr().err
+    assert f"ahnn: stopped by Ctrl-C; go on with the same command and run={tmp_path} ckpt=last\n" in err
+    assert "Traceback" not in err
+    assert "Error" not in err
+
+    before = {path: path.read_bytes() for path in (tmp_path / "checkpoints").iterdir()}
+    assert call("ahnn.train", *run) == 2
+    err = capfd.readouterr().err
+    assert "best.ckpt, last.ckpt. Go on with ckpt=last, or choose another run=" in err
+    assert {path: path.read_bytes() for path in (tmp_path / "checkpoints").iterdir()} == before
+    assert call("ahnn.train", *run, "ckpt=last") == 0
+
+
+@pytest.mark.usefixtures("no_evaluation")
+def test_of_several_seeds_one_that_is_trained_stops_all_before_the_first(tmp_path, capfd):
+    run = [*SMALL, "budget=smoke", "trainer.max_epochs=1", f"run={tmp_path}"]
+    assert call("ahnn.train", *run, "seeds=[201]") == 0
+    assert call("ahnn.train", *run, "seeds=[7,201]") == 2
+    assert f"run {tmp_path / 'seed_201'}: expected a folder without checkpoints" in capfd.readouterr().err
+    assert not (tmp_path / "seed_7").exists()
+    cut = ["+callbacks.cut._target_=entry.CutAfter", "+callbacks.cut.ctrl_c=true", "+callbacks.cut.steps=20"]
+    more = ["trainer.max_epochs=3", *cut]
+    assert call("ahnn.train", *run, *more, "seeds=[7,719]") == 130
+    assert (tmp_path / ".hydra").exists()
+    assert f"run={tmp_path / 'seed_7'} seed=7 seeds=null ckpt=last" in capfd.readouterr().err
+
+
+def test_jobs_of_a_sweep_keep_the_line_that_names_them(tmp_path):
+    command = [sys.executable, "-m", "ahnn.train", "-m", "seed=x,y", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
+    done = subprocess.run(command, cwd=Path(tmp_path), capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "Error executing job with overrides: ['seed=x']" in done.stderr
+    assert done.stderr.splitlines()[-1] == "ahnn: configuration.seed: expected int; received 'x' (str)"
