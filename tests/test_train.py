@@ -45,6 +45,7 @@ def test_metrics_have_models_and_floors_from_both_starts(run):
     assert len(rows) == 12
     assert metrics["optimiser_steps"] == 20
     assert metrics["seed"] == 7
+    assert metrics["assumes"] == "generic Hamiltonian, cartesian inputs"
     assert metrics["units"]["position"] == "m"
     floor = metrics["rows"][2]
     assert 0 < floor["position"] < 1e-6  # rk4 with 0.01 s on the spring
@@ -68,7 +69,7 @@ def test_evaluating_again_gives_the_same_scores(run, capsys):
     after = json.loads((run / "metrics.json").read_text())
     assert after["rows"] == before["rows"]
     assert after["val_loss"] == before["val_loss"]
-    assert "ahnn5 on mass_spring" in capsys.readouterr().out
+    assert "ahnn5 on mass_spring: generic Hamiltonian, cartesian inputs" in capsys.readouterr().out
     (run / "metrics.json").write_text(json.dumps(before))
 
 

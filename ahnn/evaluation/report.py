@@ -54,6 +54,7 @@ def finish(
         UserError: the weights are damaged, or of a model with other arguments.
     """
     loss = restore(model, folder)
+    about["assumes"] = assumptions(model)
     about["val_loss"] = loss = float(about.get("val_loss", "nan")) if loss is None else loss
     case = make_case(model, data, label, seed, folder)
     findings = evaluate(case, plugins, figures=figures)
@@ -61,10 +62,18 @@ def finish(
     for logger in loggers:
         if isinstance(logger, TensorBoardLogger):
             publish(logger, {**model.hparams, **(settings or {})}, findings, about)
-    show(results_table(f"{label} on {data.system.name}", findings.rows, data.system))
+    title = f"{label} on {data.system.name}: {about['assumes']}"
+    show(results_table(title, findings.rows, data.system))
     log.info("run folder: %s", folder)
     log.info("TensorBoard: tensorboard --logdir %s", folder)
     return loss
+
+
+def assumptions(model: AbstractDynamics) -> str:
+    """Return what a model takes as known of the dynamics; scores mean little without it."""
+    if "hamiltonian" not in model.hparams:
+        return "no Hamiltonian"
+    return f"{model.hparams['hamiltonian']} Hamiltonian, {model.hparams['inputs']} inputs"
 
 
 def restore(model: AbstractDynamics, folder: Path) -> float | None:
