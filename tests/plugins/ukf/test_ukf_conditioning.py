@@ -7,7 +7,15 @@ import math
 import pytest
 import torch
 
-from ahnn_plugins.ukf import STANDARD, Belief, Position, initial_belief, unscented_filter
+from ahnn_plugins.ukf import (
+    SQUARE_ROOT,
+    STANDARD,
+    Belief,
+    Position,
+    UnscentedParameters,
+    initial_belief,
+    unscented_filter,
+)
 from ahnn_plugins.ukf.linalg import tria
 
 F64 = torch.float64
@@ -50,20 +58,26 @@ def test_ill_conditioned_covariances_need_no_repair(steps):
     assert float((error / torch.outer(deviation, deviation)).abs().max()) < 1e-4
 
 
-def test_standard_form_counts_its_repairs():
-    # Precise measurements of a sum leave a covariance that the textbook form cannot hold.
-    class Sum(Position):
-        def __call__(self, x, t):
-            del t
-            return x.sum(-1, keepdim=True)
+def folded(x, _):
+    """Map the unit sphere so that weights with beta < -1 see a negative variance along (1, -1)."""
+    a, b = x.unbind(-1)
+    return torch.stack((a + b * b, a - b * b), dim=-1)
 
-    rows = torch.zeros(1, 200, 1, dtype=F64)
-    belief = initial_belief(torch.zeros(1, 2, dtype=F64), torch.diag(torch.tensor([1e8, 1e8], dtype=F64)))
-    arguments = (lambda x, _: x * 1.0, belief, rows, Sum(1), torch.zeros(2, 2), 1e-10 * torch.eye(1), 1.0)
-    standard = unscented_filter(*arguments, form=STANDARD)
-    square_root = unscented_filter(*arguments)
-    assert int(standard.repairs) > 0
-    assert square_root.repairs.tolist() == square_root.status.tolist() == [0]
+
+@pytest.mark.parametrize("form", [STANDARD, SQUARE_ROOT], ids=lambda form: form.name)
+@pytest.mark.parametrize(("beta", "repairs"), [(-1.5, 1), (-0.5, 0)])
+def test_a_covariance_that_the_weights_make_indefinite_is_counted(form, beta, repairs):
+    # With alpha = 1 and kappa = 0 the covariance is [[1, 1], [1, 1]] + (1 + beta) [[1, -1], [-1, 1]]: both
+    # variances are positive, the eigenvalue along (1, -1) is so for beta > -1 alone.
+    belief = initial_belief(torch.zeros(1, 2, dtype=F64), torch.eye(2))
+    noise = 1e-6 * torch.eye(2), torch.eye(1)
+    parameters = UnscentedParameters(1.0, beta, 0.0)
+    rows = torch.full((1, 1, 1), torch.nan, dtype=F64)
+    result = unscented_filter(
+        folded, belief, rows, Position(1), *noise, 1.0, parameters=parameters, form=form
+    )
+    assert result.status.tolist() == [0]
+    assert result.repairs.tolist() == [repairs]
 
 
 def pendulum(x, dt):
