@@ -20,7 +20,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import nearest
-from ahnn.config import dotted_keys, guard
+from ahnn.cli.build import dotted_keys, guard
 from ahnn.errors import UserError
 from ahnn.paths import conf_dir
 from ahnn.pretrained import install, shipped
@@ -43,8 +43,8 @@ def evaluate(arguments: list[str]) -> float:
     """
     import torch
 
+    from ahnn.cli.setup import quiet
     from ahnn.evaluation.report import finish
-    from ahnn.setup import quiet
 
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
     log.setLevel(logging.INFO)

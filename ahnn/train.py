@@ -18,7 +18,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import check_arguments, check_names
-from ahnn.config import build, build_all, plain_config, run_hydra
+from ahnn.cli.build import build, build_all, plain_config, run_hydra
 from ahnn.errors import UserError
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def train(cfg: DictConfig) -> float:
 
     Several `seeds` train in folders of their own, seed_7 and so on, inside the run folder.
     """
-    from ahnn.setup import quiet, require_new
+    from ahnn.cli.setup import quiet, require_new
 
     quiet()
     check_settings(cfg)
@@ -72,9 +72,9 @@ def train_once(cfg: DictConfig) -> float:
     import torch
     from lightning import seed_everything
 
+    from ahnn.cli.setup import announce, check_devices, check_steps, interruptible, resume_point
     from ahnn.data.store import require_writable, write_atomically
     from ahnn.evaluation.report import finish
-    from ahnn.setup import announce, check_devices, check_steps, interruptible, resume_point
 
     folder = Path(cfg.folder)
     torch.set_num_threads(cfg.threads)
@@ -160,8 +160,8 @@ def check_settings(cfg: DictConfig) -> None:
 
 def build_parts(cfg: DictConfig) -> tuple[WindowDataModule, AbstractDynamics]:
     """Build system, DataModule and model; nothing is generated yet, so that mistakes show at once."""
+    from ahnn.cli.setup import check_optimisation, check_spans
     from ahnn.models import Optimisation
-    from ahnn.setup import check_optimisation, check_spans
 
     system = build(cfg.system, "system")
     data = build(cfg.data, "data", system=system)

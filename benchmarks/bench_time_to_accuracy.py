@@ -19,7 +19,7 @@ import torch
 from hydra import compose, initialize_config_dir
 from torch.utils.data import DataLoader, TensorDataset
 
-from ahnn.config import OmegaConf  # registers the resolvers of conf/
+from ahnn.cli.build import OmegaConf  # registers the resolvers of conf/
 from ahnn.evaluation.rollout import rollout
 from ahnn.integrators import INTEGRATORS
 from ahnn.metrics import errors, rmse_norm

@@ -20,9 +20,9 @@ import torch
 from hydra import compose, initialize_config_dir
 from lightning import Callback
 
-from ahnn.config import OmegaConf  # registers the resolvers of conf/
+from ahnn.cli.build import OmegaConf  # registers the resolvers of conf/
+from ahnn.cli.setup import quiet
 from ahnn.paths import conf_dir
-from ahnn.setup import quiet
 from ahnn.train import build_parts, build_trainer
 
 MODELS = ("mlp", "node", "hnn", "ahnn", "hnn_derivative")

@@ -10,7 +10,7 @@ import torch
 from hydra import compose, initialize_config_dir
 from torch import Tensor
 
-from ahnn.config import plain_config
+from ahnn.cli.build import plain_config
 from ahnn.data import WindowDataModule
 from ahnn.models import AHNN, MLP, NODE, AbstractDynamics, Optimisation
 from ahnn.paths import conf_dir

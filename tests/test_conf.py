@@ -10,7 +10,7 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import get_object
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from ahnn.config import build, build_all
+from ahnn.cli.build import build, build_all
 from ahnn.integrators import GaussLegendre4
 from ahnn.paths import conf_dir
 from ahnn.train import build_parts

@@ -13,8 +13,8 @@ from ahnn.data import store
 from ahnn.data.generate import generate
 from ahnn.data.loader import WindowLoader
 from ahnn.data.windows import Windows
+from ahnn.dynamics.scaling import Statistics
 from ahnn.errors import UserError
-from ahnn.normalisation import Statistics
 from ahnn.systems import System
 from ahnn.types import Trajectories
 

@@ -6,11 +6,11 @@ from typing import Any, final
 
 from torch import Tensor
 
+from ahnn.dynamics.hamiltonians import Structure, make_hamiltonian
+from ahnn.dynamics.inputs import InputName
+from ahnn.dynamics.scaling import Kind
 from ahnn.integrators import make_integrator
 from ahnn.models.base import AbstractDynamics
-from ahnn.models.hamiltonians import Structure, make_hamiltonian
-from ahnn.models.inputs import InputName
-from ahnn.normalisation import Kind
 from ahnn.types import TimeStep
 
 

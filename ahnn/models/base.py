@@ -16,10 +16,10 @@ from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
 from ahnn.arguments import check_arguments
+from ahnn.dynamics.scaling import Statistics
 from ahnn.errors import TrainingError
-from ahnn.models.losses import Loss, derivative_samples, recursive_residuals
-from ahnn.normalisation import Statistics
-from ahnn.optim import LeastSquares, LevenbergMarquardt, pointwise_problem, recursive_problem
+from ahnn.training import LeastSquares, LevenbergMarquardt, pointwise_problem, recursive_problem
+from ahnn.training.objectives import Loss, derivative_samples, recursive_residuals
 from ahnn.types import Flow, TimeStep, Window
 
 

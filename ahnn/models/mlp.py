@@ -7,11 +7,11 @@ from typing import Any, final
 import torch
 from torch import Tensor, nn
 
+from ahnn.dynamics.inputs import Cartesian
+from ahnn.dynamics.networks import make_network
+from ahnn.dynamics.scaling import Kind, Statistics
 from ahnn.errors import UserError
 from ahnn.models.base import AbstractDynamics
-from ahnn.models.inputs import Cartesian
-from ahnn.models.networks import make_network
-from ahnn.normalisation import Kind, Statistics
 from ahnn.types import TimeStep
 
 

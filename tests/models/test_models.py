@@ -9,9 +9,9 @@ import pytest
 import torch
 from helpers import MOLNIYA, SPRING, batch_of, close, data_module, ready_model
 
+from ahnn.cli.setup import quiet
 from ahnn.errors import UserError
 from ahnn.models import AHNN, MLP, NODE
-from ahnn.setup import quiet
 
 NAMES = [
     "mlp",

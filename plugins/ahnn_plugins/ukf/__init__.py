@@ -7,23 +7,16 @@ and measurement models come with it. The kernel needs nothing of a training run 
 
 from __future__ import annotations
 
-from ahnn_plugins.ukf.cadence import Schedule, every, schedule
-from ahnn_plugins.ukf.covariances import initial_belief
+from ahnn.estimation.belief import Belief, Gate, Status
+from ahnn.estimation.covariances import initial_belief
+from ahnn.measurements.base import Measurement, Position, State, wrap
+from ahnn.measurements.schedule import Schedule, every, schedule
+from ahnn.measurements.stations import GnssRange, GroundStation
 from ahnn_plugins.ukf.filter import unscented_filter
-from ahnn_plugins.ukf.measurements import Measurement, Position, State, wrap
 from ahnn_plugins.ukf.smoother import unscented_smoother
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
 from ahnn_plugins.ukf.standard import STANDARD
-from ahnn_plugins.ukf.stations import GnssRange, GroundStation
-from ahnn_plugins.ukf.types import (
-    Belief,
-    FilterResult,
-    Form,
-    Gate,
-    SmootherResult,
-    Status,
-    UnscentedParameters,
-)
+from ahnn_plugins.ukf.types import FilterResult, Form, SmootherResult, UnscentedParameters
 
 __all__ = [
     "SQUARE_ROOT",

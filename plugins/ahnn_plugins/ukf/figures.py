@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from torch import Tensor
 
+from ahnn.estimation.consistency import band
 from ahnn.evaluation import Case
 from ahnn.evaluation.figures import SMOOTHING
-from ahnn_plugins.ukf.consistency import band
 from ahnn_plugins.ukf.outcome import Outcome
 from ahnn_plugins.ukf.series import Sawtooth, blocks, rms_over_members, sawtooth, smoothed_rms
 from ahnn_plugins.ukf.setting import Setting

@@ -8,28 +8,18 @@ import torch
 from scipy.stats import chi2
 from torch import Tensor
 
+from ahnn.estimation.belief import Belief, Gate, Status
+from ahnn.measurements.base import Measurement
+from ahnn.numbers import Numbers, described
 from ahnn.types import Flow
 from ahnn_plugins.ukf import members as books
-from ahnn_plugins.ukf.inputs import Inputs, checked_inputs
-from ahnn_plugins.ukf.measurements import Measurement
+from ahnn_plugins.ukf.checks import Inputs, checked_inputs
 from ahnn_plugins.ukf.members import Members
 from ahnn_plugins.ukf.records import Step, collected
 from ahnn_plugins.ukf.sigma_points import draw, unscented_weights
 from ahnn_plugins.ukf.smoother import backward_kernel
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
-from ahnn_plugins.ukf.types import (
-    Belief,
-    FilterResult,
-    Form,
-    Gate,
-    Numbers,
-    ProcessNoise,
-    Status,
-    UnscentedParameters,
-    Updated,
-    Weights,
-    described,
-)
+from ahnn_plugins.ukf.types import FilterResult, Form, ProcessNoise, UnscentedParameters, Updated, Weights
 
 
 class _Problem(NamedTuple):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ahnn_plugins.ukf.types import Belief, Status
+from ahnn.estimation.belief import Belief, Status
 
 
 class Members(NamedTuple):

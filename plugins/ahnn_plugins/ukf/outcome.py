@@ -7,13 +7,14 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.estimation.belief import Status
+from ahnn.estimation.consistency import GAUSSIAN, band, coverage, deviations, nees, share_within
 from ahnn.evaluation import Case, Row
 from ahnn.metrics import Scores, score
-from ahnn_plugins.ukf.consistency import GAUSSIAN, band, coverage, deviations, nees, share_within
 from ahnn_plugins.ukf.scenario import Filter, Problem
 from ahnn_plugins.ukf.setting import Setting
 from ahnn_plugins.ukf.smoother import unscented_smoother
-from ahnn_plugins.ukf.types import FilterResult, Status
+from ahnn_plugins.ukf.types import FilterResult
 
 
 class Outcome(NamedTuple):

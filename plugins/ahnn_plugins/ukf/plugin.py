@@ -11,13 +11,14 @@ from torch import Tensor
 
 from ahnn.arguments import check_arguments
 from ahnn.errors import UserError
+from ahnn.estimation.belief import Gate
 from ahnn.evaluation import Case, Findings
 from ahnn.evaluation.open_loop import exact_flow
 from ahnn.evaluation.rollout import rollout
 from ahnn.integrators import INTEGRATORS
+from ahnn.measurements.base import Measurement
 from ahnn.systems import System
 from ahnn_plugins.ukf.figures import ukf_figures
-from ahnn_plugins.ukf.measurements import Measurement
 from ahnn_plugins.ukf.outcome import Outcome, filtered, numbers, rows, smoothed
 from ahnn_plugins.ukf.process_noise import fitted_process_noise
 from ahnn_plugins.ukf.scenario import Filter, Problem, assimilate, shown, simulated, validation_problem
@@ -26,7 +27,7 @@ from ahnn_plugins.ukf.setting import Setting, make_setting
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
 from ahnn_plugins.ukf.standard import STANDARD
 from ahnn_plugins.ukf.tuning import Tuning, tuned_once
-from ahnn_plugins.ukf.types import Gate, UnscentedParameters
+from ahnn_plugins.ukf.types import UnscentedParameters
 
 FITTING = 20
 """Validation trajectories on which the scale of Q is chosen."""

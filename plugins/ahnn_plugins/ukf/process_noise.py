@@ -22,8 +22,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.estimation.consistency import nees
 from ahnn.types import Flow, Trajectories
-from ahnn_plugins.ukf.consistency import nees
 from ahnn_plugins.ukf.scenario import Filter, Problem, assimilate, shown
 from ahnn_plugins.ukf.setting import Setting
 

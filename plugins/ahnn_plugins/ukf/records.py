@@ -7,8 +7,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.estimation.belief import Belief
 from ahnn_plugins.ukf.members import Members
-from ahnn_plugins.ukf.types import Backward, Belief, FilterResult, Updated
+from ahnn_plugins.ukf.types import Backward, FilterResult, Updated
 
 
 class Step(NamedTuple):

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.estimation.covariances import initial_belief
 from ahnn.progress import progress_bar
 from ahnn.types import Flow, TimeStep, Trajectories
-from ahnn_plugins.ukf.covariances import initial_belief
 from ahnn_plugins.ukf.filter import unscented_filter
 from ahnn_plugins.ukf.setting import Setting
 from ahnn_plugins.ukf.types import FilterResult, UnscentedParameters

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.estimation.consistency import deviations
 from ahnn.evaluation import Case
 from ahnn.evaluation.figures import SMOOTHING
 from ahnn.metrics import moving_average
-from ahnn_plugins.ukf.consistency import deviations
 from ahnn_plugins.ukf.outcome import Outcome
 
 

@@ -10,9 +10,10 @@ import torch
 from torch import Tensor
 
 from ahnn.errors import UserError
+from ahnn.estimation.belief import Gate
+from ahnn.measurements.base import Measurement, Position, State
 from ahnn.systems import System
-from ahnn_plugins.ukf.measurements import Measurement, Position, State
-from ahnn_plugins.ukf.types import Form, Gate
+from ahnn_plugins.ukf.types import Form
 
 
 class Setting(NamedTuple):

@@ -5,7 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ahnn_plugins.ukf.types import Belief, UnscentedParameters, Weights, as_float64
+from ahnn.estimation.belief import Belief
+from ahnn.numbers import as_float64
+from ahnn_plugins.ukf.types import UnscentedParameters, Weights
 
 
 def unscented_weights(

@@ -9,9 +9,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ahnn_plugins.ukf.linalg import tria
+from ahnn.estimation.belief import Belief, Status
+from ahnn.estimation.linalg import tria
 from ahnn_plugins.ukf.square_root import joint_factor
-from ahnn_plugins.ukf.types import Backward, Belief, FilterResult, SmootherResult, Status, Weights
+from ahnn_plugins.ukf.types import Backward, FilterResult, SmootherResult, Weights
 
 RANK = 1e-12
 """Singular values below this share of the largest, of a factor with rows of unit length, count as zero."""

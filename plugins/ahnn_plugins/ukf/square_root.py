@@ -13,8 +13,9 @@ import math
 import torch
 from torch import Tensor
 
-from ahnn_plugins.ukf.linalg import EPS, downdate, tria
-from ahnn_plugins.ukf.types import Belief, Form, Predicted, Residual, Updated, Weights
+from ahnn.estimation.belief import Belief
+from ahnn.estimation.linalg import EPS, downdate, tria
+from ahnn_plugins.ukf.types import Form, Predicted, Residual, Updated, Weights
 
 
 def predict(propagated: Tensor, weights: Weights, chol_q: Tensor) -> Predicted:

@@ -12,8 +12,9 @@ import math
 import torch
 from torch import Tensor
 
-from ahnn_plugins.ukf.linalg import cholesky_repaired
-from ahnn_plugins.ukf.types import Belief, Form, Predicted, Residual, Updated, Weights
+from ahnn.estimation.belief import Belief
+from ahnn.estimation.linalg import cholesky_repaired
+from ahnn_plugins.ukf.types import Form, Predicted, Residual, Updated, Weights
 
 
 def predict(propagated: Tensor, weights: Weights, chol_q: Tensor) -> Predicted:

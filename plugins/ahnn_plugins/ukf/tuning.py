@@ -20,10 +20,11 @@ from torch import Tensor
 from ahnn.arguments import fits, nearest
 from ahnn.data.store import write_atomically
 from ahnn.errors import UserError
+from ahnn.estimation.belief import Status
 from ahnn.metrics import errors, rmse_norm
 from ahnn_plugins.ukf.scenario import Filter, Problem, assimilate, shown
 from ahnn_plugins.ukf.setting import Setting
-from ahnn_plugins.ukf.types import Status, UnscentedParameters
+from ahnn_plugins.ukf.types import UnscentedParameters
 
 if TYPE_CHECKING:
     from optuna import Study

@@ -2,64 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from enum import IntEnum
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
 
-import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-Numbers = Tensor | NDArray[Any] | Sequence[Any] | float
-"""Numbers as users have them: a tensor, an array, nested sequences or one number."""
-
-
-def as_float64(value: Numbers, who: str, device: torch.device | None = None) -> Tensor:
-    """Return numbers of any shape as a float64 tensor.
-
-    Raises:
-        ValueError: if they are no numbers, or not of a rectangular shape; begins with `who`.
-    """
-    try:
-        return torch.as_tensor(value, dtype=torch.float64, device=device)
-    except (TypeError, ValueError, RuntimeError) as error:
-        message = f"{who}: expected numbers in a tensor, an array or nested lists, got {described(value)}"
-        raise ValueError(message) from error
-
-
-def described(value: object) -> str:
-    """Return the type of a value for a message, and its shape if it has one."""
-    shape = getattr(value, "shape", None)
-    return type(value).__name__ + ("" if shape is None else f" {tuple(shape)}")
-
-
-class Status(IntEnum):
-    """What became of one member of the batch."""
-
-    OK = 0
-    NOT_FINITE = 1
-    """The flow or the measurement model overflowed or returned NaN."""
-    COLLAPSED = 2
-    """A variance is not positive, or the innovation covariance is singular."""
-    DIVERGED = 3
-    """The gate rejected too many measurements in a row."""
-
-
-class Belief(NamedTuple):
-    """Gaussian beliefs about the states of B members.
-
-    Attributes:
-        mean: (B, D) float64.
-        chol: (B, D, D) lower factor, covariance = chol cholᵀ.
-    """
-
-    mean: Tensor
-    chol: Tensor
-
-    @property
-    def covariance(self) -> Tensor:
-        """Covariance (B, D, D)."""
-        return self.chol @ self.chol.mT
+from ahnn.estimation.belief import Belief
+from ahnn.numbers import Numbers
 
 
 class UnscentedParameters(NamedTuple):
@@ -100,18 +49,6 @@ class Weights(NamedTuple):
     covariance_centre: Tensor
     recentring: Tensor
     downdate: Tensor | None
-
-
-class Gate(NamedTuple):
-    """Chi-square gate on whole measurement rows.
-
-    Attributes:
-        probability: a row is rejected when its NIS exceeds this quantile of the chi-square law.
-        patience: this many rejections in a row end in `Status.DIVERGED`.
-    """
-
-    probability: float = 0.9999
-    patience: int = 5
 
 
 class Predicted(NamedTuple):

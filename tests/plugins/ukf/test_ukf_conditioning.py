@@ -7,6 +7,7 @@ import math
 import pytest
 import torch
 
+from ahnn.estimation.linalg import tria
 from ahnn_plugins.ukf import (
     SQUARE_ROOT,
     STANDARD,
@@ -16,7 +17,6 @@ from ahnn_plugins.ukf import (
     initial_belief,
     unscented_filter,
 )
-from ahnn_plugins.ukf.linalg import tria
 
 F64 = torch.float64
 

@@ -6,13 +6,13 @@ import pytest
 import torch
 
 from ahnn.data.generate import generate
+from ahnn.estimation.consistency import band, coverage, nees, share_within
 from ahnn.evaluation.case import perturbations
 from ahnn.evaluation.open_loop import exact_flow
 from ahnn.integrators import INTEGRATORS
 from ahnn.metrics import errors, rmse_pooled
 from ahnn.systems import Molniya
 from ahnn_plugins.ukf import SQUARE_ROOT, Position, UnscentedParameters
-from ahnn_plugins.ukf.consistency import band, coverage, nees, share_within
 from ahnn_plugins.ukf.process_noise import crossing
 from ahnn_plugins.ukf.scenario import Filter, Problem, assimilate, simulated, validation_problem
 from ahnn_plugins.ukf.setting import Setting

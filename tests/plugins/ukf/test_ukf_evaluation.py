@@ -10,7 +10,7 @@ import pytest
 import torch
 from hydra import compose, initialize_config_dir
 
-from ahnn.config import build_all
+from ahnn.cli.build import build_all
 from ahnn.data.generate import generate
 from ahnn.errors import UserError
 from ahnn.evaluation import Case, Findings

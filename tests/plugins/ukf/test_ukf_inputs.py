@@ -7,6 +7,8 @@ import math
 import pytest
 import torch
 
+from ahnn.estimation.covariances import covariance_factor
+from ahnn.estimation.linalg import cholesky_repaired, downdate, tria
 from ahnn_plugins.ukf import (
     STANDARD,
     Gate,
@@ -17,8 +19,6 @@ from ahnn_plugins.ukf import (
     schedule,
     unscented_filter,
 )
-from ahnn_plugins.ukf.covariances import covariance_factor
-from ahnn_plugins.ukf.linalg import cholesky_repaired, downdate, tria
 
 F64 = torch.float64
 EYE = torch.eye(2, dtype=F64)

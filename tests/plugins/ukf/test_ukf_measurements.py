@@ -10,6 +10,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ahnn.measurements.stations import EARTH_RATE
 from ahnn_plugins.ukf import (
     GnssRange,
     GroundStation,
@@ -19,7 +20,6 @@ from ahnn_plugins.ukf import (
     unscented_filter,
     wrap,
 )
-from ahnn_plugins.ukf.stations import EARTH_RATE
 
 F64 = torch.float64
 

@@ -10,8 +10,8 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 from torch.optim import Optimizer
 
 from ahnn.errors import UserError
-from ahnn.optim.least_squares import LeastSquares
-from ahnn.optim.normal_equations import damped_step, gradient_norm, normal_equations, promised_decrease
+from ahnn.training.least_squares import LeastSquares
+from ahnn.training.normal_equations import damped_step, gradient_norm, normal_equations, promised_decrease
 
 SMALLEST, LARGEST = 1e-14, 1e6
 """Range of the damping."""

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from ahnn.errors import UserError
-from ahnn.optim import ExpHyperbolicLR
+from ahnn.training import ExpHyperbolicLR
 
 # (N, U): {epoch: rate} for eta_0 = 1e-3, eta_inf = 1e-6, of facts.md 1; there (50, 350) at epoch 49 is
 # printed ten times too large (4.6e-4): h(49) - h(0) = -0.44503 gives 1e-3 * 1000**-0.44503 = 4.62e-5.

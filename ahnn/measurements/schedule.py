@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ahnn_plugins.ukf.types import Numbers, as_float64
+from ahnn.numbers import Numbers, as_float64
 
 
 def every(measurements: Numbers, k: int) -> Tensor:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from ahnn_plugins.ukf.measurements import wrap
+from ahnn.measurements.base import wrap
 
 EARTH_RATE = 7.2921150e-5
 """Rotation rate of the Earth in rad/s (IERS Conventions 2010, table 1.2, nominal value)."""

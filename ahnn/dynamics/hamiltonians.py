@@ -13,11 +13,11 @@ from typing import Any, Literal, cast, get_args
 import torch
 from torch import Tensor, nn
 
+from ahnn.dynamics.energies import CentralBody, Energy, NetworkEnergy, Quadratic, energy_units
+from ahnn.dynamics.inputs import Cartesian, InputName, position_inputs
+from ahnn.dynamics.networks import make_network
+from ahnn.dynamics.scaling import Kind, Statistics
 from ahnn.errors import UserError
-from ahnn.models.energies import CentralBody, Energy, NetworkEnergy, Quadratic, energy_units
-from ahnn.models.inputs import Cartesian, InputName, position_inputs
-from ahnn.models.networks import make_network
-from ahnn.normalisation import Kind, Statistics
 
 Structure = Literal["generic", "separable", "mechanical", "central_body"]
 

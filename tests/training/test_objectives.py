@@ -8,7 +8,7 @@ from helpers import MOLNIYA, SPRING, batch_of, close, data_module, generator, re
 
 from ahnn.errors import UserError
 from ahnn.integrators import INTEGRATORS
-from ahnn.models.losses import Loss, derivative_samples, difference_weights, recursive_residuals
+from ahnn.training.objectives import Loss, derivative_samples, difference_weights, recursive_residuals
 from ahnn.types import Window
 
 

@@ -7,7 +7,7 @@ from helpers import close, generator
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ahnn.optim.normal_equations import damped_step, independent, normal_equations, promised_decrease
+from ahnn.training.normal_equations import damped_step, independent, normal_equations, promised_decrease
 
 SIZES = [3, 1, 4, 2]
 

@@ -10,10 +10,10 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor, nn
 
+from ahnn.dynamics.inputs import InputMap
+from ahnn.dynamics.networks import make_network
+from ahnn.dynamics.scaling import Statistics
 from ahnn.errors import UserError
-from ahnn.models.inputs import InputMap
-from ahnn.models.networks import make_network
-from ahnn.normalisation import Statistics
 
 
 class Energy(Protocol):

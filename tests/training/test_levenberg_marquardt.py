@@ -9,9 +9,9 @@ import torch
 from helpers import MOLNIYA, batch_of, close, data_module, generator, ready_model
 from torch import nn
 
+from ahnn.dynamics.networks import MLP
 from ahnn.errors import UserError
-from ahnn.models.networks import MLP
-from ahnn.optim import LevenbergMarquardt, pointwise_problem
+from ahnn.training import LevenbergMarquardt, pointwise_problem
 
 
 class Rosenbrock(nn.Module):

@@ -9,9 +9,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ahnn_plugins.ukf.covariances import covariance_factor
-from ahnn_plugins.ukf.measurements import Measurement
-from ahnn_plugins.ukf.types import Belief, Form, Numbers, ProcessNoise, as_float64, described
+from ahnn.estimation.belief import Belief
+from ahnn.estimation.covariances import covariance_factor
+from ahnn.measurements.base import Measurement
+from ahnn.numbers import Numbers, as_float64, described
+from ahnn_plugins.ukf.types import Form, ProcessNoise
 
 
 class Inputs(NamedTuple):

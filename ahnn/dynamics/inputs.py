@@ -7,8 +7,8 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor, nn
 
+from ahnn.dynamics.scaling import Affine, Kind, Statistics
 from ahnn.errors import UserError
-from ahnn.normalisation import Affine, Kind, Statistics
 
 InputName = Literal["cartesian", "isotropic"]
 

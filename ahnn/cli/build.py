@@ -26,8 +26,8 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from ahnn.arguments import check_arguments, check_names, nearest
+from ahnn.cli.explain import NO_OPTION, dotted_keys, explain
 from ahnn.errors import TrainingError, UserError
-from ahnn.messages import NO_OPTION, dotted_keys, explain
 from ahnn.paths import conf_dir
 
 log = logging.getLogger("ahnn")

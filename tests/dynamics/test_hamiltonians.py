@@ -8,9 +8,9 @@ import pytest
 import torch
 from helpers import MOLNIYA, SPRING, TINY, close, data_module, generator, random_states
 
+from ahnn.dynamics.hamiltonians import make_hamiltonian
+from ahnn.dynamics.networks import ACTIVATIONS, MLP
 from ahnn.errors import UserError
-from ahnn.models.hamiltonians import make_hamiltonian
-from ahnn.models.networks import ACTIVATIONS, MLP
 
 STRUCTURES = ["generic", "separable", "mechanical", "central_body"]
 INPUTS = ["cartesian", "isotropic"]

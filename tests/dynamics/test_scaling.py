@@ -9,11 +9,11 @@ import torch
 from helpers import MOLNIYA, SPRING, TINY, close, data_module, generator, random_states
 from torch import nn
 
+from ahnn.dynamics.hamiltonians import make_hamiltonian
+from ahnn.dynamics.inputs import Isotropic
+from ahnn.dynamics.scaling import Affine
 from ahnn.errors import UserError
 from ahnn.integrators import INTEGRATORS
-from ahnn.models.hamiltonians import make_hamiltonian
-from ahnn.models.inputs import Isotropic
-from ahnn.normalisation import Affine
 
 SYSTEMS = {"mass_spring": SPRING, "molniya": MOLNIYA, "heavy": dataclasses.replace(MOLNIYA, mass=2.5)}
 

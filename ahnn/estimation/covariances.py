@@ -5,8 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ahnn_plugins.ukf.linalg import tria
-from ahnn_plugins.ukf.types import Belief, Numbers, as_float64
+from ahnn.estimation.belief import Belief
+from ahnn.estimation.linalg import tria
+from ahnn.numbers import Numbers, as_float64
 
 TOLERANCE = 1e-10
 """Asymmetry, and negative eigenvalue, that counts as rounding in a matrix scaled to unit diagonal."""

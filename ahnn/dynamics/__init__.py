@@ -1,0 +1,1 @@
+"""What is learned, as plain modules: networks, input maps, energies, Hamiltonians and their scalings."""

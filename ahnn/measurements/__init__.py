@@ -1,0 +1,1 @@
+"""What instruments give: measurement models, their residuals, and when they measure."""

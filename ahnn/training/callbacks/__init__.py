@@ -1,0 +1,10 @@
+"""Lightning callbacks of the library: progress bar, telemetry, resume points, validation rollouts."""
+
+from __future__ import annotations
+
+from ahnn.training.callbacks.progress import TrainingProgress
+from ahnn.training.callbacks.resume_point import ResumePoint
+from ahnn.training.callbacks.rollout import ValidationRollout
+from ahnn.training.callbacks.telemetry import Telemetry
+
+__all__ = ["ResumePoint", "Telemetry", "TrainingProgress", "ValidationRollout"]
