@@ -5,7 +5,7 @@ Shape suffixes, used in names and docstrings everywhere:
     B  batch              T  time samples        W  window, steps in the loss
     D  state, D = 2n      S  sigma points        M  measurement
 
-A state is x = [q, p] along the last axis, shape (..., 2n), in the physical units of its system.
+A state is x = [q, p] along the last axis, shape (..., 2n), in the physical units of its space.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 from torch import Tensor
 
 TimeStep = float | Tensor
-"""A time step in the units of the system: one number, or a (B,) tensor with one step per member."""
+"""A time step in the unit of the space: one number, or a (B,) tensor with one step for each member."""
 
 
 class VectorField(Protocol):
@@ -51,18 +51,55 @@ class Flow(Protocol):
         ...
 
 
-class Trajectories(NamedTuple):
-    """Sampled trajectories of one system, padded at their end to a common length.
+class Units(NamedTuple):
+    """Names of the units in which numbers are given."""
+
+    time: str = "1"
+    position: str = "1"
+    velocity: str = "1"
+    energy: str = "1"
+
+
+class Space(NamedTuple):
+    """What the numbers of a state mean, without any equation.
 
     Attributes:
-        states: (B, T, D) float64; row b is valid for its first `lengths[b]` samples, NaN beyond.
-        lengths: (B,) int64, number of valid samples.
-        dt: sampling interval in the time unit of the system.
+        name: of the system, in folders and tables.
+        components: names of the 2n state components, positions first.
+        units: of time, position, velocity and energy.
+        inertia: the factor m of p = m dq/dt; momenta divided by it are velocities.
+    """
+
+    name: str
+    components: tuple[str, ...]
+    units: Units = Units()
+    inertia: float = 1.0
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom n."""
+        return len(self.components) // 2
+
+
+class Trajectories(NamedTuple):
+    """Sampled trajectories of one system, on a common number of rows.
+
+    Attributes:
+        states: (B, T, D) float64; a sample with any NaN is absent.
+        times: (B, T) float64, increasing in each row; NaN only where the sample is absent.
     """
 
     states: Tensor
-    lengths: Tensor
-    dt: float
+    times: Tensor
+
+    @property
+    def present(self) -> Tensor:
+        """(B, T) bool, whether a sample is there."""
+        return self.states.isfinite().all(-1) & self.times.isfinite()
+
+    def part(self, rows: slice) -> Trajectories:
+        """Return some of the trajectories."""
+        return Trajectories(self.states[rows], self.times[rows])
 
 
 class Window(NamedTuple):
@@ -74,13 +111,27 @@ class Window(NamedTuple):
     Attributes:
         start: (B, D) first state of each window.
         increments: (B, W, D), row k is x_{k+1} - x_k.
-        dt: sampling interval.
-        share: factor of the batch's mean loss. It is 1 unless several devices divide a batch into unequal
+        dt: length of every step, or (B, W) with the length of each.
+        weight: factor of the batch's mean loss. It is 1 unless several devices divide a batch into unequal
             parts: B windows over the mean number of a part, so that the mean over the devices is that of all
             windows; 0 for a part without any, which then holds one window that does not count.
     """
 
     start: Tensor
     increments: Tensor
-    dt: float
-    share: float = 1.0
+    dt: TimeStep
+    weight: float = 1.0
+
+    def step(self, k: int) -> TimeStep:
+        """Return the length of step k, as an integrator takes it."""
+        return self.dt[:, k] if isinstance(self.dt, Tensor) else self.dt
+
+    def first(self, steps: int) -> Window:
+        """Return the windows cut to their first steps."""
+        dt = self.dt[:, :steps] if isinstance(self.dt, Tensor) else self.dt
+        return self._replace(increments=self.increments[:, :steps], dt=dt)
+
+    def rows(self, part: slice) -> Window:
+        """Return some of the windows."""
+        dt = self.dt[part] if isinstance(self.dt, Tensor) else self.dt
+        return self._replace(start=self.start[part], increments=self.increments[part], dt=dt)

@@ -1,10 +1,11 @@
-"""What an evaluation works on and what it finds: the interface between the library and its plugins."""
+"""What an evaluation works on, and what it finds: the interface between the library and its plugins."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -12,10 +13,13 @@ from torch import Tensor
 from ahnn.integrators import Integrator
 from ahnn.metrics import Scores, score
 from ahnn.systems import System
-from ahnn.types import Flow, Trajectories
+from ahnn.types import Flow, Space, Trajectories
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+Start = Literal["true", "perturbed"]
+"""Where a prediction begins: at the first true state, or at one that is off by N(0, P0)."""
 
 
 @dataclass(frozen=True)
@@ -24,61 +28,86 @@ class Case:
 
     Attributes:
         label: name of the model in tables.
-        system: the ground truth.
+        assumes: what the model takes as known of the dynamics.
+        space: what the numbers mean.
+        truth: the system whose equations are known, or None: then there are no floors and no energy errors.
         flow: the learned flow.
-        learned_energy: H_theta, (..., D) -> (...), or None for a model without one.
-        integrator: one-step method of the model, and of the floor beside it.
+        energy: the learned Hamiltonian, (..., D) -> (...), or None for a model without one.
+        integrator: one-step method of the model, and of the floor beside it; None for a map.
+        dt: sampling interval of the test trajectories.
         test, validation, train: whole trajectories of the splits.
-        perturbation: (B, D) initial errors of the perturbed scenario, the same for every model.
-        folder: the run directory.
+        perturbation: (B, D) initial errors of the perturbed start, the same for every model; None where no
+            P0 is known.
+        folder: where results are written.
     """
 
     label: str
-    system: System
+    assumes: str
+    space: Space
+    truth: System | None
     flow: Flow
-    learned_energy: Any
-    integrator: Integrator
+    energy: Callable[[Tensor], Tensor] | None
+    integrator: Integrator | None
+    dt: float
     test: Trajectories
     validation: Trajectories
     train: Trajectories
-    perturbation: Tensor
+    perturbation: Tensor | None
     folder: Path
 
-    def starts(self) -> dict[str, Tensor]:
-        """Return the initial states (B, D) of the two scenarios of the paper."""
+    def starts(self) -> dict[Start, Tensor]:
+        """Return the initial states (B, D) of the starts of the paper."""
         true = self.test.states[:, 0]
-        return {"true": true, "perturbed": true + self.perturbation}
+        return (
+            {"true": true}
+            if self.perturbation is None
+            else {"true": true, "perturbed": true + self.perturbation}
+        )
 
-    def score(self, prediction: Tensor) -> Scores:
-        """Return the scores of predicted test trajectories, shape (B, T, D)."""
-        truth = self.test.states
-        energies = self.system.energy(prediction), self.system.energy(truth)
-        return score(prediction, truth, energies, self.system.inertia)
+    def score(self, prediction: Tensor, first: int = 0) -> Scores:
+        """Return the scores of predicted test trajectories, shape (B, T, D), from sample `first` on."""
+        prediction, truth = prediction[:, first:], self.test.states[:, first:]
+        energies = None if self.truth is None else (self.truth.energy(prediction), self.truth.energy(truth))
+        return score(prediction, truth, energies, self.space.inertia)
+
+
+class Who(NamedTuple):
+    """Identity of a row: never a string to be cut.
+
+    Attributes:
+        process: the flow that predicts, `model`, or the name of a floor such as `exact field, rk4`.
+        start: where it begins.
+        estimator: what assimilates measurements, such as `ukf`; None for a prediction without any.
+        span: `whole`, or `settled`: from the first update on.
+        floor: whether perfect knowledge predicts, and not a model.
+    """
+
+    process: str
+    start: Start
+    estimator: str | None = None
+    span: Literal["whole", "settled"] = "whole"
+    floor: bool = False
 
 
 class Row(NamedTuple):
-    """A line of the results table.
+    """A line of the results.
 
     Attributes:
-        name: who predicts.
-        start: scenario, `true` or `perturbed`.
+        who: its identity.
         scores: the errors.
         note: what the reader must know to judge the line.
-        floor: whether perfect knowledge predicts, and not a model.
         extra: further numbers for metrics.json.
     """
 
-    name: str
-    start: str
+    who: Who
     scores: Scores
     note: str = ""
-    floor: bool = False
     extra: dict[str, Any] = {}  # noqa: RUF012 - never written to
 
 
 @dataclass
 class Findings:
-    """What an evaluation reports: table rows, numbers, arrays and figures, each under its own name."""
+    """What an evaluation reports: rows, numbers, arrays and figures, each under its own name."""
 
     rows: list[Row] = field(default_factory=list)
     numbers: dict[str, Any] = field(default_factory=dict)
@@ -89,8 +118,8 @@ class Findings:
 class EvaluationPlugin(Protocol):
     """An evaluation that runs after fit; plugins are named in YAML and built from it."""
 
-    def check(self, system: System) -> None:
-        """Raise UserError for what does not fit the system; called before anything is trained."""
+    def check(self, truth: System | None, space: Space, steps: int) -> None:
+        """Raise UserError for what does not fit the data; called before anything is trained."""
         ...
 
     def __call__(self, case: Case) -> Findings:
