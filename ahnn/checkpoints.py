@@ -1,15 +1,23 @@
-"""Reading checkpoints without unpickling anything, and comparing them with what is asked for."""
+"""Weights on disk: reading them without unpickling anything, and comparing what they belong to."""
 
 from __future__ import annotations
 
+import json
 import pickle
 import zipfile
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor
 
 from ahnn.errors import UserError
+from ahnn.files import write_atomically
+
+FORMAT = 2
+"""Of what stands beside the weights; raise it when its meaning changes."""
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
@@ -54,6 +62,54 @@ def require_intact(path: Path) -> None:
     if damaged is not None:
         message = f"record {damaged} does not fit its checksum"
         raise zipfile.BadZipFile(message)
+
+
+class Weights(NamedTuple):
+    """Trained weights and what they are.
+
+    Attributes:
+        state: of the dynamics, by name of the parameter or buffer.
+        about: plain values: `dynamics` (what `make_dynamics` takes), `space`, `dt`, and what the training
+            was made of.
+    """
+
+    state: dict[str, Tensor]
+    about: dict[str, Any]
+
+
+def read_weights(path: Path) -> Weights:
+    """Return the weights in a checkpoint or in a safetensors file that `write_weights` wrote.
+
+    Raises:
+        UserError: the file is missing, damaged, or of another format.
+    """
+    if path.suffix == ".safetensors":
+        state, about = _read_safetensors(path)
+    else:
+        content = read_checkpoint(path)
+        prefix = "dynamics."
+        state = {k.removeprefix(prefix): v for k, v in content["state_dict"].items() if k.startswith(prefix)}
+        about = content["ahnn"]
+    if (received := about.get("format", "an earlier one")) != FORMAT:
+        message = f"weights {path}: expected format {FORMAT}; received {received}. Train again"
+        raise UserError(message)
+    return Weights(state, about)
+
+
+def write_weights(path: Path, weights: Weights) -> None:
+    """Write weights as a safetensors file, atomically."""
+    tensors = {key: value.contiguous() for key, value in weights.state.items()}
+    write_atomically(path, save(tensors, {"ahnn": json.dumps(weights.about)}))
+
+
+def _read_safetensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    try:
+        with safe_open(path, framework="pt") as file:
+            about = json.loads((file.metadata() or {}).get("ahnn", "{}"))
+            return {key: file.get_tensor(key) for key in file.keys()}, about  # noqa: SIM118 - it is no dict
+    except (SafetensorError, OSError, ValueError) as error:
+        message = f"weights {path}: expected an intact safetensors file; received a damaged one ({error})"
+        raise UserError(message) from error
 
 
 def require_same(who: str, expected: dict[str, Any], received: dict[str, Any]) -> None:

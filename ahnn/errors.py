@@ -1,6 +1,8 @@
-"""The two kinds of stop that a user sees as one message instead of a traceback."""
+"""The kinds of stop that a user sees as one message instead of a traceback."""
 
 from __future__ import annotations
+
+import signal
 
 
 class UserError(ValueError):
@@ -9,3 +11,20 @@ class UserError(ValueError):
 
 class TrainingError(RuntimeError):
     """Training cannot go on (for example a non-finite loss); the message says where it stopped."""
+
+
+class Stopped(BaseException):
+    """A signal ended the work; not an `Exception`, so that nothing on the way takes it for a failure.
+
+    Attributes:
+        signal: SIGINT, SIGTERM or SIGHUP.
+    """
+
+    def __init__(self, number: int, message: str = "") -> None:
+        super().__init__(message)
+        self.signal = signal.Signals(number)
+
+    @property
+    def code(self) -> int:
+        """Exit code of a process that a signal ended, as a shell counts."""
+        return 128 + self.signal

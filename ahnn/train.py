@@ -1,12 +1,11 @@
 """Train a model and evaluate it: `python -m ahnn.train model=ahnn window=5 system=molniya`.
 
-Reads from top to bottom: parts, fit, evaluation. The entry points and `config` alone see Hydra; what they
-build takes plain values. Heavy imports wait until a job runs, so that `--help` and a sweep's parent are fast.
+Reads from top to bottom: parts, fit, evaluation. The entry points and `cli` alone see Hydra; what they build
+takes plain values. Heavy imports wait until a job runs, so that `--help` and a sweep's parent are fast.
 """
 
 from __future__ import annotations
 
-import logging
 import math
 import os
 import time
@@ -17,29 +16,15 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from ahnn.arguments import check_arguments, check_names
-from ahnn.cli.build import build, build_all, plain_config, run_hydra
-from ahnn.errors import UserError
+from ahnn.cli.build import plain_config, run_hydra
+from ahnn.cli.settings import check_settings
 
 if TYPE_CHECKING:
     from lightning import Trainer
 
-    from ahnn.data import WindowDataModule
-    from ahnn.evaluation import EvaluationPlugin
-    from ahnn.models import AbstractDynamics
-
-log = logging.getLogger(__name__)
-
-SEEDS = (0, 2**32 - 1)
-LIMITS = {
-    **dict.fromkeys(("seed", "seeds", "data.seed", "data.order_seed", "evaluation.seed"), SEEDS),
-    "threads": (1, 1024),
-    **dict.fromkeys(("trainer.max_epochs", "trainer.accumulate_grad_batches"), (1, math.inf)),
-}
-"""Least and largest values of numbers that other libraries take unseen and fail on later."""
-
-GIVEN = ("model", "data", "plugins", "about", "loggers", "label", "folder", "settings")
-"""What the evaluation gets from a training and not from its own part of the configuration."""
+    from ahnn.data import Source
+    from ahnn.data.datamodule import WindowDataModule
+    from ahnn.models import AbstractModel
 
 
 def train(cfg: DictConfig) -> float:
@@ -47,7 +32,7 @@ def train(cfg: DictConfig) -> float:
 
     Several `seeds` train in folders of their own, seed_7 and so on, inside the run folder.
     """
-    from ahnn.cli.setup import quiet, require_new
+    from ahnn.cli.before import quiet, require_new
 
     quiet()
     check_settings(cfg)
@@ -64,48 +49,92 @@ def of_seed(cfg: DictConfig, seed: int) -> DictConfig:
     return part
 
 
-def train_once(cfg: DictConfig) -> float:
+def train_once(cfg: DictConfig, source: Source | None = None) -> float:
     """Run one training and its evaluation; return the best validation loss, the objective of a search.
 
     Of several devices the first evaluates and writes; the other processes return NaN, which nobody reads.
+
+    Args:
+        cfg: one job.
+        source: of the trajectories; None takes the system of the configuration.
     """
     import torch
     from lightning import seed_everything
 
-    from ahnn.cli.setup import announce, check_devices, check_steps, interruptible, resume_point
-    from ahnn.data.store import require_writable, write_atomically
-    from ahnn.evaluation.report import finish
+    from ahnn.cli.before import check_training, resume_point
+    from ahnn.cli.parts import build_data, build_model, build_plugins, build_source, build_trainer
+    from ahnn.cli.stops import interruptible
 
     folder = Path(cfg.folder)
     torch.set_num_threads(cfg.threads)
     seed_everything(cfg.seed, verbose=False)
-    data, model = build_parts(cfg)
-    plugins = build_plugins(cfg, data)
+    data = build_data(cfg, source or build_source(cfg))
+    model = build_model(cfg, data)
+    plugins = build_plugins(cfg, data.splits)
     checkpoint = resume_point(cfg.ckpt, model, folder / "checkpoints")
     trainer = build_trainer(cfg)
-    check_devices(trainer, model, multirun=HydraConfig.get().mode is RunMode.MULTIRUN)
-    check_steps(trainer, model)
-    data.train_dataloader()  # the last that may be refused: from here on files are written
+    check_training(trainer, cfg.window, data, model, multirun=is_multirun())
 
-    require_writable(folder)
-    model.calibrate(data.statistics())
-    if trainer.is_global_zero:
-        write_atomically(folder / "config.yaml", OmegaConf.to_yaml(plain_config(cfg)).encode())
-        announce(trainer, data, model, cfg.label)
-    started = time.monotonic()
-    with interruptible(trainer, lambda: go_on(cfg)):
-        trainer.fit(model, data, ckpt_path=checkpoint)
+    seconds = fit(cfg, trainer, model, data, checkpoint)
     if not trainer.is_global_zero:
         return math.nan
-    about = {
+    training = {
         "seed": cfg.seed,
-        "training_seconds": round(time.monotonic() - started, 1),
+        "seconds": round(seconds, 1),
         "optimiser_steps": trainer.global_step,
         "parameters": sum(p.numel() for p in model.parameters()),
     }
-    known = {"loggers": trainer.loggers, "settings": searched_settings(cfg)}
     with interruptible(trainer, lambda: f"it is trained; python -m ahnn.evaluate run={folder} judges it"):
-        return finish(model, data, plugins, about, label=cfg.label, folder=folder, **known, **cfg.evaluation)
+        return judge(cfg, data, plugins, training, trainer)
+
+
+def fit(
+    cfg: DictConfig, trainer: Trainer, model: AbstractModel, data: WindowDataModule, checkpoint: Path | None
+) -> float:
+    """Train, from here on files are written; return the seconds that it took."""
+    from ahnn.checkpoints import read_checkpoint
+    from ahnn.cli.announce import announce
+    from ahnn.cli.stops import interruptible
+    from ahnn.files import require_writable, write_atomically
+
+    folder = Path(cfg.folder)
+    data.train_dataloader()  # the last that may be refused
+    require_writable(folder)
+    model.calibrate(data.statistics())
+    model.about["dt"] = data.statistics().dt
+    if trainer.is_global_zero:
+        write_atomically(folder / "config.yaml", OmegaConf.to_yaml(plain_config(cfg)).encode())
+        done = 0 if checkpoint is None else read_checkpoint(checkpoint)["epoch"]
+        announce(trainer, data, model, cfg.label, done)
+    started = time.monotonic()
+    with interruptible(trainer, lambda: go_on(cfg)):
+        trainer.fit(model, data, ckpt_path=checkpoint)
+    return time.monotonic() - started
+
+
+def judge(
+    cfg: DictConfig,
+    data: WindowDataModule,
+    plugins: dict[str, Any],
+    training: dict[str, Any],
+    trainer: Trainer,
+) -> float:
+    """Evaluate the best weights of a run, write and show the results, and return the validation loss."""
+    from ahnn.evaluation.prepare import make_case
+    from ahnn.evaluation.report import finish
+    from ahnn.runs import load
+
+    folder = Path(cfg.folder)
+    run = load(folder)
+    case = make_case(run.dynamics, data.splits, label=cfg.label, seed=cfg.evaluation.seed, folder=folder)
+    about = {"training": {**training, "val_loss": run.about["val_loss"]}, "settings": searched_settings(cfg)}
+    finish(case, plugins, about, loggers=trainer.loggers, **cfg.evaluation)
+    return float(run.about["val_loss"])
+
+
+def is_multirun() -> bool:
+    """Return whether this job is one of several."""
+    return HydraConfig.initialized() and HydraConfig.get().mode is RunMode.MULTIRUN
 
 
 def go_on(cfg: DictConfig) -> str:
@@ -114,88 +143,21 @@ def go_on(cfg: DictConfig) -> str:
         return "the same command goes on with the search"
     if not (Path(cfg.folder) / "checkpoints" / "last.ckpt").exists():
         return "there is no checkpoint yet: the same command begins anew"
-    one_of_several = cfg.folder != HydraConfig.get().runtime.output_dir
+    one_of_several = HydraConfig.initialized() and cfg.folder != HydraConfig.get().runtime.output_dir
     seed = f" seed={cfg.seed} seeds=null" if one_of_several else ""
-    command = "keys of this job" if HydraConfig.get().mode is RunMode.MULTIRUN else "command"
+    command = "keys of this job" if is_multirun() else "command"
     return f"go on with the same {command} and run={cfg.folder}{seed} ckpt=last"
 
 
 def searched_settings(cfg: DictConfig) -> dict[str, Any]:
-    """Return the settings beside the model's that a search varies, for TensorBoard's comparison of runs."""
-    groups = {name: plain_config(cfg[name]) for name in ("optimizer", "scheduler") if cfg[name]}
+    """Return what a search varies, for TensorBoard's comparison of runs."""
+    groups = {name: plain_config(cfg[name]) for name in ("model", "optimizer", "scheduler") if cfg[name]}
     return {**groups, "batch_size": cfg.data.batch_size, "epochs": cfg.trainer.max_epochs, "seed": cfg.seed}
-
-
-def check_settings(cfg: DictConfig) -> None:
-    """Check the keys that belong to no group, and those that nothing looks at before a training is over.
-
-    Raises:
-        UserError: a wrong type or an impossible value.
-    """
-    from ahnn.evaluation.report import finish
-
-    def settings(
-        *, seed: int, seeds: list[int] | None, threads: int, window: int, label: str, ckpt: str | None
-    ) -> None: ...
-
-    def trainer(*, max_epochs: int) -> None: ...
-
-    top = {name: cfg[name] for name in ("seed", "threads", "window", "label", "ckpt")}
-    top = plain_config(OmegaConf.create({**top, "seeds": cfg.get("seeds")}))
-    check_arguments("configuration", settings, top)
-    check_arguments("trainer", trainer, {"max_epochs": cfg.trainer.max_epochs})
-    evaluation = plain_config(cfg.evaluation, "evaluation")
-    check_names("evaluation", finish, evaluation, GIVEN)
-    check_arguments("evaluation", finish, evaluation)
-    for name, (least, most) in LIMITS.items():
-        value = OmegaConf.select(cfg, name)
-        for number in value if name == "seeds" and value else [value]:
-            if isinstance(number, int | float) and not least <= number <= most:
-                message = f"configuration: {name}: expected {least} <= n <= {most}; received {number}"
-                raise UserError(message)
-    if cfg.get("seeds") and len({*cfg.seeds}) < len(cfg.seeds):
-        message = f"configuration: seeds: expected different ones; received {list(cfg.seeds)}"
-        raise UserError(message)
-
-
-def build_parts(cfg: DictConfig) -> tuple[WindowDataModule, AbstractDynamics]:
-    """Build system, DataModule and model; nothing is generated yet, so that mistakes show at once."""
-    from ahnn.cli.setup import check_optimisation, check_spans
-    from ahnn.models import Optimisation
-
-    system = build(cfg.system, "system")
-    data = build(cfg.data, "data", system=system)
-    model = build(cfg.model, "model", dof=system.dof, inertia=system.inertia).to(data.dtype)
-    check_spans(cfg.window, data, model)
-    scheduler = build(cfg.scheduler, "scheduler") if cfg.scheduler else None
-    model.optimisation = Optimisation(build(cfg.optimizer, "optimizer"), scheduler)
-    check_optimisation(model)
-    model.provenance = {"system": plain_config(cfg.system)}
-    return data, model
-
-
-def build_plugins(cfg: DictConfig, data: WindowDataModule) -> dict[str, EvaluationPlugin]:
-    """Build the evaluations that run after fit, and let each refuse a system that it does not fit."""
-    plugins = build_all(cfg.plugins, "plugins")
-    for plugin in plugins.values():
-        plugin.check(data.system)
-    return plugins
-
-
-def build_trainer(cfg: DictConfig) -> Trainer:
-    """Build the Lightning trainer with its callbacks and loggers."""
-    from lightning import Callback, Trainer
-    from lightning.pytorch.loggers import Logger
-
-    callbacks = list(build_all(cfg.callbacks, "callbacks", Callback).values())
-    logger = list(build_all(cfg.logger, "logger", Logger).values())
-    parts = {"callbacks": callbacks, "logger": logger, "default_root_dir": cfg.folder}
-    return build(cfg.trainer, "trainer", Trainer, **parts)
 
 
 def main() -> None:
     """Entry point of `python -m ahnn.train` and `ahnn-train`."""
-    os.environ.setdefault("TORCH_CPP_LOG_LEVEL", "ERROR")  # DDP warns of what is meant so
+    os.environ.setdefault("TORCH_CPP_LOG_LEVEL", "ERROR")  # DDP warns of what is intended
     run_hydra(train)
 
 

@@ -10,10 +10,14 @@ import torch
 from hydra import compose, initialize_config_dir
 from torch import Tensor
 
+from ahnn.checkpoints import FORMAT
 from ahnn.cli.build import plain_config
-from ahnn.data import WindowDataModule
-from ahnn.models import AHNN, MLP, NODE, AbstractDynamics, Optimisation
+from ahnn.cli.parts import SIMULATION
+from ahnn.data import Simulated
+from ahnn.data.datamodule import WindowDataModule
+from ahnn.models import AHNN, MLP, NODE, AbstractModel, Optimisation
 from ahnn.paths import conf_dir
+from ahnn.runs import about_space
 from ahnn.systems import HenonHeiles, Kepler, MassSpring, Molniya, Pendulum, System
 from ahnn.types import Window
 
@@ -75,11 +79,12 @@ def data_module(system: System, folder: str, **changes: Any) -> WindowDataModule
     options = dict(defaults("hnn")["data"])
     del options["_target_"]
     options |= {"trajectories": 10, "split": [0.6, 0.2, 0.2], "window": 3, "batch_size": 32}
-    options |= {"windows_per_epoch": None, "val_windows": None, "precision": 64, "cache": folder}
-    return WindowDataModule(system, **(options | changes))
+    options |= {"windows_per_epoch": None, "val_windows": None, "precision": 64, "cache": folder} | changes
+    simulation = {name: options.pop(name) for name in SIMULATION}
+    return WindowDataModule(Simulated(system, **simulation), **options)
 
 
-def build_model(name: str, system: System, **changes: Any) -> AbstractDynamics:
+def build_model(name: str, system: System, **changes: Any) -> AbstractModel:
     """A tiny model of a kind: mlp, mlp_residual, node, hnn_derivative, or the structure of an AHNN."""
     kind = name if name in ("mlp", "node", "hnn_derivative") else "hnn"
     options = dict(defaults("mlp" if name == "mlp_residual" else kind)["model"])
@@ -95,13 +100,14 @@ def build_model(name: str, system: System, **changes: Any) -> AbstractDynamics:
     return target(system.dof, **(options | changes))
 
 
-def ready_model(name: str, data: WindowDataModule, seed: int = 0, **changes: Any) -> AbstractDynamics:
+def ready_model(name: str, data: WindowDataModule, seed: int = 0, **changes: Any) -> AbstractModel:
     """A tiny model in the precision of its data, calibrated, with AdamW."""
     torch.manual_seed(seed)
-    model = build_model(name, data.system, **({"window": data.window} | changes)).to(data.dtype)
+    model = build_model(name, data.source.truth, **({"window": data.window} | changes)).to(data.dtype)
     model.calibrate(data.statistics())
     model.optimisation = Optimisation(partial(torch.optim.AdamW, lr=1e-2), None)
-    model.provenance = {"system": {"name": data.system.name}}
+    space = data.source.space
+    model.about = {"format": FORMAT, "space": about_space(space), "dt": data.statistics().dt}
     return model
 
 

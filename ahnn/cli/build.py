@@ -27,7 +27,8 @@ from omegaconf.errors import OmegaConfBaseException
 
 from ahnn.arguments import check_arguments, check_names, nearest
 from ahnn.cli.explain import NO_OPTION, dotted_keys, explain
-from ahnn.errors import TrainingError, UserError
+from ahnn.cli.stops import listen
+from ahnn.errors import Stopped, TrainingError, UserError
 from ahnn.paths import conf_dir
 
 log = logging.getLogger("ahnn")
@@ -177,10 +178,13 @@ def forget(folder: Path) -> None:
 
 def guard(entry: Callable[[], Any]) -> int:
     """Call an entry point and return its exit code."""
+    listen()
     try:
         entry()
-    except KeyboardInterrupt as stop:
-        return report(str(stop) or "stopped by Ctrl-C; the same command begins anew", 130)
+    except Stopped as stop:
+        return report(str(stop) or f"stopped by {stop.signal.name}; the same command begins anew", stop.code)
+    except KeyboardInterrupt:
+        return report("stopped by Ctrl-C; the same command begins anew", 130)
     except TrainingError as error:
         return report(str(error), 3)
     except UserError as error:

@@ -1,7 +1,11 @@
-"""From a system to batches: generation, storage, sliding windows, the DataModule."""
+"""From a source to batches: generation, storage, splits and sliding windows.
+
+`WindowDataModule` alone needs Lightning, and is imported from its own module.
+"""
 
 from __future__ import annotations
 
-from ahnn.data.datamodule import SPLITS, Split, WindowDataModule
+from ahnn.data.sources import Given, Simulated, Source
+from ahnn.data.splits import SPLITS, Split, SplitData
 
-__all__ = ["SPLITS", "Split", "WindowDataModule"]
+__all__ = ["SPLITS", "Given", "Simulated", "Source", "Split", "SplitData"]

@@ -16,8 +16,8 @@ from ahnn.types import Trajectories
 def generate(system: System, count: int, seed: int) -> Trajectories:
     """Return `count` trajectories from initial states drawn with `seed`.
 
-    All are integrated together for as long as the longest one; what lies beyond the end of a shorter one
-    is NaN.
+    All are integrated together for as long as the longest one; the states beyond the end of a shorter one
+    are NaN.
 
     Raises:
         UserError: the trajectories are too long to be kept, or do not stay finite.
@@ -34,7 +34,8 @@ def generate(system: System, count: int, seed: int) -> Trajectories:
     beyond = torch.arange(longest + 1) > steps.unsqueeze(-1)
     require_finite(system, states, beyond)
     states[beyond] = torch.nan
-    return Trajectories(states, steps + 1, system.dt)
+    times = torch.arange(longest + 1, dtype=torch.float64) * system.dt
+    return Trajectories(states, times.expand(count, -1))
 
 
 def room(system: System, x: Tensor, steps: Tensor) -> Tensor:

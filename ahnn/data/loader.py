@@ -39,7 +39,7 @@ class WindowLoader:
         self.batch_size = batch_size
         self.count = min(per_epoch or len(windows), len(windows))
         self.seed = seed
-        self.shares = windows.speeds().pow(emphasis).cumsum(0).cpu() if emphasis else None
+        self._cumulative = windows.speeds().pow(emphasis).cumsum(0).cpu() if emphasis else None
         self.epoch = 0
         self.position = 0
         self.resume_epoch = 0
@@ -76,10 +76,10 @@ class WindowLoader:
         if self.seed is None:
             return torch.arange(self.count) * total // self.count
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)
-        if self.shares is None:
+        if self._cumulative is None:
             return torch.randperm(total, generator=generator)[: self.count]
-        draws = torch.rand(self.count, generator=generator, dtype=torch.float64) * self.shares[-1]
-        return torch.searchsorted(self.shares, draws).clamp(max=total - 1)
+        draws = torch.rand(self.count, generator=generator, dtype=torch.float64) * self._cumulative[-1]
+        return torch.searchsorted(self._cumulative, draws).clamp(max=total - 1)
 
     def __iter__(self) -> Iterator[Window]:
         """Yield the batches that are left of the current epoch."""
@@ -93,4 +93,4 @@ class WindowLoader:
         """Return the windows of this process among those of a batch, shape (B,)."""
         own = batch.tensor_split(self.world)[self.rank]
         window = self.windows.gather(own if len(own) else batch[:1])
-        return window._replace(share=self.world * len(own) / len(batch))
+        return window._replace(weight=self.world * len(own) / len(batch))

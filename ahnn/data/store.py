@@ -5,27 +5,25 @@ Files are in the safetensors format: reading one never executes anything.
 
 from __future__ import annotations
 
-import contextlib
-import fcntl
 import hashlib
 import json
 import logging
-import os
-import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
+from filelock import FileLock
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
+from torch import Tensor
 
-from ahnn.errors import UserError
+from ahnn.files import require_writable, write_atomically
 from ahnn.systems import System
 from ahnn.types import Trajectories
 
 log = logging.getLogger(__name__)
 
-FORMAT = 2
+FORMAT = 3
 """Raise this number when the meaning of a stored file changes, for example after a fix of the generator."""
 
 
@@ -55,7 +53,7 @@ def load_or_make(folder: Path, wanted: dict[str, object], make: Callable[[], Tra
     if stored is not None:
         return stored
     require_writable(folder)
-    with locked(folder):
+    with FileLock(folder / ".lock"):
         stored = stored_in(path)
         if stored is None:
             stored = make()
@@ -74,26 +72,10 @@ def stored_in(path: Path) -> Trajectories | None:
         return None
 
 
-@contextlib.contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Hold a folder's lock, which ends with its process; it keeps nobody out who does not ask for it."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        with contextlib.suppress(OSError):  # a file system without locks: work may be done twice
-            fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)
-
-
 def write(path: Path, trajectories: Trajectories, made_from: dict[str, object]) -> None:
     """Write trajectories with their recipe and a checksum; the file appears whole or not at all."""
-    metadata = {
-        "recipe": json.dumps(made_from, sort_keys=True),
-        "dt": repr(trajectories.dt),
-        "sha256": checksum(trajectories),
-    }
-    content = save({"states": trajectories.states, "lengths": trajectories.lengths}, metadata)
+    metadata = {"recipe": json.dumps(made_from, sort_keys=True), "sha256": checksum(trajectories)}
+    content = save({"states": trajectories.states, "times": shared_times(trajectories)}, metadata)
     write_atomically(path, content)
 
 
@@ -105,8 +87,8 @@ def read(path: Path) -> Trajectories:
     """
     with safe_open(path, framework="pt") as file:
         metadata = file.metadata()
-        states, lengths = file.get_tensor("states"), file.get_tensor("lengths")
-    trajectories = Trajectories(states, lengths, float(metadata["dt"]))
+        states, times = file.get_tensor("states"), file.get_tensor("times")
+    trajectories = Trajectories(states, times.expand(states.shape[:2]))
     if checksum(trajectories) != metadata["sha256"]:
         message = "checksum mismatch"
         raise ValueError(message)
@@ -114,38 +96,15 @@ def read(path: Path) -> Trajectories:
 
 
 def checksum(trajectories: Trajectories) -> str:
-    """Return the SHA-256 of the states, the lengths and the sampling interval."""
-    digest = hashlib.sha256(repr(trajectories.dt).encode())
-    for tensor in (trajectories.lengths, trajectories.states):
+    """Return the SHA-256 of the times and the states."""
+    digest = hashlib.sha256()
+    for tensor in (shared_times(trajectories), trajectories.states):
         digest.update(tensor.contiguous().numpy().data)
     return digest.hexdigest()
 
 
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write bytes to a temporary file beside `path`, flush it to the disk, and rename it into place."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
-
-
-def require_writable(folder: Path) -> None:
-    """Create a folder and make sure that a file can be written into it.
-
-    Raises:
-        UserError: it cannot.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        message = f"folder {folder}: expected a place that can be written; received: {error.strerror}"
-        raise UserError(message) from error
+def shared_times(trajectories: Trajectories) -> Tensor:
+    """Return the times (B, T), or one row of them, (1, T), where all trajectories have the same."""
+    times = trajectories.times
+    shared = times.stride(0) == 0 or bool((times == times[:1]).all())
+    return times[:1].contiguous() if shared else times.contiguous()

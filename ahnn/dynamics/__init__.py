@@ -1,1 +1,46 @@
-"""What is learned, as plain modules: networks, input maps, energies, Hamiltonians and their scalings."""
+"""What is learned, as plain modules: networks, input maps, energies, Hamiltonians, and the flows they make.
+
+Nothing here knows a trainer: dynamics compile, export and filter by themselves.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ahnn.dynamics.base import Dynamics, HasEnergy, HasField
+from ahnn.dynamics.fields import HamiltonianDynamics, NeuralODE
+from ahnn.dynamics.maps import NextState
+from ahnn.errors import UserError
+
+KINDS: dict[str, type[Dynamics]] = {"hamiltonian": HamiltonianDynamics, "node": NeuralODE, "map": NextState}
+"""Names under which dynamics are stored, and what is built for them."""
+
+
+def make_dynamics(kind: str, **options: Any) -> Dynamics:
+    """Return dynamics with fresh weights, from plain values.
+
+    Args:
+        kind: a key of `KINDS`.
+        options: arguments of its class.
+
+    Raises:
+        UserError: unknown kind, or arguments that make no dynamics.
+    """
+    if kind not in KINDS:
+        message = f"dynamics: expected one of {', '.join(KINDS)}; received {kind!r}"
+        raise UserError(message)
+    dynamics = KINDS[kind](**options)
+    dynamics.spec = {"kind": kind, **options}
+    return dynamics
+
+
+__all__ = [
+    "KINDS",
+    "Dynamics",
+    "HamiltonianDynamics",
+    "HasEnergy",
+    "HasField",
+    "NeuralODE",
+    "NextState",
+    "make_dynamics",
+]

@@ -12,8 +12,8 @@ from torch import Tensor, nn
 
 from ahnn.dynamics.inputs import InputMap
 from ahnn.dynamics.networks import make_network
-from ahnn.dynamics.scaling import Statistics
 from ahnn.errors import UserError
+from ahnn.statistics import Statistics
 
 
 class Energy(Protocol):

@@ -16,8 +16,9 @@ from torch import Tensor, nn
 from ahnn.dynamics.energies import CentralBody, Energy, NetworkEnergy, Quadratic, energy_units
 from ahnn.dynamics.inputs import Cartesian, InputName, position_inputs
 from ahnn.dynamics.networks import make_network
-from ahnn.dynamics.scaling import Kind, Statistics
+from ahnn.dynamics.scaling import Kind
 from ahnn.errors import UserError
+from ahnn.statistics import Statistics
 
 Structure = Literal["generic", "separable", "mechanical", "central_body"]
 

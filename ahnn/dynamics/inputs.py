@@ -7,8 +7,9 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor, nn
 
-from ahnn.dynamics.scaling import Affine, Kind, Statistics
+from ahnn.dynamics.scaling import Affine, Kind
 from ahnn.errors import UserError
+from ahnn.statistics import Statistics
 
 InputName = Literal["cartesian", "isotropic"]
 

@@ -7,7 +7,7 @@ scaling per component, which is not canonical by itself in more than one dimensi
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, get_args
 
 import torch
 from torch import Tensor, nn
@@ -15,51 +15,6 @@ from torch import Tensor, nn
 from ahnn.errors import UserError
 
 Kind = Literal["minmax", "block", "none"]
-
-
-class Statistics(NamedTuple):
-    """Statistics of the training split; each tensor (D,) float64, in physical units.
-
-    Attributes:
-        minimum, maximum: of each state component.
-        increment: root mean square of each component of x_{k+1} - x_k.
-        radius: (2,) extremes of the distance |q| from the origin.
-        positions, forces: (M, n) some positions half-way between samples, and dp/dt there.
-        dt: sampling interval.
-    """
-
-    minimum: Tensor
-    maximum: Tensor
-    increment: Tensor
-    radius: Tensor
-    positions: Tensor
-    forces: Tensor
-    dt: float
-
-    @classmethod
-    def of(cls, states: Tensor, dt: float, examples: int = 20_000) -> Statistics:
-        """Return the statistics of trajectories of shape (B, T, D), NaN where one has ended."""
-        increments = states[:, 1:] - states[:, :-1]
-        valid = increments.isfinite().all(-1)
-        increments, begins = increments[valid], states[:, :-1][valid]
-        flat = states[states.isfinite().all(-1)]
-        every = max(1, len(begins) // examples)
-        middles = (begins + increments / 2)[::every]
-        radius = flat.chunk(2, dim=-1)[0].norm(dim=-1)
-        return cls(
-            minimum=flat.amin(0),
-            maximum=flat.amax(0),
-            increment=increments.square().mean(0).sqrt(),
-            radius=torch.stack((radius.min(), radius.max())),
-            positions=middles.chunk(2, dim=-1)[0],
-            forces=increments[::every].chunk(2, dim=-1)[1] / dt,
-            dt=dt,
-        )
-
-    @property
-    def rate(self) -> Tensor:
-        """Typical size of dx/dt, shape (D,)."""
-        return self.increment / self.dt
 
 
 class Affine(nn.Module):

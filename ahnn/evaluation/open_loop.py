@@ -5,8 +5,8 @@ from __future__ import annotations
 from torch import Tensor
 
 from ahnn.evaluation.case import Case, Findings, Row
-from ahnn.evaluation.rollout import rollout
 from ahnn.integrators import INTEGRATORS, Integrator
+from ahnn.rollouts import rollout
 from ahnn.systems import System
 from ahnn.types import Flow, TimeStep
 

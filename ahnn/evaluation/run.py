@@ -11,10 +11,10 @@ from typing import Any
 from safetensors.torch import save
 
 from ahnn.data import WindowDataModule
-from ahnn.data.store import write_atomically
 from ahnn.evaluation.case import Case, EvaluationPlugin, Findings, perturbations
 from ahnn.evaluation.figures import open_loop_figures
 from ahnn.evaluation.open_loop import open_loop
+from ahnn.files import write_atomically
 from ahnn.integrators import INTEGRATORS
 from ahnn.models import AbstractDynamics
 

@@ -1,4 +1,4 @@
-"""Models of dynamics: networks and learned Hamiltonians as plain modules, one LightningModule for each kind.
+"""Models of dynamics: one thin LightningModule for each kind.
 
 The HNN⁺ of the paper is `AHNN` over windows of one step, so both share the class and differ in their YAML.
 """
@@ -6,8 +6,8 @@ The HNN⁺ of the paper is `AHNN` over windows of one step, so both share the cl
 from __future__ import annotations
 
 from ahnn.models.ahnn import AHNN
-from ahnn.models.base import AbstractDynamics, Optimisation
 from ahnn.models.mlp import MLP
+from ahnn.models.module import AbstractModel, Optimisation
 from ahnn.models.node import NODE
 
-__all__ = ["AHNN", "MLP", "NODE", "AbstractDynamics", "Optimisation"]
+__all__ = ["AHNN", "MLP", "NODE", "AbstractModel", "Optimisation"]

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from typing import Any, final
 
-from torch import Tensor
-
-from ahnn.dynamics.hamiltonians import Structure, make_hamiltonian
+from ahnn.dynamics import make_dynamics
+from ahnn.dynamics.hamiltonians import Structure
 from ahnn.dynamics.inputs import InputName
 from ahnn.dynamics.scaling import Kind
-from ahnn.integrators import make_integrator
-from ahnn.models.base import AbstractDynamics
-from ahnn.types import TimeStep
+from ahnn.models.module import AbstractModel
 
 
 @final
-class AHNN(AbstractDynamics):
+class AHNN(AbstractModel):
     """Autoregressive Hamiltonian neural network (the paper); over windows of one step it is its HNN⁺.
 
     Args:
@@ -28,7 +25,7 @@ class AHNN(AbstractDynamics):
         network: width, depth, activation.
         integrator: `name` and options of the one-step method.
         window: W, steps of the recursive predictions in the loss.
-        loss: options of `Loss`.
+        loss: options of `LossOptions`.
     """
 
     def __init__(
@@ -45,14 +42,7 @@ class AHNN(AbstractDynamics):
         window: int,
         loss: dict[str, Any],
     ) -> None:
-        learner = make_hamiltonian(
-            hamiltonian, dof, mass=inertia, mu=mu, inputs=inputs, scaling=scaling, network=network
-        )
-        super().__init__(learner, dof, window, loss)
+        options = {"inertia": inertia, "hamiltonian": hamiltonian, "mu": mu, "inputs": inputs}
+        options |= {"scaling": scaling, "network": network, "integrator": integrator}
+        super().__init__(make_dynamics("hamiltonian", dof=dof, **options), dof, window, loss)
         self.save_hyperparameters()
-        self.integrator = make_integrator(**integrator)
-        self.integrator.require(self.learner)
-
-    def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
-        """Return the integrator's increment along J grad H, shape (B, D)."""
-        return self.integrator.increment(self.learner, x, dt)

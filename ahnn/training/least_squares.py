@@ -7,11 +7,13 @@ the sensitivity of their state along instead: W steps then cost W passes and not
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call, jacrev, vmap
+
+from ahnn.types import TimeStep, Window
 
 
 class LeastSquares(NamedTuple):
@@ -34,7 +36,7 @@ class _Forward(nn.Module):
         super().__init__()
         self.module, self.function = module, function
 
-    def forward(self, *arguments: Tensor) -> Tensor:
+    def forward(self, *arguments: Any) -> Tensor:
         return self.function(*arguments)
 
 
@@ -50,7 +52,7 @@ def parametrised(
     sizes = [shape.numel() for shape in shapes.values()]
     buffers = {name: b.to(dtype) for name, b in wrapped.named_buffers()}
 
-    def call(theta: Tensor, *arguments: Tensor) -> Tensor:
+    def call(theta: Tensor, *arguments: Any) -> Tensor:
         parts = zip(shapes.items(), theta.split(sizes), strict=True)
         parameters = {name: part.view(shape) for (name, shape), part in parts}
         return functional_call(wrapped, {**parameters, **buffers}, arguments)
@@ -87,40 +89,45 @@ def pointwise_problem(
 
 
 def recursive_problem(
-    module: nn.Module, increment: Callable[[Tensor], Tensor], x: Tensor, targets: Tensor, weights: Tensor
+    module: nn.Module, increment: Callable[[Tensor, TimeStep], Tensor], batch: Window, weights: Tensor
 ) -> LeastSquares:
     """Return the problem of predicting W steps recursively.
 
     Args:
         module: its parameters are the unknowns.
-        increment: (B, D) -> (B, D) of one step, computed with the module.
-        x: first states, (B, D).
-        targets: true increments, (B, W, D).
+        increment: (x (B, D), dt) -> (B, D) of one step, computed with the module.
+        batch: first states and true increments of W steps.
         weights: of the residuals, (B, W, D).
     """
-    function = parametrised(module, increment, x.dtype)
+    function = parametrised(module, increment, batch.start.dtype)
     single = parametrised(module, increment, torch.float32)
+    own_steps = isinstance(batch.dt, Tensor)
 
-    def of_sample(theta: Tensor, sample: Tensor) -> Tensor:
-        return single(theta, sample.unsqueeze(0)).squeeze(0)
+    def of_sample(theta: Tensor, sample: Tensor, dt: TimeStep) -> Tensor:
+        step = dt.unsqueeze(0) if isinstance(dt, Tensor) else dt
+        return single(theta, sample.unsqueeze(0), step).squeeze(0)
 
     def weighted(theta: Tensor) -> Tensor:
-        state, residual, rows = x, torch.zeros_like(x), []
-        for target in targets.unbind(1):
-            step = function(theta, state)
+        state, residual, rows = batch.start, torch.zeros_like(batch.start), []
+        for k, target in enumerate(batch.increments.unbind(1)):
+            step = function(theta, state, batch.step(k))
             state, residual = state + step, residual + (step - target)
             rows.append(residual)
         return (torch.stack(rows, dim=1) * weights).flatten()
 
     def jacobian(theta: Tensor) -> Tensor:
-        derivatives = vmap(jacrev(of_sample, argnums=(0, 1)), (None, 0))
-        state, sensitivity, rows = x, torch.zeros(*x.shape, len(theta), device=x.device), []
-        for k in range(targets.shape[1]):
-            of_theta, of_state = derivatives(theta.float(), state.float())
+        derivatives = vmap(jacrev(of_sample, argnums=(0, 1)), (None, 0, 0 if own_steps else None))
+        state, rows = batch.start, []
+        sensitivity = torch.zeros(*state.shape, len(theta), device=state.device)
+        for k in range(batch.increments.shape[1]):
+            dt = batch.step(k)
+            of_theta, of_state = derivatives(
+                theta.float(), state.float(), dt.float() if isinstance(dt, Tensor) else dt
+            )
             with torch.no_grad():
                 sensitivity = sensitivity + of_theta + of_state @ sensitivity
                 rows.append(sensitivity * weights[:, k, :, None].float())
-                state = state + function(theta, state)
+                state = state + function(theta, state, dt)
         return torch.stack(rows, dim=1).flatten(0, 2)
 
     return LeastSquares(torch.no_grad()(weighted), jacobian)

@@ -12,6 +12,7 @@ from torch.optim import Optimizer
 from ahnn.errors import UserError
 from ahnn.training.least_squares import LeastSquares
 from ahnn.training.normal_equations import damped_step, gradient_norm, normal_equations, promised_decrease
+from ahnn.training.steppers import SecondOrder
 
 SMALLEST, LARGEST = 1e-14, 1e6
 """Range of the damping."""
@@ -34,6 +35,8 @@ class LevenbergMarquardt(Optimizer):
         damping: of the first step; it adapts from there.
         tolerance: admitted relative rise of the loss on the windows held back.
     """
+
+    stepper = SecondOrder()
 
     def __init__(self, params: Iterable[nn.Parameter], damping: float = 1e-2, tolerance: float = 0.3) -> None:
         if not (damping > 0 and tolerance > 0):

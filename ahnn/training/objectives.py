@@ -1,94 +1,161 @@
-"""What training minimises: recursive prediction errors, derivative errors, and the weights of both."""
+"""Objectives: what dynamics are compared with, as residuals or as a least-squares problem.
+
+An objective is a value that is handed to a trainer: it knows the dynamics and a batch of windows, and nothing
+of optimisers. `Curriculum` says which one holds in an epoch.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from math import factorial
-from typing import Literal
+from typing import Protocol, cast
 
 import torch
 from torch import Tensor
-from torch.nn import functional as F
 
+from ahnn.dynamics import Dynamics, HasField
 from ahnn.errors import UserError
-from ahnn.types import TimeStep, Window
-
-FLOOR = 0.03
-"""Local increments below this share of the typical one are not weighted up any further."""
-
-Increment = Callable[[Tensor, TimeStep], Tensor]
+from ahnn.training.least_squares import LeastSquares, pointwise_problem, recursive_problem
+from ahnn.training.loss import Loss
+from ahnn.types import Window
 
 
-@dataclass(frozen=True)
-class Loss:
-    """The training objective.
+class Objective(Protocol):
+    """What training minimises.
 
     Attributes:
-        scale: unit of residuals, `increment` (rms increment of each component) or `state` (half range of
-            each component, the paper). One-step residuals are tiny beside the state, and their gradients
-            fall below Adam's epsilon; in units of the increment they do not.
-        delta: residual, in those units, at which Huber's loss turns from quadratic to linear.
-        balance: weight of relative errors. 0 measures a residual in the same unit everywhere; 1 in units of
-            the local increment of its block, so that slow parts of a trajectory count as much as fast ones.
-        derivative: share of the epochs, from the first, that fits the field to derivatives of the data; the
-            rest fits recursive predictions (the paper). 1 is the loss of Greydanus et al. 2019.
-        order: of the central differences that give those derivatives; even.
+        span: steps that a window must have.
+        predictions: recursive predictions in a residual; a batch may hold so many times fewer windows.
     """
 
-    scale: Literal["increment", "state"] = "increment"
-    delta: float = 1.0
-    balance: float = 0.0
-    derivative: float = 0.0
-    order: int = 12
+    @property
+    def span(self) -> int:
+        """Steps that a window must have."""
+        ...
 
-    def __post_init__(self) -> None:
-        """Refuse what no loss can be made of."""
-        possible = self.delta > 0 and 0 <= self.balance <= 1 and 0 <= self.derivative <= 1
-        if not possible or self.order < 2 or self.order % 2 or self.scale not in ("increment", "state"):
-            message = (
-                "loss: expected scale increment or state, delta > 0, balance and derivative in [0, 1], "
-                f"and an even order >= 2; received {asdict(self)}"
-            )
-            raise UserError(message)
+    @property
+    def predictions(self) -> int:
+        """Predictions that depend on one another in each window."""
+        ...
 
-    def __call__(self, residuals: Tensor) -> Tensor:
-        """Return the mean Huber loss of weighted residuals, a scalar."""
-        return F.huber_loss(residuals, torch.zeros_like(residuals), delta=self.delta)
+    def residuals(self, dynamics: Dynamics, batch: Window) -> Tensor:
+        """Return the weighted residuals of a batch, shape (B, ..., D)."""
+        ...
 
-    def weights(self, targets: Tensor, scale: Tensor) -> Tensor:
-        """Return the factors that bring residuals into the units of the loss, shape (..., D).
+    def problem(self, dynamics: Dynamics, batch: Window) -> LeastSquares:
+        """Return the same residuals as a problem in the parameters of the dynamics."""
+        ...
 
-        Args:
-            targets: (..., D) increments that the residuals belong to.
-            scale: (D,) typical size of a residual's component.
+
+@dataclass(frozen=True, eq=False)
+class Recursive:
+    """x^_k - x_k with x^_k predicted recursively from x_0 over W steps (the paper's AHNN loss).
+
+    Attributes:
+        loss: the units of the residuals.
+        window: W.
+    """
+
+    loss: Loss
+    window: int
+
+    @property
+    def span(self) -> int:
+        """Steps that a window must have."""
+        return self.window
+
+    @property
+    def predictions(self) -> int:
+        """Predictions that depend on one another in each window."""
+        return self.window
+
+    def residuals(self, dynamics: Dynamics, batch: Window) -> Tensor:
+        """Return the weighted residuals, shape (B, W, D).
+
+        The residual is carried as a sum of differences of increments, which keeps its digits in float32.
         """
-        if self.balance == 0:
-            return (1 / scale).expand_as(targets)
-        blocks = (targets / scale).unflatten(-1, (2, -1))
-        local = blocks.square().mean(-1, keepdim=True) + FLOOR**2
-        return (local ** (-self.balance / 2)).expand_as(blocks).flatten(-2) / scale
+        batch = batch.first(self.window)
+        x = batch.start
+        residual = torch.zeros_like(x)
+        residuals = []
+        for k, target in enumerate(batch.increments.unbind(1)):
+            predicted = dynamics.increment(x, batch.step(k))
+            x = x + predicted
+            residual = residual + (predicted - target)
+            residuals.append(residual)
+        return torch.stack(residuals, dim=1) * self.loss.weights(batch.increments)
+
+    def problem(self, dynamics: Dynamics, batch: Window) -> LeastSquares:
+        """Return the same residuals as a problem in the parameters of the dynamics."""
+        batch = batch.first(self.window)
+        return recursive_problem(dynamics, dynamics.increment, batch, self.loss.weights(batch.increments))
 
 
-def recursive_residuals(increment: Increment, window: Window) -> Tensor:
-    """Return x^_k - x_k, shape (B, W, D), with x^_k predicted recursively from x_0 (the paper's AHNN loss).
+@dataclass(frozen=True, eq=False)
+class Derivative:
+    """The field itself, compared with derivatives of the data: no solver in the loop (Greydanus et al. 2019).
 
-    The residual is carried as a sum of differences of increments, which keeps its digits in float32.
-
-    Args:
-        increment: (x, dt) -> x(t + dt) - x(t) of the model.
-        window: start (B, D) and true increments (B, W, D).
+    Attributes:
+        loss: the units of the residuals, which are multiplied by dt to be increments.
+        order: of the central differences.
     """
-    x = window.start
-    residual = torch.zeros_like(x)
-    residuals = []
-    for target in window.increments.unbind(1):
-        predicted = increment(x, window.dt)
-        x = x + predicted
-        residual = residual + (predicted - target)
-        residuals.append(residual)
-    return torch.stack(residuals, dim=1)
+
+    loss: Loss
+    order: int
+
+    @property
+    def span(self) -> int:
+        """Steps that a window must have."""
+        return self.order
+
+    @property
+    def predictions(self) -> int:
+        """Predictions that depend on one another in each window."""
+        return 1
+
+    def residuals(self, dynamics: Dynamics, batch: Window) -> Tensor:
+        """Return the weighted residuals, shape (B, D)."""
+        middle, target = derivative_samples(batch.first(self.order))
+        return (batch.dt * cast(HasField, dynamics).field(middle) - target) * self.loss.weights(target)
+
+    def problem(self, dynamics: Dynamics, batch: Window) -> LeastSquares:
+        """Return the same residuals as a problem in the parameters of the dynamics."""
+        middle, target = derivative_samples(batch.first(self.order))
+        field = cast(HasField, dynamics).field
+        return pointwise_problem(
+            dynamics, lambda x: batch.dt * field(x), middle, target, self.loss.weights(target)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Curriculum:
+    """Objectives one after the other.
+
+    Attributes:
+        phases: share of the epochs up to which each holds, increasing to 1, and the objective.
+    """
+
+    phases: Sequence[tuple[float, Objective]]
+
+    @property
+    def span(self) -> int:
+        """Steps that a window of any phase must have."""
+        return max(objective.span for _, objective in self.phases)
+
+    def at(self, epoch: int, epochs: int) -> Objective:
+        """Return the objective of an epoch, counted from 0."""
+        return next((o for until, o in self.phases if epoch < until * epochs), self.phases[-1][1])
+
+
+def make_curriculum(loss: Loss, window: int) -> Curriculum:
+    """Return derivatives first and recursive predictions after them, as the options of the loss say."""
+    share, recursive = loss.options.derivative, Recursive(loss, window)
+    if share == 0:
+        return Curriculum([(1.0, recursive)])
+    derivative = Derivative(loss, loss.options.order)
+    return Curriculum([(1.0, derivative)] if share == 1 else [(share, derivative), (1.0, recursive)])
 
 
 def derivative_samples(window: Window) -> tuple[Tensor, Tensor]:
@@ -98,8 +165,17 @@ def derivative_samples(window: Window) -> tuple[Tensor, Tensor]:
     free of an integrator's error.
 
     Args:
-        window: start (B, D) and true increments (B, W, D), W even.
+        window: start (B, D) and true increments (B, W, D), W even, all steps alike.
+
+    Raises:
+        UserError: steps that differ.
     """
+    if isinstance(window.dt, Tensor):
+        message = (
+            "loss: derivatives of the data expect samples at equal steps; received steps that differ. "
+            "Set loss.derivative=0"
+        )
+        raise UserError(message)
     steps = window.increments.shape[1]
     middle = window.start + window.increments[:, : steps // 2].sum(1)
     return middle, torch.einsum("w,bwd->bd", difference_weights(steps).to(middle), window.increments)

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ahnn.data import SPLITS
-from ahnn.data.datamodule import split_sizes
+from ahnn.data.splits import split_sizes
 from ahnn.errors import UserError
 
 
@@ -25,7 +25,7 @@ def test_splits_are_disjoint_and_cover_all_trajectories(cache):
 
 def test_the_papers_split(cache):
     assert split_sizes(2500, [0.80, 0.15, 0.05]) == [2000, 375, 125]
-    assert data_module(SPRING, cache).sizes == [6, 2, 2]
+    assert [len(data_module(SPRING, cache).trajectories(s).states) for s in SPLITS] == [6, 2, 2]
 
 
 @given(count=st.integers(1, 5000), shares=st.tuples(st.floats(0.01, 0.4), st.floats(0.01, 0.4)))
@@ -59,24 +59,24 @@ def test_shares_that_do_not_split_are_refused(shares):
         split_sizes(100, shares)
 
 
-def test_an_empty_split_is_refused_before_generation(cache):
+def test_an_empty_split_is_refused(cache):
     with pytest.raises(UserError, match=r"3 trajectories.*val 0"):
-        data_module(SPRING, cache, trajectories=3, split=[0.8, 0.1, 0.1])
+        data_module(SPRING, cache, trajectories=3, split=[0.8, 0.1, 0.1]).trajectories("train")
 
 
-@pytest.mark.parametrize("window", [0, -1, 41])
-def test_a_window_longer_than_a_trajectory_is_refused_before_generation(cache, window):
-    with pytest.raises(UserError, match=rf"1 <= W <= 40.*W={window}"):
-        data_module(SPRING, cache, window=window)
+def test_a_window_longer_than_a_trajectory_is_refused(cache):
+    with pytest.raises(UserError, match=r"1 <= W <= 40.*W=41"):
+        data_module(SPRING, cache, window=41).train_dataloader()
 
 
 @pytest.mark.parametrize(
     "change",
     [
+        {"window": 0},
+        {"window": -1},
         {"batch_size": 0},
         {"windows_per_epoch": 0},
         {"val_windows": -1},
-        {"precision": 16},
         {"emphasis": -1.0},
         {"emphasis": math.nan},
         {"emphasis": math.inf},
@@ -92,7 +92,7 @@ def test_statistics_come_from_the_training_split_alone(cache, system):
     data = data_module(system, cache)
     statistics = data.statistics()
     states = data.trajectories("train").states.double()
-    rows = [s[:n] for s, n in zip(states, data.trajectories("train").lengths, strict=True)]
+    rows = [s[there] for s, there in zip(states, data.trajectories("train").present, strict=True)]
     valid = torch.cat(rows)
     increments = torch.cat([s.diff(dim=0) for s in rows])
     close(statistics.minimum, valid.min(0).values, 0.0)

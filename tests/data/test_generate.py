@@ -15,18 +15,21 @@ ESCAPING = dataclasses.replace(SYSTEMS["henon_heiles"], amplitude=(3.0, 4.0))
 
 
 def test_trajectories_are_finite_up_to_their_ends_and_nan_beyond():
-    states, lengths, _ = generate(dataclasses.replace(MOLNIYA, periods=0.1, dt=300.0), 5, 0)
+    system = dataclasses.replace(MOLNIYA, periods=0.1, dt=300.0)
+    states, times = generate(system, 5, 0)
+    lengths = system.durations(states[:, 0]) + 1
     within = torch.arange(states.shape[1]) < lengths.unsqueeze(-1)
     assert len(set(lengths.tolist())) > 1
+    assert torch.equal(times, (300.0 * torch.arange(states.shape[1]).double()).expand_as(times))
     assert torch.equal(states.isfinite().all(-1), within)
 
 
 def test_states_that_leave_all_bounds_are_refused_and_not_stored(tmp_path):
     with pytest.raises(UserError, match=r"henon_heiles: expected finite states; 10 of 10 ") as said:
-        data_module(ESCAPING, str(tmp_path), steps=400).setup()
+        data_module(ESCAPING, str(tmp_path), steps=400).trajectories("train")
     assert "dt=0.05" in str(said.value)
     assert "Shorten system.dt" in str(said.value)
-    assert list(tmp_path.iterdir()) == []
+    assert not list(tmp_path.glob("*.safetensors"))
 
 
 def test_one_state_that_is_not_finite_is_enough(monkeypatch):

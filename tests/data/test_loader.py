@@ -16,7 +16,8 @@ from ahnn.types import Trajectories
 def loader(count=23, batch=5, per_epoch=None, seed=7):
     """Windows whose start is their own index."""
     states = torch.arange(count + 1, dtype=torch.float64).view(1, -1, 1).expand(1, -1, 2)
-    windows = Windows(Trajectories(states, torch.tensor([count + 1]), 1.0), 1, torch.float64)
+    times = torch.arange(count + 1, dtype=torch.float64).unsqueeze(0)
+    windows = Windows(Trajectories(states, times), 1, torch.float64)
     return WindowLoader(windows, batch, per_epoch, seed)
 
 

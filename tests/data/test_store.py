@@ -24,6 +24,11 @@ def make():
     return generate(SPRING, 3, 0)
 
 
+def stored(folder):
+    (path,) = folder.glob("*.safetensors")
+    return path
+
+
 def never():
     pytest.fail("generated although stored")
 
@@ -32,14 +37,13 @@ def test_what_is_stored_is_what_was_made(tmp_path):
     made = store.load_or_make(tmp_path, RECIPE, make)
     loaded = store.load_or_make(tmp_path, RECIPE, never)
     assert torch.equal(made.states, loaded.states)
-    assert torch.equal(made.lengths, loaded.lengths)
-    assert made.dt == loaded.dt
-    assert [p.suffix for p in tmp_path.iterdir()] == [".safetensors"]
+    assert torch.equal(made.times, loaded.times)
+    assert sorted(p.name for p in tmp_path.iterdir()) == [".lock", stored(tmp_path).name]
 
 
 def test_nan_beyond_the_end_survives_storage(tmp_path):
     states = torch.tensor([[[1.0, 2.0], [torch.nan, torch.nan]]], dtype=torch.float64)
-    made = Trajectories(states, torch.tensor([1]), 0.1)
+    made = Trajectories(states, torch.tensor([[0.0, 0.1]], dtype=torch.float64))
     store.write(tmp_path / "x.safetensors", made, RECIPE)
     assert torch.equal(store.read(tmp_path / "x.safetensors").states.isnan(), states.isnan())
 
@@ -47,7 +51,7 @@ def test_nan_beyond_the_end_survives_storage(tmp_path):
 @pytest.mark.parametrize("place", [5, 300, -3])
 def test_a_flipped_byte_is_found_and_the_data_are_made_again(tmp_path, caplog, place):
     made = store.load_or_make(tmp_path, RECIPE, make)
-    (path,) = tmp_path.iterdir()
+    path = stored(tmp_path)
     content = bytearray(path.read_bytes())
     content[place] ^= 0xFF
     path.write_bytes(content)
@@ -59,20 +63,26 @@ def test_a_flipped_byte_is_found_and_the_data_are_made_again(tmp_path, caplog, p
     assert torch.equal(store.load_or_make(tmp_path, RECIPE, never).states, made.states)
 
 
-def test_a_flipped_byte_in_the_lengths_is_found(tmp_path):
-    store.load_or_make(tmp_path, RECIPE, make)
-    (path,) = tmp_path.iterdir()
-    content = path.read_bytes()
-    lengths = torch.full((3,), 6, dtype=torch.int64).numpy().tobytes()
-    assert content.count(lengths) == 1
-    path.write_bytes(content.replace(lengths, torch.tensor([6, 4, 6]).numpy().tobytes()))
-    assert store.load_or_make(tmp_path, RECIPE, make).lengths.tolist() == [6, 6, 6]
+def test_a_flipped_byte_in_the_times_is_found(tmp_path):
+    made = store.load_or_make(tmp_path, RECIPE, make)
+    path = stored(tmp_path)
+    content, last = path.read_bytes(), made.times[0, -1:].numpy().tobytes()
+    assert content.count(last) == 1
+    path.write_bytes(content.replace(last, torch.tensor([0.06], dtype=torch.float64).numpy().tobytes()))
+    assert torch.equal(store.load_or_make(tmp_path, RECIPE, make).times, made.times)
+
+
+def test_times_of_their_own_survive_storage(tmp_path):
+    times = torch.tensor([[0.0, 0.1, 0.3], [0.0, 0.2, 0.3]], dtype=torch.float64)
+    made = Trajectories(torch.ones(2, 3, 2, dtype=torch.float64), times)
+    store.write(tmp_path / "x.safetensors", made, RECIPE)
+    assert torch.equal(store.read(tmp_path / "x.safetensors").times, times)
 
 
 @pytest.mark.parametrize("size", [0, 4, 200])
 def test_a_truncated_file_is_made_again(tmp_path, size):
     store.load_or_make(tmp_path, RECIPE, make)
-    (path,) = tmp_path.iterdir()
+    path = stored(tmp_path)
     path.write_bytes(path.read_bytes()[:size])
     assert store.load_or_make(tmp_path, RECIPE, make).states.shape == (3, 6, 2)
 

@@ -12,29 +12,38 @@ from ahnn.errors import UserError
 from ahnn.types import Trajectories
 
 
-def numbered(lengths):
-    """Trajectories whose samples say where they are: (trajectory, sample) as a state."""
-    longest = max(lengths)
-    states = torch.full((len(lengths), longest, 2), torch.nan, dtype=torch.float64)
-    for b, length in enumerate(lengths):
-        states[b, :length, 0] = 1000.0 * b
-        states[b, :length, 1] = torch.arange(length, dtype=torch.float64) ** 2
-    return Trajectories(states, torch.tensor(lengths), 0.1)
+def numbered(stretches, dt=0.1):
+    """Trajectories of stretches with a missing sample between; a sample says where it is."""
+    rows = [sum(lengths) + len(lengths) - 1 for lengths in stretches]
+    states = torch.full((len(stretches), max(rows), 2), torch.nan, dtype=torch.float64)
+    for b, lengths in enumerate(stretches):
+        begin = 0
+        for length in lengths:
+            states[b, begin : begin + length, 0] = 1000.0 * b + begin
+            states[b, begin : begin + length, 1] = torch.arange(length, dtype=torch.float64) ** 2
+            begin += length + 1
+    times = torch.arange(max(rows), dtype=torch.float64) * dt
+    return Trajectories(states, times.expand(len(stretches), -1))
 
 
 def naive(data, steps):
-    """Every run of steps + 1 valid samples of one trajectory, in order."""
+    """Where every run of steps + 1 samples that are there begins, in order."""
+    samples = data.states.shape[1]
     return [
-        states[k : k + steps + 1]
-        for states, length in zip(data.states, data.lengths.tolist(), strict=True)
-        for k in range(length - steps)
+        (b, k)
+        for b in range(len(data.states))
+        for k in range(samples - steps)
+        if bool(data.present[b, k : k + steps + 1].all())
     ]
 
 
+STRETCHES = st.lists(st.lists(st.integers(1, 7), min_size=1, max_size=3), min_size=1, max_size=5)
+
+
 @settings(deadline=None, max_examples=150)
-@given(lengths=st.lists(st.integers(1, 9), min_size=1, max_size=6), steps=st.integers(1, 9))
-def test_windows_equal_a_naive_enumeration(lengths, steps):
-    data = numbered(lengths)
+@given(stretches=STRETCHES, steps=st.integers(1, 7))
+def test_windows_equal_a_naive_enumeration(stretches, steps):
+    data = numbered(stretches)
     expected = naive(data, steps)
     if not expected:
         with pytest.raises(UserError, match=f"W={steps}"):
@@ -43,16 +52,40 @@ def test_windows_equal_a_naive_enumeration(lengths, steps):
     windows = Windows(data, steps, torch.float64)
     assert len(windows) == len(expected)
     batch = windows.gather(torch.arange(len(windows)))
-    samples = torch.stack(expected)
+    samples = torch.stack([data.states[b, k : k + steps + 1] for b, k in expected])
     assert torch.equal(batch.start, samples[:, 0])
     assert torch.equal(batch.increments, samples[:, 1:] - samples[:, :-1])
-    assert bool((batch.increments[..., 0] == 0).all())  # none straddles two trajectories
+    assert bool((batch.increments[..., 0] == 0).all())  # none straddles two stretches
     assert batch.dt == 0.1
+
+
+@settings(deadline=None, max_examples=60)
+@given(stretches=STRETCHES, steps=st.integers(1, 4), seed=st.integers(0, 1000))
+def test_windows_of_irregular_samples_have_their_own_steps(stretches, steps, seed):
+    data = numbered(stretches)
+    draw = torch.Generator().manual_seed(seed)
+    shape = data.times.shape
+    times = (0.1 + torch.rand(shape, generator=draw, dtype=torch.float64)).cumsum(1)
+    data = data._replace(times=times)
+    if not (expected := naive(data, steps)):
+        return
+    windows = Windows(data, steps, torch.float64)
+    batch = windows.gather(torch.arange(len(windows)))
+    assert torch.equal(batch.dt, torch.stack([times[b, k : k + steps + 1].diff() for b, k in expected]))
+    rates = torch.stack([batch.increments[:, 0, 1].abs() / batch.dt[:, 0]])
+    if float(rates.sum()) > 0:
+        assert torch.allclose(windows.speeds(), rates[0] / rates.mean(), rtol=1e-12)
+
+
+def test_times_that_are_sums_of_steps_are_one_step():
+    data = numbered([[1500]], dt=60.0)
+    assert Windows(data._replace(times=data.times + 4e8), 1, torch.float64).dt == 60.0
+    assert Windows(numbered([[40]], dt=0.1), 1, torch.float64).dt == 0.1
 
 
 def test_increments_are_formed_in_float64_before_they_are_cast():
     states = torch.tensor([[[60000.0], [60000.001], [60000.003]]], dtype=torch.float64).expand(1, 3, 2)
-    windows = Windows(Trajectories(states, torch.tensor([3]), 60.0), 2, torch.float32)
+    windows = Windows(Trajectories(states, 60.0 * torch.arange(3.0).double().unsqueeze(0)), 2, torch.float32)
     batch = windows.gather(torch.tensor([0]))
     assert batch.increments.dtype == batch.start.dtype == torch.float32
     expected = torch.tensor([0.001, 0.002], dtype=torch.float64)

@@ -9,9 +9,11 @@ import pytest
 import torch
 from helpers import MOLNIYA, SPRING, batch_of, close, data_module, ready_model
 
-from ahnn.cli.setup import quiet
+from ahnn.checkpoints import read_weights
+from ahnn.cli.before import quiet
 from ahnn.errors import UserError
 from ahnn.models import AHNN, MLP, NODE
+from ahnn.runs import made
 
 NAMES = [
     "mlp",
@@ -33,7 +35,7 @@ def test_a_model_fits_a_tiny_batch(cache, name, system):
     optimizer = torch.optim.AdamW(model.parameters(), lr=1e-2)
     losses = []
     for _ in range(60):
-        loss = model.loss(model.residuals(batch))
+        loss = model.loss(model.objective.residuals(model.dynamics, batch))
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -63,7 +65,7 @@ def test_an_mlp_refuses_any_other_time_step(cache):
     flow = ready_model("mlp", data).flow()
     x = data.trajectories("test").states[:, 0]
     for dt in (0.02, torch.tensor([0.01, 0.01], dtype=torch.float64)):
-        with pytest.raises(UserError, match=r"trained with, 0.01; received"):
+        with pytest.raises(UserError, match=r"its training, 0.01; received"):
             flow(x, dt)
 
 
@@ -86,7 +88,7 @@ def test_a_field_takes_a_step_for_each_member(cache, name):
 def test_a_separable_model_runs_through_a_composition(cache, structure):
     data = data_module(SPRING, cache)
     model = ready_model(structure, data, integrator={"name": "yoshida4"})
-    assert bool(model.residuals(batch_of(data)).isfinite().all())
+    assert bool(model.objective.residuals(model.dynamics, batch_of(data)).isfinite().all())
 
 
 def test_a_wrong_option_of_a_loss_is_named(cache):
@@ -128,8 +130,11 @@ def test_a_checkpoint_is_plain_and_restores_the_model(cache, tmp_path, name):
     path = tmp_path / "model.ckpt"
     run.save_checkpoint(path)
     content = torch.load(path, weights_only=True)
-    assert content["ahnn"]["system"] == {"name": "mass_spring"}
+    assert content["ahnn"]["space"]["name"] == "mass_spring"
     restored = type(model).load_from_checkpoint(path, map_location="cpu", weights_only=True)
     assert isinstance(restored, AHNN | MLP | NODE)
-    x = data.trajectories("test").states[:, 0].float()
-    assert torch.equal(restored(x, SPRING.dt), model(x, SPRING.dt))
+    x = data.trajectories("test").states[:, 0]
+    assert torch.equal(restored(x.float(), SPRING.dt), model(x.float(), SPRING.dt))
+    loaded = made(read_weights(path), tmp_path)
+    assert torch.equal(loaded.flow(x), model.flow()(x, SPRING.dt))
+    assert loaded.space == SPRING.space

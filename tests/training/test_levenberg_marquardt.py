@@ -58,10 +58,10 @@ def test_the_jacobian_is_autograds(cache, name, window):
     data = data_module(MOLNIYA, cache, window=window)
     batch = batch_of(data, 3)
     model = ready_model(name, data)
-    problem = model.problem(batch)
-    parameters = list(model.parameters())
+    problem = model.objective.problem(model.dynamics, batch)
+    parameters = list(model.dynamics.parameters())
     theta = nn.utils.parameters_to_vector(parameters).detach()
-    flat = model.residuals(batch).flatten()
+    flat = model.objective.residuals(model.dynamics, batch).flatten()
     rows = []
     for r in flat:
         grads = torch.autograd.grad(

@@ -6,10 +6,32 @@ import pytest
 import torch
 from helpers import MOLNIYA, SPRING, batch_of, close, data_module, generator, ready_model
 
+from ahnn.dynamics.base import Dynamics
 from ahnn.errors import UserError
 from ahnn.integrators import INTEGRATORS
-from ahnn.training.objectives import Loss, derivative_samples, difference_weights, recursive_residuals
+from ahnn.training import Loss, LossOptions, Recursive
+from ahnn.training.objectives import derivative_samples, difference_weights
 from ahnn.types import Window
+
+
+class Exact(Dynamics):
+    """Increments of the true Molniya field, wrong by a factor 1 + error."""
+
+    def __init__(self, integrator, error=0.0):
+        super().__init__()
+        self.integrator, self.error = INTEGRATORS[integrator], error
+
+    def fit(self, statistics):
+        pass
+
+    def increment(self, x, dt):
+        return self.integrator.increment(MOLNIYA, x, dt) * (1 + self.error)
+
+
+def physical(dynamics, batch):
+    """Recursive residuals in physical units."""
+    unit = Loss(batch.start.shape[-1], LossOptions()).to(batch.start)
+    return Recursive(unit, batch.increments.shape[1]).residuals(dynamics, batch)
 
 
 def polynomial_window(degree, steps, dt=0.3):
@@ -55,15 +77,15 @@ def test_derivative_residuals_compare_the_field_with_the_data(cache, structure):
     model = ready_model(structure, data, loss={"derivative": 1.0})
     batch = batch_of(data)
     middle, target = derivative_samples(batch)
-    expected = (batch.dt * model.learner(middle) - target) / model.loss_scale
-    close(model.residuals(batch).flatten(), expected.flatten(), 1e-12)
+    expected = (batch.dt * model.dynamics.field(middle) - target) / model.loss.unit
+    close(model.objective.residuals(model.dynamics, batch).flatten(), expected.flatten(), 1e-12)
 
 
 def test_recursive_residuals_are_the_prediction_minus_the_data(cache):
     data = data_module(MOLNIYA, cache, window=4)
     batch = batch_of(data)
     model = ready_model("generic", data)
-    got = recursive_residuals(model.increment, batch)
+    got = physical(model.dynamics, batch)
     x, truth = batch.start, batch.start
     expected = []
     for k in range(4):
@@ -76,15 +98,15 @@ def test_a_window_of_one_step_gives_the_one_step_residual(cache):
     data = data_module(SPRING, cache, window=1)
     batch = batch_of(data)
     model = ready_model("node", data)
-    expected = model.increment(batch.start, batch.dt) - batch.increments[:, 0]
-    assert torch.equal(recursive_residuals(model.increment, batch)[:, 0], expected)
-    close(model.residuals(batch)[:, 0], expected / model.loss_scale, 1e-15)
+    expected = model.dynamics.increment(batch.start, batch.dt) - batch.increments[:, 0]
+    assert torch.equal(physical(model.dynamics, batch)[:, 0], expected)
+    close(model.objective.residuals(model.dynamics, batch)[:, 0], expected / model.loss.unit, 1e-15)
 
 
 def test_residuals_of_the_truth_vanish(cache):
     data = data_module(MOLNIYA, cache, window=5)
     batch = batch_of(data)
-    residuals = recursive_residuals(lambda x, dt: INTEGRATORS["kahan_li8"].increment(MOLNIYA, x, dt), batch)
+    residuals = physical(Exact("kahan_li8"), batch)
     assert float((residuals / data.statistics().increment).abs().max()) < 1e-10
 
 
@@ -93,12 +115,10 @@ def test_float32_residuals_keep_their_digits(cache):
     batch = batch_of(data, 64)
     single = Window(batch.start.float(), batch.increments.float(), batch.dt)
 
-    def almost(x, dt):  # an increment that is wrong by a millionth
-        return INTEGRATORS["rk4"].increment(MOLNIYA, x, dt) * (1 + 1e-6)
-
-    double = recursive_residuals(almost, batch)
+    almost = Exact("rk4", 1e-6)
+    double = physical(almost, batch)
     naive_error = 60_000 * torch.finfo(torch.float32).eps  # what subtracting two states would leave
-    error = recursive_residuals(almost, single).double() - double
+    error = physical(almost, single).double() - double
     assert float(error[..., :3].square().mean().sqrt()) < naive_error / 10
 
 
@@ -108,21 +128,23 @@ def test_the_loss_scale_is_the_increment_or_half_the_range(cache, kind):
     statistics = data.statistics()
     model = ready_model("generic", data, loss={"scale": kind})
     half = (statistics.maximum - statistics.minimum) / 2
-    close(model.loss_scale, statistics.increment if kind == "increment" else half, 1e-15)
+    close(model.loss.unit, statistics.increment if kind == "increment" else half, 1e-15)
 
 
 def test_the_loss_is_huber_on_scaled_residuals():
     r = torch.tensor([[[0.5, -3.0]]])
-    assert float(Loss(delta=1.0)(r)) == pytest.approx((0.5 * 0.25 + (3.0 - 0.5)) / 2)
-    assert float(Loss(delta=10.0)(r)) == pytest.approx((0.25 + 9.0) / 4)
+    assert float(Loss(2, LossOptions(delta=1.0))(r)) == pytest.approx((0.5 * 0.25 + (3.0 - 0.5)) / 2)
+    assert float(Loss(2, LossOptions(delta=10.0))(r)) == pytest.approx((0.25 + 9.0) / 4)
 
 
 def test_a_balanced_loss_measures_slow_and_fast_parts_alike():
     targets = torch.tensor([[[1.0, 1.0]], [[10.0, 10.0]]], dtype=torch.float64)
-    scale = torch.tensor([2.0, 4.0], dtype=torch.float64)
-    close(Loss().weights(targets, scale), (1 / scale).expand(2, 1, 2), 1e-15)
-    residuals = 0.01 * targets * scale
-    close(residuals * Loss(balance=1.0).weights(targets * scale, scale), torch.full((2, 1, 2), 0.01), 1e-3)
+    unit = torch.tensor([2.0, 4.0], dtype=torch.float64)
+    plain, balanced = (Loss(2, LossOptions(balance=b)).double() for b in (0.0, 1.0))
+    plain.unit.copy_(unit)
+    balanced.unit.copy_(unit)
+    close(plain.weights(targets), (1 / unit).expand(2, 1, 2), 1e-15)
+    close(0.01 * targets * unit * balanced.weights(targets * unit), torch.full((2, 1, 2), 0.01), 1e-3)
 
 
 @pytest.mark.parametrize(
@@ -142,4 +164,41 @@ def test_a_balanced_loss_measures_slow_and_fast_parts_alike():
 def test_impossible_losses_are_refused_with_what_came(wrong):
     ((name, value),) = wrong.items()
     with pytest.raises(UserError, match=rf"loss.*{name}\D+{value}"):
-        Loss(**wrong)
+        LossOptions(**wrong)
+
+
+@pytest.mark.parametrize("name", ["node", "separable"])
+def test_steps_that_differ_give_the_residuals_of_each_step_alone(cache, name):
+    data = data_module(SPRING, cache, window=3)
+    batch = batch_of(data, 6)
+    model = ready_model(name, data)
+    steps = 0.01 + 0.02 * torch.rand(6, 3, generator=generator(5), dtype=torch.float64)
+    objective = model.objective
+    got = objective.residuals(model.dynamics, batch._replace(dt=steps))
+    for b in range(6):
+        x, error = batch.start[b : b + 1], 0.0
+        for k in range(3):
+            predicted = model.dynamics.increment(x, float(steps[b, k]))
+            x, error = x + predicted, error + predicted - batch.increments[b, k]
+            close(got[b : b + 1, k], error / model.loss.unit, 1e-11)
+    theta = torch.nn.utils.parameters_to_vector(model.dynamics.parameters()).detach()
+    problem = objective.problem(model.dynamics, batch._replace(dt=steps))
+    close(problem.residuals(theta), got.flatten(), 1e-14)
+
+
+def test_the_jacobian_with_steps_that_differ_is_the_central_difference(cache):
+    data = data_module(SPRING, cache, window=3)
+    model, batch = ready_model("generic", data), batch_of(data, 4)
+    batch = batch._replace(dt=0.01 + 0.02 * torch.rand(4, 3, generator=generator(5), dtype=torch.float64))
+    problem = model.objective.problem(model.dynamics, batch)
+    theta = torch.nn.utils.parameters_to_vector(model.dynamics.parameters()).detach()
+    along = torch.randn(len(theta), generator=generator(1), dtype=torch.float64)
+    numeric = (problem.residuals(theta + 1e-5 * along) - problem.residuals(theta - 1e-5 * along)) / 2e-5
+    close(problem.jacobian(theta).double() @ along, numeric, 1e-4)
+
+
+def test_derivatives_refuse_steps_that_differ(cache):
+    data = data_module(SPRING, cache, window=4)
+    batch = batch_of(data)
+    with pytest.raises(UserError, match=r"equal steps; received steps that differ.*loss.derivative=0"):
+        derivative_samples(batch._replace(dt=torch.full(batch.increments.shape[:2], 0.01)))

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, cast
 
 from lightning import Callback, LightningModule, Trainer
 
-from ahnn.data import WindowDataModule
+from ahnn.data.datamodule import WindowDataModule
 from ahnn.errors import UserError
-from ahnn.evaluation.rollout import rollout
 from ahnn.metrics import errors, rmse_pooled, typical_error
-from ahnn.models import AbstractDynamics
+from ahnn.rollouts import rollout
+from ahnn.statistics import sampling_interval
 
 LOST = 100.0
 """A position error this many times the size of the system is as bad as any."""
@@ -28,6 +28,8 @@ class ValidationRollout(Callback):
         count: trajectories to roll out.
         every: epochs between two rollouts.
     """
+
+    monitored = ("val/rollout",)
 
     def __init__(self, count: int, every: int) -> None:
         if count < 1 or every < 1:
@@ -57,10 +59,12 @@ class ValidationRollout(Callback):
     def _error(self, trainer: Trainer, pl_module: LightningModule) -> float:
         """Return the typical error of rollouts from the true start of a few validation trajectories."""
         data: WindowDataModule = trainer.datamodule  # pyright: ignore[reportAttributeAccessIssue]
-        assert isinstance(pl_module, AbstractDynamics)
-        truth = data.trajectories("val").states[: self.count]
-        flow = pl_module.flow()
-        prediction = rollout(flow, truth[:, 0].to(pl_module.device), data.system.dt, truth.shape[1]).cpu()
-        position = errors(prediction, truth)[:, 1:, : data.system.dof]
-        size = float(rmse_pooled(truth[..., : data.system.dof]))
+        dof = data.source.space.dof
+        whole = data.trajectories("val").part(slice(self.count))
+        flow, dt = cast(Any, pl_module).flow(), sampling_interval(whole)
+        start = whole.states[:, 0].to(pl_module.device)
+        steps = dt if isinstance(dt, float) else dt.to(pl_module.device)
+        prediction = rollout(flow, start, steps, whole.states.shape[1]).cpu()
+        position = errors(prediction, whole.states)[:, 1:, :dof]
+        size = float(rmse_pooled(whole.states[..., :dof]))
         return float(typical_error(position, ceiling=LOST * size))

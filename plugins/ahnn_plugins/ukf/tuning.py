@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from ahnn.arguments import fits, nearest
-from ahnn.data.store import write_atomically
+from ahnn.files import write_atomically
 from ahnn.errors import UserError
 from ahnn.estimation.belief import Status
 from ahnn.metrics import errors, rmse_norm

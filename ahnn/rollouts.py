@@ -6,17 +6,17 @@ import torch
 from torch import Tensor
 
 from ahnn.progress import track
-from ahnn.types import Flow
+from ahnn.types import Flow, TimeStep
 
 
 @torch.no_grad()
-def rollout(flow: Flow, start: Tensor, dt: float, samples: int, description: str | None = None) -> Tensor:
+def rollout(flow: Flow, start: Tensor, dt: TimeStep, samples: int, description: str | None = None) -> Tensor:
     """Return the trajectories of a flow, shape (B, samples, D), beginning with `start`, shape (B, D).
 
     Args:
         flow: map of a state over one step.
         start: states at time zero.
-        dt: time step.
+        dt: time step, or (B, samples - 1) with the length of each.
         samples: length of the result, start included.
         description: text of a progress bar; None shows none.
     """
@@ -24,6 +24,6 @@ def rollout(flow: Flow, start: Tensor, dt: float, samples: int, description: str
     out[:, 0] = x = start
     steps = range(1, samples)
     for k in track(steps, description, len(steps)) if description else steps:
-        x = flow(x, dt)
+        x = flow(x, dt[:, k - 1] if isinstance(dt, Tensor) else dt)
         out[:, k] = x
     return out

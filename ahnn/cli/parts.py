@@ -1,0 +1,84 @@
+"""From a configuration to the parts of a training; nothing is generated yet: mistakes show at once."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from ahnn.checkpoints import FORMAT
+from ahnn.cli.build import build, build_all, plain_config
+from ahnn.data import Simulated, Source, SplitData
+from ahnn.runs import about_space
+from ahnn.systems import System
+
+if TYPE_CHECKING:
+    from lightning import Trainer
+
+    from ahnn.data.datamodule import WindowDataModule
+    from ahnn.evaluation import EvaluationPlugin
+    from ahnn.models import AbstractModel
+
+SIMULATION = ("trajectories", "seed", "cache")
+"""Keys of `data` that say how many trajectories are simulated, and where they are kept."""
+
+
+def build_source(cfg: DictConfig) -> Source:
+    """Build where the trajectories come from: a system is simulated, anything else reads by itself."""
+    built = build(cfg.system, "system")
+    if not isinstance(built, System):
+        return built
+    return Simulated(built, **{name: cfg.data[name] for name in SIMULATION})
+
+
+def build_splits(cfg: DictConfig, source: Source) -> SplitData:
+    """Build the splits of an evaluation, which needs no windows."""
+    return SplitData(source, list(cfg.data.split))
+
+
+def build_data(cfg: DictConfig, source: Source) -> WindowDataModule:
+    """Build the DataModule of a training."""
+    options = {key: value for key, value in plain_config(cfg.data).items() if key not in SIMULATION}
+    return build(OmegaConf.create(options), "data", source=source)
+
+
+def build_model(cfg: DictConfig, data: WindowDataModule) -> AbstractModel:
+    """Build the model, with the factories of its optimiser, and what checkpoints say of it."""
+    from ahnn.models import Optimisation
+
+    space = data.source.space
+    model = build(cfg.model, "model", dof=space.dof, inertia=space.inertia).to(data.dtype)
+    scheduler = build(cfg.scheduler, "scheduler") if cfg.scheduler else None
+    model.optimisation = Optimisation(build(cfg.optimizer, "optimizer"), scheduler)
+    model.about = {"format": FORMAT, "space": about_space(space), "settings": settings_of(cfg, data)}
+    return model
+
+
+def settings_of(cfg: DictConfig, data: WindowDataModule) -> dict[str, Any]:
+    """Return all that determines a training, as plain values: what a resumed one must share."""
+    plain = plain_config(cfg)
+    parts = {name: plain[name] for name in ("model", "loss", "optimizer", "scheduler", "seed")}
+    kept = {key: value for key, value in plain["data"].items() if key not in SIMULATION}
+    epochs = plain["trainer"]["max_epochs"]
+    return {**parts, "data": kept, "trainer": {"max_epochs": epochs}, "source": data.source.recipe()}
+
+
+def build_plugins(cfg: DictConfig, splits: SplitData) -> dict[str, EvaluationPlugin]:
+    """Build the evaluations that run after fit, and let each refuse data that it does not fit."""
+    plugins = build_all(cfg.plugins, "plugins")
+    for plugin in plugins.values():
+        plugin.check(splits.source)
+    return plugins
+
+
+def build_trainer(cfg: DictConfig) -> Trainer:
+    """Build the Lightning trainer with its callbacks and loggers."""
+    from lightning import Callback, Trainer
+    from lightning.pytorch.loggers import Logger
+
+    from ahnn.training.checkpoint_io import AtomicCheckpointIO
+
+    callbacks = list(build_all(cfg.callbacks, "callbacks", Callback).values())
+    logger = list(build_all(cfg.logger, "logger", Logger).values())
+    parts = {"callbacks": callbacks, "logger": logger, "default_root_dir": cfg.folder}
+    return build(cfg.trainer, "trainer", Trainer, plugins=[AtomicCheckpointIO()], **parts)

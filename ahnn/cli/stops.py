@@ -1,0 +1,61 @@
+"""What ends a training early, by the user's will or a scheduler's: one message and an exit code."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
+
+from ahnn.errors import Stopped, UserError
+
+if TYPE_CHECKING:
+    from lightning import Trainer
+
+
+def _raise(number: int, frame: Any) -> None:
+    del frame
+    raise Stopped(number)
+
+
+def listen() -> None:
+    """Let SIGTERM and SIGHUP raise `Stopped`, unless somebody chose that they are ignored (nohup)."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _raise)
+
+
+@contextlib.contextmanager
+def interruptible(trainer: Trainer, how_to_go_on: Callable[[], str]) -> Iterator[None]:
+    """Turn what ends a fit or an evaluation early into one message.
+
+    Lightning answers Ctrl-C with an exit of its own, code 1.
+
+    Raises:
+        Stopped: with what to type to go on.
+        UserError: settings of the trainer that do not go together.
+    """
+    from lightning.fabric.utilities.exceptions import MisconfigurationException
+
+    try:
+        yield
+    except (KeyboardInterrupt, SystemExit, Stopped) as stop:
+        number = _signal_of(stop)
+        if number is None:
+            raise
+        if not trainer.is_global_zero:
+            sys.exit(128 + number)  # of several processes, one speaks
+        word = "Ctrl-C" if number == signal.SIGINT else number.name
+        raise Stopped(number, f"stopped by {word}; {how_to_go_on()}") from None
+    except MisconfigurationException as error:
+        message = f"trainer: {error}"
+        raise UserError(message) from error
+
+
+def _signal_of(stop: BaseException) -> signal.Signals | None:
+    """Return the signal behind an exception; None for an exit of somebody else's."""
+    if isinstance(stop, Stopped):
+        return stop.signal
+    by_ctrl_c = isinstance(stop, KeyboardInterrupt) or isinstance(stop.__context__, KeyboardInterrupt)
+    return signal.SIGINT if by_ctrl_c else None

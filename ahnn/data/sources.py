@@ -1,0 +1,89 @@
+"""Where trajectories come from: simulated from a Hamiltonian, or given."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Protocol
+
+from ahnn.data import store
+from ahnn.data.generate import generate
+from ahnn.data.given import check_trajectories
+from ahnn.systems import System
+from ahnn.types import Space, Trajectories
+
+
+class Source(Protocol):
+    """Whole trajectories and what their numbers mean."""
+
+    @property
+    def space(self) -> Space:
+        """What the numbers mean."""
+        ...
+
+    @property
+    def truth(self) -> System | None:
+        """The system whose equations are known, or None."""
+        ...
+
+    def recipe(self) -> dict[str, Any]:
+        """Return all that determines the trajectories, as plain values."""
+        ...
+
+    def read(self) -> Trajectories:
+        """Return the trajectories."""
+        ...
+
+
+class Simulated:
+    """Trajectories of a system with known equations, generated once and cached.
+
+    Args:
+        system: the ground truth.
+        trajectories: how many.
+        seed: of the initial states.
+        cache: folder of generated data.
+    """
+
+    def __init__(self, system: System, *, trajectories: int, seed: int, cache: str) -> None:
+        self.truth, self.count, self.seed = system, trajectories, seed
+        self.cache = Path(cache).expanduser()
+
+    @property
+    def space(self) -> Space:
+        """What the numbers of the system mean."""
+        return self.truth.space
+
+    def recipe(self) -> dict[str, Any]:
+        """Return system, count and seed."""
+        return store.recipe(self.truth, self.count, self.seed)
+
+    def read(self) -> Trajectories:
+        """Return the trajectories, from the cache where they are in it."""
+        make = lambda: generate(self.truth, self.count, self.seed)  # noqa: E731
+        return store.load_or_make(self.cache, self.recipe(), make)
+
+
+class Given:
+    """Trajectories that a user has; nothing is known of their equations.
+
+    Args:
+        trajectories: states (B, T, 2n) and times (B, T) or (T,), NaN where a sample is absent.
+        space: what the numbers mean.
+
+    Raises:
+        UserError: shapes that do not fit, infinite numbers, or times that do not increase.
+    """
+
+    truth: System | None = None
+
+    def __init__(self, trajectories: Trajectories, space: Space) -> None:
+        self.space = space
+        self.trajectories = check_trajectories(trajectories, space)
+
+    def recipe(self) -> dict[str, Any]:
+        """Return the hash of the content."""
+        return {"given": self.space.name, "sha256": store.checksum(self.trajectories)}
+
+    def read(self) -> Trajectories:
+        """Return the trajectories."""
+        return self.trajectories

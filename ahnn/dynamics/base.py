@@ -1,0 +1,59 @@
+"""What is learned: a module that moves a state by a time step, and knows no trainer."""
+
+from __future__ import annotations
+
+import copy
+from abc import ABC, abstractmethod
+from typing import Any, Protocol, runtime_checkable
+
+from torch import Tensor, nn
+
+from ahnn.statistics import Statistics
+from ahnn.types import TimeStep
+
+
+class Dynamics(nn.Module, ABC):
+    """Map of a state and a time step to an increment of the state.
+
+    Attributes:
+        spec: plain values from which `make_dynamics` builds the same module, weights apart.
+        assumes: what is taken as known of the dynamics; scores mean little without it.
+    """
+
+    spec: dict[str, Any]
+    assumes: str
+
+    @abstractmethod
+    def fit(self, statistics: Statistics) -> None:
+        """Set scalings and units from the training split."""
+
+    @abstractmethod
+    def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
+        """Return x(t + dt) - x(t), shape (B, D), predicted for the states x, shape (B, D)."""
+
+    def forward(self, x: Tensor, dt: TimeStep) -> Tensor:
+        """Return the states (B, D) that the states x, shape (B, D), reach after dt."""
+        return x + self.increment(x, dt)
+
+    def frozen(self) -> Dynamics:
+        """Return a float64 copy without gradients, for evaluation and filters."""
+        return copy.deepcopy(self).double().eval().requires_grad_(False)
+
+
+@runtime_checkable
+class HasField(Protocol):
+    """Dynamics that have a vector field: x -> dx/dt, shape (..., D)."""
+
+    @property
+    def field(self) -> nn.Module:
+        """The vector field."""
+        ...
+
+
+@runtime_checkable
+class HasEnergy(Protocol):
+    """Dynamics that have a Hamiltonian."""
+
+    def energy(self, x: Tensor) -> Tensor:
+        """Return H, shape (...), at the states x, shape (..., D)."""
+        ...

@@ -1,0 +1,121 @@
+"""Dynamics that follow a vector field through a one-step integrator."""
+
+from __future__ import annotations
+
+from typing import Any, cast, final
+
+import torch
+from torch import Tensor, nn
+
+from ahnn.dynamics.base import Dynamics
+from ahnn.dynamics.hamiltonians import Structure, make_hamiltonian
+from ahnn.dynamics.inputs import Cartesian, InputName
+from ahnn.dynamics.networks import make_network
+from ahnn.dynamics.scaling import Kind
+from ahnn.integrators import make_integrator
+from ahnn.statistics import Statistics
+from ahnn.types import TimeStep
+
+
+class NeuralField(nn.Module):
+    """dx/dt as a network, in units of the typical rate of each component.
+
+    Args:
+        dof: degrees of freedom n.
+        scaling: minmax, block or none.
+        network: width, depth, activation.
+    """
+
+    rate: Tensor
+
+    def __init__(self, dof: int, scaling: Kind, network: dict[str, Any]) -> None:
+        super().__init__()
+        self.positions, self.momenta = Cartesian(dof, scaling, 0), Cartesian(dof, scaling, 1)
+        self.network = make_network(2 * dof, 2 * dof, network)
+        self.register_buffer("rate", torch.ones(2 * dof))
+
+    def fit(self, statistics: Statistics) -> None:
+        """Set scalings and rates from the training split."""
+        self.positions.fit(statistics)
+        self.momenta.fit(statistics)
+        self.rate.copy_(statistics.rate)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return dx/dt, shape (..., D)."""
+        q, p = x.chunk(2, dim=-1)
+        return self.rate * self.network(torch.cat((self.positions(q), self.momenta(p)), dim=-1))
+
+
+class _Integrated(Dynamics):
+    """A field, and the one-step method that follows it."""
+
+    def __init__(self, field: nn.Module, integrator: dict[str, Any]) -> None:
+        super().__init__()
+        self.field = field
+        self.integrator = make_integrator(**integrator)
+        self.integrator.require(self.field)
+
+    def fit(self, statistics: Statistics) -> None:
+        """Set scalings and units from the training split."""
+        cast(Any, self.field).fit(statistics)
+
+    def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
+        """Return the integrator's increment along the field, shape (B, D)."""
+        return self.integrator.increment(self.field, x, dt)
+
+
+@final
+class NeuralODE(_Integrated):
+    """Neural ordinary differential equation (Chen et al. 2018).
+
+    Args:
+        dof: degrees of freedom n.
+        scaling: minmax, block or none.
+        network: width, depth, activation.
+        integrator: `name` and options of the one-step method.
+    """
+
+    assumes = "no Hamiltonian"
+
+    def __init__(
+        self, dof: int, *, scaling: Kind, network: dict[str, Any], integrator: dict[str, Any]
+    ) -> None:
+        super().__init__(NeuralField(dof, scaling, network), integrator)
+
+
+@final
+class HamiltonianDynamics(_Integrated):
+    """Hamilton's equations of a learned Hamiltonian.
+
+    Args:
+        dof: degrees of freedom n.
+        inertia: factor m of T = p^2 / 2m, used by `mechanical` and `central_body`.
+        hamiltonian: generic, separable, mechanical or central_body.
+        mu: gravitational parameter of `central_body`; None learns it.
+        inputs: cartesian or isotropic positions.
+        scaling: minmax, block or none.
+        network: width, depth, activation.
+        integrator: `name` and options of the one-step method.
+    """
+
+    def __init__(
+        self,
+        dof: int,
+        *,
+        inertia: float,
+        hamiltonian: Structure,
+        mu: float | None,
+        inputs: InputName,
+        scaling: Kind,
+        network: dict[str, Any],
+        integrator: dict[str, Any],
+    ) -> None:
+        field = make_hamiltonian(
+            hamiltonian, dof, mass=inertia, mu=mu, inputs=inputs, scaling=scaling, network=network
+        )
+        super().__init__(field, integrator)
+        self.assumes = f"{hamiltonian} Hamiltonian, {inputs} inputs"
+
+    def energy(self, x: Tensor) -> Tensor:
+        """Return the learned H, shape (...), at the states x, shape (..., D); a constant is free."""
+        return cast(Any, self.field).energy(x)

@@ -1,0 +1,47 @@
+"""The case of learned dynamics on the data that they belong to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ahnn.data import SplitData
+from ahnn.dynamics import Dynamics, HasEnergy
+from ahnn.errors import UserError
+from ahnn.evaluation.case import Case, perturbations
+from ahnn.statistics import sampling_interval
+
+
+def make_case(dynamics: Dynamics, data: SplitData, *, label: str, seed: int, folder: Path) -> Case:
+    """Return the case of learned dynamics on the test trajectories of its data.
+
+    Args:
+        dynamics: what was learned, in float64 on the CPU.
+        data: the splits that it was trained, validated and is tested on.
+        label: name in tables.
+        seed: of the initial errors.
+        folder: where the results are written.
+
+    Raises:
+        UserError: test trajectories with steps that differ.
+    """
+    source, test = data.source, data["test"]
+    dt = sampling_interval(test)
+    if not isinstance(dt, float):
+        message = "evaluation: expected test trajectories with equal steps; received steps that differ"
+        raise UserError(message)
+    truth = source.truth
+    return Case(
+        label=label,
+        assumes=dynamics.assumes,
+        space=source.space,
+        truth=truth,
+        flow=dynamics,
+        energy=dynamics.energy if isinstance(dynamics, HasEnergy) else None,
+        integrator=getattr(dynamics, "integrator", None),
+        dt=dt,
+        test=test,
+        validation=data["val"],
+        train=data["train"],
+        perturbation=None if truth is None else perturbations(truth, len(test.states), seed),
+        folder=folder,
+    )

@@ -1,0 +1,130 @@
+"""The one abstract LightningModule: dynamics, what they are compared with, and how steps are taken."""
+
+from __future__ import annotations
+
+from abc import ABC
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple, cast
+
+import torch
+from lightning import LightningModule
+from torch import Tensor, nn
+from torch.optim import Optimizer
+from torch.optim.lr_scheduler import LRScheduler
+
+from ahnn.arguments import check_arguments
+from ahnn.dynamics import Dynamics
+from ahnn.statistics import Statistics
+from ahnn.training import (
+    FirstOrder,
+    Loss,
+    LossOptions,
+    Objective,
+    Recursive,
+    Stepper,
+    make_curriculum,
+    stepper_of,
+)
+from ahnn.training.finite import require_finite_loss, require_finite_weights
+from ahnn.types import Flow, TimeStep, Window
+
+
+class Optimisation(NamedTuple):
+    """Factories of the optimiser and its scheduler, which belong to a training and not to a model."""
+
+    optimizer: Callable[[Iterable[nn.Parameter]], Optimizer]
+    scheduler: Callable[[Optimizer], LRScheduler] | None
+
+
+class AbstractModel(LightningModule, ABC):
+    """A training of dynamics.
+
+    Final subclasses say in their constructor which dynamics and which objective; nothing else is overridden.
+
+    Args:
+        dynamics: what is trained.
+        dof: degrees of freedom n.
+        window: W, steps of the recursive predictions in the loss.
+        loss: options of `LossOptions`.
+    """
+
+    def __init__(self, dynamics: Dynamics, dof: int, window: int, loss: dict[str, Any]) -> None:
+        super().__init__()
+        self.dynamics = dynamics
+        check_arguments("loss", LossOptions, loss)
+        self.loss = Loss(2 * dof, LossOptions(**loss))
+        self.dof, self.window = dof, window
+        self.curriculum = make_curriculum(self.loss, window)
+        self.recursive = Recursive(self.loss, window)
+        self.stepper: Stepper = FirstOrder()
+        self.optimisation: Optimisation | None = None
+        self.about: dict[str, Any] = {}
+
+    @property
+    def objective(self) -> Objective:
+        """The objective of the current epoch; that of the first where no trainer counts epochs."""
+        if self._trainer is None:
+            return self.curriculum.at(0, 1)
+        return self.curriculum.at(self.current_epoch, self.trainer.max_epochs or 1)
+
+    def forward(self, x: Tensor, dt: TimeStep) -> Tensor:
+        """Return the states (B, D) that the states x, shape (B, D), reach after dt."""
+        return self.dynamics(x, dt)
+
+    def flow(self) -> Flow:
+        """Return a float64 copy of the dynamics as a flow, for evaluation and filters."""
+        return self.dynamics.frozen()
+
+    @torch.no_grad()
+    def calibrate(self, statistics: Statistics) -> None:
+        """Fit scalings, units and the unit of the loss to the training split."""
+        self.dynamics.fit(statistics)
+        self.loss.fit(statistics)
+
+    def configure_optimizers(self) -> Any:
+        """Return optimiser and per-epoch scheduler for Lightning."""
+        assert self.optimisation is not None, "set `optimisation` before fit"
+        optimizer = self.optimisation.optimizer(self.dynamics.parameters())
+        self.stepper = stepper_of(optimizer)
+        self.automatic_optimization = self.stepper.automatic
+        if self.optimisation.scheduler is None or not self.automatic_optimization:
+            return optimizer
+        scheduler = self.optimisation.scheduler(optimizer)
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": scheduler, "interval": "epoch"}}
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Add what the dynamics are and were trained on, and the latest validation loss, as plain values."""
+        loss = self.trainer.callback_metrics.get("val/loss")
+        known = {**self.about, "dynamics": self.dynamics.spec}
+        checkpoint["ahnn"] = {**known, "val_loss": None if loss is None else float(loss)}
+
+    def training_step(self, batch: Window, batch_idx: int) -> Tensor:
+        """Return the loss of one batch.
+
+        Raises:
+            TrainingError: the loss is not finite.
+        """
+        optimizer = None if self.automatic_optimization else self.optimizers()
+        loss = self.stepper.step(self.objective, self.loss, self.dynamics, batch, optimizer)
+        mean = float(self._mean_of_devices(loss.detach()))
+        require_finite_loss(mean, f"in epoch {self.current_epoch}, batch {batch_idx}")
+        return loss
+
+    def on_validation_start(self) -> None:
+        """Look at the weights that the last step of an epoch left, before any checkpoint holds them."""
+        where = f"at step {self.trainer.global_step} in epoch {self.current_epoch}"
+        require_finite_weights(self.dynamics, where)
+
+    def _mean_of_devices(self, loss: Tensor) -> Tensor:
+        if self.trainer.world_size == 1:
+            return loss
+        return cast(Tensor, self.trainer.strategy.reduce(loss.clone(), reduce_op="mean"))
+
+    def validation_step(self, batch: Window, batch_idx: int) -> None:
+        """Log the loss of W predictions `val/loss`, and `val/one_step`, the rms residual of single steps."""
+        del batch_idx
+        size = float(batch.start.shape[0] if batch.weight else 0)  # Lightning rounds the mean of integers
+        residuals = self.recursive.residuals(self.dynamics, batch)
+        options: dict[str, Any] = {"batch_size": size, "on_epoch": True, "logger": False, "sync_dist": True}
+        self.log("val/loss", self.loss(residuals), **options)
+        self.log("val/one_step", residuals[:, 0].square().mean().sqrt(), **options)

@@ -1,0 +1,154 @@
+"""A trained model in Python: `load` returns what was learned, without trainer, optimiser or configuration.
+
+run = ahnn.load("molniya_mechanical")  # or a run folder
+states = run.rollout(start, steps=1440)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import torch
+import yaml
+from torch import Tensor
+
+from ahnn.checkpoints import Weights, read_weights
+from ahnn.dynamics import Dynamics, HasEnergy, make_dynamics
+from ahnn.errors import UserError
+from ahnn.numbers import Numbers, as_float64
+from ahnn.pretrained import names, shipped
+from ahnn.rollouts import rollout
+from ahnn.types import Space, TimeStep, Units
+
+if TYPE_CHECKING:
+    from ahnn.evaluation.results import Results
+
+
+@dataclass(frozen=True)
+class Run:
+    """Learned dynamics with what their numbers mean.
+
+    Attributes:
+        dynamics: the flow, a float64 module without gradients: `run.dynamics(x, dt)`.
+        space: names and units of the state components.
+        dt: sampling interval of the training data, in the unit of time.
+        about: what the weights were trained on, plain values.
+        folder: of the run, or of the shipped model.
+    """
+
+    dynamics: Dynamics
+    space: Space
+    dt: float
+    about: dict[str, Any]
+    folder: Path
+
+    def flow(self, x: Numbers, dt: TimeStep | None = None) -> Tensor:
+        """Return the states (B, 2n) that x, shape (B, 2n), reaches after dt, or a sampling interval."""
+        return self.dynamics(self._states(x, "x"), self.dt if dt is None else dt)
+
+    def energy(self, x: Numbers) -> Tensor:
+        """Return the learned Hamiltonian, shape (...), at the states x, shape (..., 2n); a constant is free.
+
+        Raises:
+            UserError: the model has no Hamiltonian.
+        """
+        if not isinstance(self.dynamics, HasEnergy):
+            message = (
+                f"energy: expected a model with a Hamiltonian; received one with {self.dynamics.assumes}"
+            )
+            raise UserError(message)
+        return cast(HasEnergy, self.dynamics).energy(self._states(x, "x"))
+
+    def rollout(self, start: Numbers, steps: int, dt: TimeStep | None = None) -> Tensor:
+        """Return predicted trajectories, shape (B, steps + 1, 2n), start included.
+
+        Args:
+            start: (B, 2n) or (2n,) states, in the units of the space.
+            steps: number of time steps.
+            dt: time step; the sampling interval of the training data if None.
+        """
+        x = torch.atleast_2d(self._states(start, "start"))
+        return rollout(self.dynamics, x, self.dt if dt is None else dt, steps + 1)
+
+    @cached_property
+    def config(self) -> dict[str, Any]:
+        """Configuration of the training, plain values."""
+        return yaml.safe_load((self.folder / "config.yaml").read_text())
+
+    @cached_property
+    def results(self) -> Results:
+        """Scores of the evaluation that followed the training, beside their floors."""
+        from ahnn.evaluation.results import load_results
+
+        return load_results(self.folder)
+
+    def _states(self, x: Numbers, who: str) -> Tensor:
+        states, size = as_float64(x, who), len(self.space.components)
+        if states.shape[-1:] != (size,):
+            known, shape = ", ".join(self.space.components), tuple(states.shape)
+            message = f"{who}: expected states [{known}] along the last axis; received shape {shape}"
+            raise UserError(message)
+        return states
+
+
+def load(run: str | Path, ckpt: str = "best") -> Run:
+    """Return a trained model.
+
+    Args:
+        run: a run folder, or the name of a model that comes with the package.
+        ckpt: `best`, `last`, or the path of a checkpoint.
+
+    Raises:
+        UserError: there is no such run, or its weights are damaged.
+    """
+    folder = Path(run)
+    if not folder.exists() and str(run) in names():
+        folder = shipped(str(run))
+    if not folder.is_dir():
+        message = f"run: expected a run folder or one of {', '.join(names())}; received {str(run)!r}"
+        raise UserError(message)
+    return made(read_weights(weights_path(folder, ckpt)), folder)
+
+
+def weights_path(folder: Path, ckpt: str = "best") -> Path:
+    """Return the file of a run's weights.
+
+    Args:
+        folder: of the run.
+        ckpt: `best` (the last ones where nothing chose the best), `last`, or a path.
+    """
+    if ckpt not in ("best", "last"):
+        return Path(ckpt)
+    here = folder / "checkpoints"
+    candidates = [here / f"{ckpt}.ckpt", folder / "weights.safetensors"]
+    if ckpt == "best":
+        candidates.append(here / "last.ckpt")
+    return next((path for path in candidates if path.is_file()), candidates[0])
+
+
+def made(weights: Weights, folder: Path) -> Run:
+    """Return the run of some weights.
+
+    Raises:
+        UserError: they are of other dynamics than they say.
+    """
+    about = weights.about
+    dynamics = make_dynamics(**about["dynamics"]).double()
+    try:
+        dynamics.load_state_dict(weights.state)
+    except RuntimeError as error:
+        reason = " ".join(str(error).split())
+        message = f"run {folder}: expected the weights of its model; received others ({reason})"
+        raise UserError(message) from error
+    space = about["space"]
+    units = Units(*space["units"])
+    known = Space(space["name"], tuple(space["components"]), units, space["inertia"])
+    return Run(dynamics.eval().requires_grad_(False), known, float(about["dt"]), about, folder)
+
+
+def about_space(space: Space) -> dict[str, Any]:
+    """Return a space as plain values, as `made` reads them."""
+    return {**space._asdict(), "components": list(space.components), "units": list(space.units)}

@@ -1,0 +1,87 @@
+"""The unit in which residuals count, and Huber's loss of them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from ahnn.errors import UserError
+from ahnn.statistics import Statistics
+
+FLOOR = 0.03
+"""Local increments below this share of the typical one are not weighted up any further."""
+
+
+@dataclass(frozen=True)
+class LossOptions:
+    """What training minimises, and when.
+
+    Attributes:
+        scale: unit of residuals, `increment` (rms increment of each component) or `state` (half range of
+            each component, the paper). One-step residuals are tiny beside the state, and their gradients
+            fall below Adam's epsilon; in units of the increment they do not.
+        delta: residual, in those units, at which Huber's loss turns from quadratic to linear.
+        balance: weight of relative errors. 0 measures a residual in the same unit everywhere; 1 in units of
+            the local increment of its block, so that slow parts of a trajectory count as much as fast ones.
+        derivative: share of the epochs, from the first, that fits the field to derivatives of the data; the
+            rest fits recursive predictions (the paper). 1 is the loss of Greydanus et al. 2019.
+        order: of the central differences that give those derivatives; even.
+    """
+
+    scale: Literal["increment", "state"] = "increment"
+    delta: float = 1.0
+    balance: float = 0.0
+    derivative: float = 0.0
+    order: int = 12
+
+    def __post_init__(self) -> None:
+        """Refuse what no loss can be made of."""
+        possible = self.delta > 0 and 0 <= self.balance <= 1 and 0 <= self.derivative <= 1
+        if not possible or self.order < 2 or self.order % 2 or self.scale not in ("increment", "state"):
+            message = (
+                "loss: expected scale increment or state, delta > 0, balance and derivative in [0, 1], "
+                f"and an even order >= 2; received {asdict(self)}"
+            )
+            raise UserError(message)
+
+
+class Loss(nn.Module):
+    """Mean Huber loss of residuals in units that are fitted to the training split.
+
+    Args:
+        size: D, components of a state.
+        options: scale, delta and balance.
+    """
+
+    unit: Tensor
+
+    def __init__(self, size: int, options: LossOptions) -> None:
+        super().__init__()
+        self.options = options
+        self.register_buffer("unit", torch.ones(size))
+
+    @torch.no_grad()
+    def fit(self, statistics: Statistics) -> None:
+        """Set the unit of each component."""
+        half_range = (statistics.maximum - statistics.minimum) / 2
+        self.unit.copy_(statistics.increment if self.options.scale == "increment" else half_range)
+
+    def forward(self, residuals: Tensor) -> Tensor:
+        """Return the mean Huber loss of weighted residuals, a scalar."""
+        return F.huber_loss(residuals, torch.zeros_like(residuals), delta=self.options.delta)
+
+    def weights(self, targets: Tensor) -> Tensor:
+        """Return the factors that bring residuals into the units of the loss, shape (..., D).
+
+        Args:
+            targets: (..., D) increments that the residuals belong to.
+        """
+        if self.options.balance == 0:
+            return (1 / self.unit).expand_as(targets)
+        blocks = (targets / self.unit).unflatten(-1, (2, -1))
+        local = blocks.square().mean(-1, keepdim=True) + FLOOR**2
+        return (local ** (-self.options.balance / 2)).expand_as(blocks).flatten(-2) / self.unit

@@ -1,0 +1,81 @@
+"""Steppers: how an optimiser is asked for a step, by a gradient or by a least-squares problem.
+
+An optimiser names its stepper in the class attribute `stepper`; one without takes gradients.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from torch import Tensor
+from torch.optim import Optimizer
+
+from ahnn.dynamics import Dynamics
+from ahnn.training.least_squares import LeastSquares
+from ahnn.training.loss import Loss
+from ahnn.training.objectives import Objective
+from ahnn.types import Window
+
+PARTS = 5
+"""One part of a batch in so many makes a second-order step, and the rest checks it.
+
+The check needs no Jacobian and may be large; a small one is noisy and raises the damping.
+"""
+
+
+class Stepper(Protocol):
+    """How one optimiser step is taken.
+
+    Attributes:
+        automatic: whether the trainer takes the step by the gradient of what `step` returns.
+    """
+
+    automatic: bool
+
+    def step(
+        self, objective: Objective, loss: Loss, dynamics: Dynamics, batch: Window, optimizer: Any
+    ) -> Tensor:
+        """Return the loss of the batch before the step, a scalar."""
+        ...
+
+
+class FirstOrder:
+    """The loss of the batch, whose gradient somebody else steps on."""
+
+    automatic = True
+
+    def step(
+        self, objective: Objective, loss: Loss, dynamics: Dynamics, batch: Window, optimizer: Any
+    ) -> Tensor:
+        """Return the loss of the batch, with its graph."""
+        del optimizer
+        value = loss(objective.residuals(dynamics, batch))
+        return value if batch.weight == 1 else value * batch.weight
+
+
+class SecondOrder:
+    """A step on a fifth of the batch as a least-squares problem, checked on the rest."""
+
+    automatic = False
+
+    def step(
+        self, objective: Objective, loss: Loss, dynamics: Dynamics, batch: Window, optimizer: Any
+    ) -> Tensor:
+        """Take the step and return the mean squared residual before it."""
+        del loss  # a sum of squares, without Huber's tails
+        return optimizer.step(lambda: problems(objective, dynamics, batch))
+
+
+def problems(objective: Objective, dynamics: Dynamics, batch: Window) -> tuple[LeastSquares, LeastSquares]:
+    """Return a fifth of a batch as the problem to step on, and the rest to check the step.
+
+    Predictions of W steps take a W-th of the windows, so that the number of residuals stays the same.
+    """
+    split = max(1, len(batch.start) // (PARTS * objective.predictions))
+    step, check = batch.rows(slice(None, split)), batch.rows(slice(split, None))
+    return objective.problem(dynamics, step), objective.problem(dynamics, check)
+
+
+def stepper_of(optimizer: Optimizer) -> Stepper:
+    """Return the stepper that an optimiser asks for."""
+    return getattr(optimizer, "stepper", None) or FirstOrder()
