@@ -1,5 +1,48 @@
-"""Learning Hamiltonian dynamics from data, and assimilating measurements with what was learned."""
+"""Learning Hamiltonian dynamics from data, and assimilating measurements with what was learned.
+
+    run = ahnn.load("molniya_mechanical")             # a run folder, or a model that comes with the package
+    run.rollout(start, steps=1440), run.energy(x), run.results
+
+    data = ahnn.Trajectories(states, times)           # (B, T, 2n) and (B, T), NaN where a sample is absent
+    run = ahnn.fit(data, ahnn.Space("cart", ("q", "p")), ["model=hnn", "run=runs/cart"])
+
+The commands: `python -m ahnn` lists them.
+"""
 
 from __future__ import annotations
 
-__version__ = "0.1.0"
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ahnn.errors import TrainingError, UserError
+    from ahnn.fitting import fit
+    from ahnn.runs import Run, load
+    from ahnn.types import Space, Trajectories, Units
+
+__version__ = "0.2.0"
+
+HOMES = {
+    "Run": "runs",
+    "Space": "types",
+    "TrainingError": "errors",
+    "Trajectories": "types",
+    "Units": "types",
+    "UserError": "errors",
+    "fit": "fitting",
+    "load": "runs",
+}
+"""The module of each public name: none is imported before it is used."""
+
+__all__ = ["Run", "Space", "TrainingError", "Trajectories", "Units", "UserError", "__version__", "fit", "load"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in HOMES:
+        message = f"module 'ahnn' has no attribute {name!r}"
+        raise AttributeError(message)
+    return getattr(import_module(f"ahnn.{HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,27 @@
+"""What there is: `python -m ahnn`."""
+
+from __future__ import annotations
+
+import sys
+
+from ahnn import __version__
+
+COMMANDS = f"""ahnn {__version__}: learn Hamiltonian dynamics from data, and assimilate measurements with what was learned
+
+  python -m ahnn.train       train a model and evaluate it              --help
+  python -m ahnn.evaluate    judge a finished run again                 --help
+  tensorboard --logdir runs  curves, scores and figures of all runs
+
+In Python: ahnn.load(RUN), ahnn.fit(TRAJECTORIES, SPACE); help(ahnn) says more.
+Trained models that come with the package: """
+
+
+def main() -> None:
+    """Say what there is."""
+    from ahnn.pretrained import names
+
+    sys.stdout.write(COMMANDS + ", ".join(names()) + "\n")
+
+
+if __name__ == "__main__":
+    main()

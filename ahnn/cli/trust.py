@@ -1,0 +1,106 @@
+"""Configurations from elsewhere are data: what a run folder may have built, and nothing else.
+
+A run folder is shared between people, so its config.yaml could name any importable callable. Only classes of
+this library are built, and those of installed packages that declare themselves in the entry-point group
+`ahnn.trusted`. Everything else needs the word of the user, `--trust`.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterator
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+import yaml
+from hydra.utils import get_object
+
+from ahnn.errors import UserError
+
+OURS = ("ahnn", "ahnn_plugins")
+LARGEST = 2_000_000
+"""Bytes of a configuration; ours have a few thousand."""
+NEEDED = {"system": ("recipe", "read", "energy"), "plugins": ("check", "residual"), "measurement": ("residual",)}
+"""What a class must have one of to be built for a node."""
+
+
+class _Plain(yaml.SafeLoader):
+    """YAML of plain values; an alias could make a small file a huge value."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            message = "an alias"
+            raise yaml.YAMLError(message)
+        return super().compose_node(parent, index)
+
+
+def read_plain(path: Path) -> dict[str, Any]:
+    """Return a YAML file of plain values.
+
+    Raises:
+        UserError: there is none, or it is something else.
+    """
+    try:
+        if path.stat().st_size > LARGEST:
+            message = f"{path.stat().st_size} bytes"
+            raise yaml.YAMLError(message)
+        content = yaml.load(path.read_text(), _Plain)
+    except OSError as error:
+        message = f"{path}: expected the configuration of a run; received: {error.strerror}"
+        raise UserError(message) from error
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        message = f"{path}: expected the YAML of a run; received: {' '.join(str(error).split())}"
+        raise UserError(message) from error
+    if not isinstance(content, dict):
+        message = f"{path}: expected keys with values; received {type(content).__name__}"
+        raise UserError(message)
+    return content
+
+
+def require_trusted(path: Path, content: dict[str, Any], nodes: tuple[str, ...]) -> None:
+    """Check everything that some nodes of a configuration would have built or looked up.
+
+    Raises:
+        UserError: a target that is not trusted, or an interpolation that reads more than the configuration.
+    """
+    suspicious = []
+    for node in nodes:
+        for name, value in flat(content.get(node), node):
+            if isinstance(value, str) and "${" in value and not value.startswith("${measurement."):
+                suspicious.append(f"{name}: {value}")
+            elif name.endswith("._target_") and not is_trusted(value, node):
+                suspicious.append(f"{name}: {value}")
+            elif name.rpartition(".")[2] in ("_partial_", "_args_", "_recursive_", "_convert_"):
+                suspicious.append(f"{name}: {value}")
+    if suspicious:
+        message = (
+            f"{path}: expected classes of ahnn and of installed packages that declare themselves; it would "
+            f"also use {'; '.join(suspicious)}. If you know who wrote it, add --trust"
+        )
+        raise UserError(message)
+
+
+def is_trusted(target: Any, node: str) -> bool:
+    """Return whether a class may be built for a node of a configuration from elsewhere."""
+    packages = {*OURS, *(point.value.partition(":")[0] for point in entry_points(group="ahnn.trusted"))}
+    if not isinstance(target, str) or target.partition(".")[0] not in packages:
+        return False
+    try:
+        found = get_object(target)
+    except Exception:  # whatever the import says: it is not what it should be
+        return False
+    own = inspect.isclass(found) and found.__module__.partition(".")[0] in packages
+    return own and any(hasattr(found, name) for name in NEEDED[node])
+
+
+def flat(value: Any, name: str) -> Iterator[tuple[str, Any]]:
+    """Yield every leaf of nested values with its dotted name."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from flat(item, f"{name}.{key}")
+    elif isinstance(value, list):
+        for item in value:
+            yield from flat(item, name)
+    else:
+        yield name, value
