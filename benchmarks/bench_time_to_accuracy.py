@@ -20,7 +20,7 @@ from hydra import compose, initialize_config_dir
 from torch.utils.data import DataLoader, TensorDataset
 
 from ahnn.cli.build import OmegaConf  # registers the resolvers of conf/
-from ahnn.evaluation.rollout import rollout
+from ahnn.rollouts import rollout
 from ahnn.integrators import INTEGRATORS
 from ahnn.metrics import errors, rmse_norm
 from ahnn.paths import conf_dir

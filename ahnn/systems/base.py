@@ -12,6 +12,7 @@ import torch
 from torch import Generator, Tensor
 
 from ahnn.errors import UserError
+from ahnn.types import Space, Units
 
 Range = tuple[float, float] | list[float]
 """Closed interval [low, high] from which a parameter of the initial states is drawn uniformly."""
@@ -49,16 +50,6 @@ def require(who: str, value: float | Range, limit: Limit) -> None:
     if not shaped or not all(math.isfinite(number) and limit.holds(number) for number in numbers):
         message = f"{who}: expected {expected}; received {value}"
         raise UserError(message)
-
-
-@dataclass(frozen=True)
-class Units:
-    """Names of the units in which a system's numbers are given."""
-
-    time: str
-    position: str
-    velocity: str
-    energy: str
 
 
 @dataclass(frozen=True)
@@ -131,6 +122,11 @@ class System(ABC):
     def inertia(self) -> float:
         """The factor m of the kinetic energy p^2 / 2m."""
         return self.mass
+
+    @property
+    def space(self) -> Space:
+        """What the numbers of a state mean."""
+        return Space(self.name, self.components, self.units, self.inertia)
 
     def velocity(self, p: Tensor) -> Tensor:
         """Return dq/dt = p / m, shape (..., n), at the momenta p, shape (..., n)."""

@@ -9,7 +9,7 @@ from lightning import Callback, LightningModule, Trainer
 
 from ahnn.data import WindowDataModule
 from ahnn.errors import UserError
-from ahnn.evaluation.rollout import rollout
+from ahnn.rollouts import rollout
 from ahnn.metrics import errors, rmse_pooled, typical_error
 from ahnn.models import AbstractDynamics
 

@@ -14,7 +14,7 @@ from ahnn.errors import UserError
 from ahnn.estimation.belief import Gate
 from ahnn.evaluation import Case, Findings
 from ahnn.evaluation.open_loop import exact_flow
-from ahnn.evaluation.rollout import rollout
+from ahnn.rollouts import rollout
 from ahnn.integrators import INTEGRATORS
 from ahnn.measurements.base import Measurement
 from ahnn.systems import System

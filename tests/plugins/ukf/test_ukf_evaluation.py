@@ -92,7 +92,7 @@ def test_fitted_process_noise_makes_the_filter_consistent_and_better_than_none(m
     # Errors that repeat themselves need a Q tens of times that of independent ones.
     assert findings.numbers["process_noise"]["scale"] > 5
     assert 0.5 < told["nees"]["mean"] < 4.0
-    from ahnn.evaluation.rollout import rollout
+    from ahnn.rollouts import rollout
 
     alone = case.score(rollout(case.flow, case.starts()["perturbed"], 0.01, 601))
     assert told["whole_arc"]["position"] < 0.5 * alone.position
