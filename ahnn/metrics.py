@@ -19,7 +19,8 @@ class Scores(NamedTuple):
         position, velocity: mean over trajectories of the root mean square over time of the vector norm;
             the definition that the paper's numbers fit best.
         position_pooled, velocity_pooled: root mean square over trajectories, times and components.
-        energy: root mean square over trajectories and times of H(prediction) - H(truth), with the true H.
+        energy: root mean square over trajectories and times of H(prediction) - H(truth), with the true H; None
+            where that is not known.
         components: (D,) root mean square of each component, velocities in place of momenta.
     """
 
@@ -27,7 +28,7 @@ class Scores(NamedTuple):
     velocity: float
     position_pooled: float
     velocity_pooled: float
-    energy: float
+    energy: float | None
     components: tuple[float, ...]
 
 
@@ -47,9 +48,9 @@ def rmse_norm(error: Tensor) -> Tensor:
     """Return the mean over trajectories of the rms over time of the vector norm, a scalar.
 
     Args:
-        error: (B, T, n) with NaN rows where a trajectory has ended.
+        error: (B, T, n) with NaN rows where there is no truth; a trajectory without any does not count.
     """
-    return error.square().sum(-1).nanmean(-1).sqrt().mean()
+    return error.square().sum(-1).nanmean(-1).sqrt().nanmean()
 
 
 def typical_error(error: Tensor, ceiling: float) -> Tensor:
@@ -67,13 +68,15 @@ def typical_error(error: Tensor, ceiling: float) -> Tensor:
     return norm.log().mean().exp()
 
 
-def score(prediction: Tensor, truth: Tensor, energies: tuple[Tensor, Tensor], inertia: float) -> Scores:
+def score(
+    prediction: Tensor, truth: Tensor, energies: tuple[Tensor, Tensor] | None, inertia: float
+) -> Scores:
     """Return all scores.
 
     Args:
         prediction: (B, T, D).
-        truth: (B, T, D), NaN where a trajectory has ended.
-        energies: true Hamiltonian of prediction and of truth, each (B, T).
+        truth: (B, T, D), NaN where there is none.
+        energies: true Hamiltonian of prediction and of truth, each (B, T); None where it is not known.
         inertia: momenta are divided by it to give velocities.
     """
     error = errors(prediction, truth)
@@ -85,14 +88,25 @@ def score(prediction: Tensor, truth: Tensor, energies: tuple[Tensor, Tensor], in
         velocity=float(rmse_norm(velocity)),
         position_pooled=float(rmse_pooled(position)),
         velocity_pooled=float(rmse_pooled(velocity)),
-        energy=float(rmse_pooled(errors(*energies))),
+        energy=None if energies is None else float(rmse_pooled(errors(*energies))),
         components=tuple(components.tolist()),
     )
 
 
 def moving_average(series: Tensor, width: int) -> Tensor:
-    """Return the trailing mean over the last min(k, width) values, shape (T,) (paper, appendix)."""
-    sums = torch.cat((series.new_zeros(1), series.cumsum(0)))
-    last = torch.arange(1, series.shape[0] + 1)
-    first = (last - width).clamp(min=0)
-    return (sums[last] - sums[first]) / (last - first)
+    """Return the trailing mean over the last min(k, width) values, shape (T,) (paper, appendix).
+
+    NaN values do not count; where a window holds nothing else the mean is NaN. It is inf where a window
+    holds an inf.
+    """
+    there, lost = ~series.isnan(), series.isinf()
+    values = series.masked_fill(~there | lost, 0.0)
+    sums, counts, infinite = (_trailing(x.to(series.dtype), width) for x in (values, there, lost))
+    return (sums / counts).masked_fill(infinite > 0, torch.inf)
+
+
+def _trailing(x: Tensor, width: int) -> Tensor:
+    """Return the sums over the last min(k, width) values, shape (T,)."""
+    sums = torch.cat((x.new_zeros(1), x.cumsum(0)))
+    last = torch.arange(1, len(x) + 1)
+    return sums[last] - sums[(last - width).clamp(min=0)]

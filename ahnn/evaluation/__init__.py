@@ -1,8 +1,26 @@
-"""Evaluation after fit: rollouts of unseen trajectories, floors, scores, table, figures, plugins."""
+"""Evaluation of a trained model: rollouts of unseen trajectories, floors, rows, results, sinks.
+
+A `Case` is what is evaluated. `report` does it all; `evaluate` returns the findings alone. Every row has an
+identity, `Who`, and every sink gets the same `Results`, which `load_results` reads again.
+"""
 
 from __future__ import annotations
 
-from ahnn.evaluation.case import Case, EvaluationPlugin, Findings, Row
-from ahnn.evaluation.run import evaluate, make_case, write_findings
+from ahnn.evaluation.case import Case, EvaluationPlugin, Findings, Row, Who
+from ahnn.evaluation.folders import evaluation_folder
+from ahnn.evaluation.report import report
+from ahnn.evaluation.results import Results, load_results
+from ahnn.evaluation.run import evaluate
 
-__all__ = ["Case", "EvaluationPlugin", "Findings", "Row", "evaluate", "make_case", "write_findings"]
+__all__ = [
+    "Case",
+    "EvaluationPlugin",
+    "Findings",
+    "Results",
+    "Row",
+    "Who",
+    "evaluate",
+    "evaluation_folder",
+    "load_results",
+    "report",
+]

@@ -1,126 +1,195 @@
-"""Pictures of predicted trajectories: phase portrait or orbit, energy and error over time."""
+"""Pictures of predicted trajectories: errors first, then energy, then the motion itself."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from torch import Tensor
 
+from ahnn.evaluation import style
 from ahnn.evaluation.case import Case
+from ahnn.evaluation.open_loop import floors
+from ahnn.evaluation.titles import title
 from ahnn.metrics import errors, moving_average
 
 SMOOTHING = 240
 """Width of the moving average in samples (paper, appendix)."""
 
-TRUTH = {"color": "black", "lw": 1.0, "ls": "--", "label": "truth"}
+
+class Curve(NamedTuple):
+    """Predictions (B, T, D) from the true start, with their name and style."""
+
+    states: Tensor
+    name: str
+    look: dict[str, Any]
 
 
 def open_loop_figures(case: Case, arrays: dict[str, Tensor]) -> dict[str, Figure]:
-    """Return the figures of an open-loop evaluation under their names."""
-    prediction = arrays["true_start"]
-    portrait = orbit(case, prediction) if case.system.dof == 3 else phase_portrait(case, prediction)
-    return {
-        "orbit" if case.system.dof == 3 else "phase_portrait": portrait,
-        "energy": energy(case, arrays),
-        "error": error(case, arrays),
-    }
+    """Return the figures of an open-loop evaluation under their names, the errors first.
+
+    Args:
+        case: what is evaluated.
+        arrays: predictions (B, T, D) as `open_loop` names them.
+    """
+    curves = list(_curves(case, arrays))
+    figures = {"error": error(case, curves)}
+    if case.truth is not None or case.energy is not None:
+        figures["energy"] = energy(case, curves)
+    kinds = {2: ("path", path), 3: ("orbit", orbit)}
+    name, draw = kinds.get(case.space.dof, ("phase_portrait", phase_portrait))
+    figures[name] = draw(case, curves)
+    return figures
 
 
-def phase_portrait(case: Case, prediction: Tensor, count: int = 5) -> Figure:
-    """Draw the first positions against their momenta for a few test trajectories."""
-    figure, axes = _canvas()
-    n = case.system.dof
-    for b in range(min(count, len(prediction))):
-        truth, model = case.test.states[b], prediction[b]
-        label = case.label if b == 0 else None
-        axes.plot(model[:, 0], model[:, n], color="tab:red", lw=1.6, alpha=0.8, label=label)
-        axes.plot(truth[:, 0], truth[:, n], **{**TRUTH, "label": "truth" if b == 0 else None})
-    q, p = case.system.components[0], case.system.components[n]
-    axes.set_xlabel(f"{q} [{case.system.units.position}]")
-    axes.set_ylabel(f"{p} / m [{case.system.units.velocity}]")
-    axes.set_title(f"{case.system.name}: phase portrait of {min(count, len(prediction))} unseen trajectories")
+def _curves(case: Case, arrays: dict[str, Tensor]) -> Iterator[Curve]:
+    """Yield floor, if there is one, and model."""
+    floor = floors(case).get("true")
+    if floor is not None:
+        name = f"floor: {title(floor.who, case.label)}"
+        yield Curve(arrays["floor_true_start"], name, style.FLOOR)
+    yield Curve(arrays["true_start"], case.label, style.MODEL)
+
+
+def error(case: Case, curves: list[Curve]) -> Figure:
+    """Draw position and velocity error over time, thin, and its moving average, thick, model and floor."""
+    figure = style.canvas(8, 6)
+    panels = figure.subplots(2, 1, sharex=True)
+    axis = style.time_axis(case)
+    smooth = len(axis.time) > 2 * SMOOTHING
+    for curve in curves:
+        blocks = errors(curve.states, case.test.states).chunk(2, dim=-1)
+        for axes, block, unit in zip(panels, blocks, (1.0, case.space.inertia), strict=True):
+            rms = block.square().sum(-1).nanmean(0).sqrt() / unit
+            main = moving_average(rms[1:], SMOOTHING) if smooth else rms[1:]
+            axes.plot(axis.time[1:], main, **curve.look, label=curve.name)
+            if smooth:
+                axes.plot(axis.time[1:], rms[1:], color=curve.look["color"], lw=0.6, alpha=0.45)
+    for axes in panels:
+        style.logarithmic(axes, 0)
+    style.label_errors(case, panels)
+    style.label_time(panels[-1], axis)
+    style.legend_below(figure, panels[0])
+    head = f"{case.space.name}: rms error over {_count(case)}, true start"
+    panels[0].set_title(f"{head}\nthick: mean of the last {SMOOTHING} samples" if smooth else head)
+    return figure
+
+
+def energy(case: Case, curves: list[Curve]) -> Figure:
+    """Draw how far the energy strays along the first trajectory: the true one, or else the learned one."""
+    figure = style.canvas(8, 4.5)
+    axes: Any = figure.subplots()
+    axis, unit = style.time_axis(case), case.space.units.energy
+    hamiltonian = case.energy if case.truth is None else case.truth.energy
+    assert hamiltonian is not None
+    data = hamiltonian(case.test.states[0])
+    axes.plot(axis.time, data - data[0], **style.TRUTH, label=style.reference(case), zorder=3)
+    for curve in curves:
+        values = hamiltonian(curve.states[0]) - data[0]
+        axes.plot(axis.time, values.where(values.isfinite(), torch.nan), **curve.look, label=curve.name)
+    which = "true" if case.truth is not None else "learned"
+    axes.set_ylabel(f"change of the {which} energy [{unit}]")
+    axes.grid(alpha=0.3)
+    style.label_time(axes, axis)
+    style.legend_below(figure, axes)
+    start = f"{float(data[0]):.6g} {unit}"
+    axes.set_title(f"{case.space.name}: energy along one unseen trajectory, at first {start}")
+    return figure
+
+
+def phase_portrait(case: Case, curves: list[Curve], count: int = 5) -> Figure:
+    """Draw position against velocity for a few test trajectories, and the errors of both beside it."""
+    figure = style.canvas(10, 4.8)
+    left, right = figure.subplots(1, 2)
+    n, inertia = case.space.dof, case.space.inertia
+    shown = min(count, len(case.test.states))
+    model = curves[-1]
+    for b in range(shown):
+        truth = case.test.states[b]
+        left.plot(model.states[b, :, 0], model.states[b, :, n] / inertia, **model.look, label=model.name)
+        left.plot(truth[:, 0], truth[:, n] / inertia, **style.TRUTH, label=style.reference(case))
+        for curve in reversed(curves):
+            off = curve.states[b] - truth
+            right.plot(off[:, 0], off[:, n] / inertia, **(curve.look | {"lw": 1.0}), label=curve.name)
+    right.plot(0, 0, "+", color=style.BLACK, ms=9, label="no error")
+    q, v = (style.state_labels(case)[i] for i in (0, n))
+    for axes, prefix in ((left, ""), (right, "error of ")):
+        axes.set_xlabel(prefix + q)
+        axes.set_ylabel(prefix + v)
+        axes.grid(alpha=0.3)
+        axes.locator_params(axis="x", nbins=6)
+        axes.ticklabel_format(scilimits=(-3, 4))
+    left.set_title("phase portrait")
+    right.set_title("prediction - " + style.reference(case))
+    style.legend_below(figure, left, right)
+    figure.suptitle(f"{case.space.name}: {shown} unseen trajectories, true start")
+    return figure
+
+
+def path(case: Case, curves: list[Curve]) -> Figure:
+    """Draw the first test trajectory in the plane of its two positions, coloured by the model's error."""
+    figure = style.canvas(7, 5.8)
+    axes: Any = figure.subplots()
+    truth, model = (x[0, :, :2].numpy() for x in (case.test.states, curves[-1].states))
+    axes.plot(*truth.T, **style.TRUTH, label=style.reference(case), zorder=3)
+    _coloured(case, figure, axes, LineCollection, model, truth)
+    axes.set_aspect("equal", adjustable="datalim")
+    for name, text in zip("xy", style.state_labels(case), strict=False):
+        getattr(axes, f"set_{name}label")(text)
+    axes.grid(alpha=0.3)
+    axes.set_title(f"{case.space.name}: {case.label} on one unseen trajectory, true start")
     axes.legend(loc="upper right")
     return figure
 
 
-def orbit(case: Case, prediction: Tensor) -> Figure:
-    """Draw the first test orbit in space, the planet to scale if the system has one."""
-    figure = Figure(figsize=(7, 6.5), layout="constrained")
+def orbit(case: Case, curves: list[Curve]) -> Figure:
+    """Draw the first test orbit in space, coloured by the model's error, the planet to scale."""
+    figure = style.canvas(8, 6.5)
     axes: Any = figure.add_subplot(projection="3d")
-    truth, model = (np.asarray(states[0, :, :3]) for states in (case.test.states, prediction))
-    radius = getattr(case.system, "r_eq", None)
+    truth, model = (x[0, :, :3].numpy() for x in (case.test.states, curves[-1].states))
+    radius = getattr(case.truth, "r_eq", None)
     if radius:
         u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 37), np.linspace(0, np.pi, 19))
         sphere = (np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v))
-        axes.plot_surface(*(radius * s for s in sphere), color="tab:blue", alpha=0.5, linewidth=0)
-    axes.plot(*model.T, color="tab:red", lw=1.6, alpha=0.8, label=case.label)
-    axes.plot(*truth.T, **TRUTH)
+        look = {"color": style.SKY, "alpha": 0.35, "linewidth": 0, "rasterized": True}
+        axes.plot_surface(*(radius * s for s in sphere), **look)
+    axes.plot(*truth.T, **style.TRUTH, label=style.reference(case))
+    _coloured(case, figure, axes, Line3DCollection, model, truth)
     axes.set_aspect("equal")
-    for name in "xyz":
-        getattr(axes, f"set_{name}label")(f"{name} [{case.system.units.position}]", labelpad=8)
+    for name, text in zip("xyz", style.state_labels(case), strict=False):
+        getattr(axes, f"set_{name}label")(text, labelpad=8)
         getattr(axes, f"{name}axis").set_major_locator(MaxNLocator(4))
         axes.tick_params(axis=name, labelsize=8)
     axes.tick_params(axis="z", pad=6)
-    axes.set_title(f"{case.system.name}: one unseen orbit, inertial frame")
+    axes.set_title(f"{case.space.name}: {case.label} on one unseen trajectory, true start")
     axes.legend(loc="upper left")
     return figure
 
 
-def energy(case: Case, arrays: dict[str, Tensor]) -> Figure:
-    """Draw how far the true Hamiltonian strays along the first predicted trajectory, floor in grey."""
-    figure, axes = _canvas()
-    time, unit = _time_axis(case)
-    start = case.system.energy(case.test.states[0, 0])
-    for key, label, color in _curves(case):
-        axes.plot(time, case.system.energy(arrays[key][0]) - start, color=color, label=label)
-    axes.axhline(0, **TRUTH)
-    axes.set_xlabel(f"time [{unit}]")
-    axes.set_ylabel(f"energy - initial energy [{case.system.units.energy}]")
-    value = f"{float(start):.6g} {case.system.units.energy}"
-    axes.set_title(f"{case.system.name}: energy along one unseen trajectory of {value}")
-    axes.legend(loc="best")
-    return figure
+def _coloured(case: Case, figure: Figure, axes: Any, kind: Any, model: Any, truth: Any) -> None:
+    """Draw predicted positions (T, n) as a line coloured by their distance from the truth."""
+    distance = np.linalg.norm(model - truth, axis=-1)[1:]
+    there = np.isfinite(distance)
+    segments = np.stack((model[:-1], model[1:]), axis=1)[there]
+    distance = np.maximum(distance[there], np.finfo(float).tiny)
+    if not len(distance):
+        return
+    high = float(distance.max())
+    norm = LogNorm(max(float(np.quantile(distance, 0.02)), high * 1e-6), high)
+    lines = kind(segments, cmap=style.ERRORS, norm=norm, lw=3.0, alpha=0.9)
+    lines.set_array(distance)
+    axes.add_collection(lines)
+    bar = figure.colorbar(lines, ax=axes, shrink=0.75, pad=0.09 if case.space.dof == 3 else 0.02)
+    bar.set_label(f"position error of {case.label} [{case.space.units.position}]")
 
 
-def error(case: Case, arrays: dict[str, Tensor]) -> Figure:
-    """Draw position and velocity error over time, thin, and its moving average, thick; floor in grey."""
-    figure = Figure(figsize=(8, 6), layout="constrained")
-    panels = figure.subplots(2, 1, sharex=True)
-    time, unit = _time_axis(case)
-    for key, label, color in _curves(case):
-        blocks = errors(arrays[key], case.test.states).chunk(2, dim=-1)
-        blocks = blocks[0], blocks[1] / case.system.inertia
-        for axes, block in zip(panels, blocks, strict=True):
-            rms = block.square().sum(-1).nanmean(0).sqrt()
-            axes.plot(time[1:], rms[1:], color=color, lw=0.6, alpha=0.5)
-            axes.plot(time[1:], moving_average(rms[1:], SMOOTHING), color=color, lw=1.8, label=label)
-    for axes, name in zip(panels, ("position", "velocity"), strict=True):
-        axes.set_yscale("log")
-        axes.set_ylabel(f"{name} error [{getattr(case.system.units, name)}]")
-        axes.grid(alpha=0.3)
-    panels[0].legend(loc="best", title=f"mean of last {SMOOTHING} samples")
-    panels[0].set_title(f"{case.system.name}: rms error over {len(case.test.states)} unseen trajectories")
-    panels[-1].set_xlabel(f"time [{unit}]")
-    return figure
-
-
-def _curves(case: Case) -> tuple[tuple[str, str, str], ...]:
-    """Return array, label and colour of the floor and of the model."""
-    floor = f"exact field, {case.integrator.name}"
-    return ("floor_true_start", floor, "tab:gray"), ("true_start", case.label, "tab:red")
-
-
-def _canvas() -> tuple[Figure, Any]:
-    figure = Figure(figsize=(7, 5), layout="constrained")
-    return figure, figure.add_subplot()
-
-
-def _time_axis(case: Case) -> tuple[Tensor, str]:
-    """Return the sampling times, shape (T,), in hours where the system's unit is s and the arc is long."""
-    time = torch.arange(case.test.states.shape[1], dtype=torch.float64) * case.test.dt
-    unit = case.system.units.time
-    return (time / 3600, "h") if unit == "s" and time[-1] > 7200 else (time, unit)
+def _count(case: Case) -> str:
+    count = len(case.test.states)
+    return f"{count} unseen {'trajectory' if count == 1 else 'trajectories'}"

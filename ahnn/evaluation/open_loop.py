@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 from torch import Tensor
 
-from ahnn.evaluation.case import Case, Findings, Row
+from ahnn.evaluation.case import Case, Findings, Row, Start, Who
+from ahnn.evaluation.titles import MODEL, described
 from ahnn.integrators import INTEGRATORS, Integrator
 from ahnn.rollouts import rollout
 from ahnn.systems import System
 from ahnn.types import Flow, TimeStep
+
+
+class Floor(NamedTuple):
+    """Perfect knowledge in the place of a model.
+
+    Attributes:
+        who: identity of its row.
+        flow: the exact flow, or the exact field through an integrator.
+    """
+
+    who: Who
+    flow: Flow
 
 
 def exact_flow(system: System, integrator: Integrator) -> Flow:
@@ -20,33 +36,45 @@ def exact_flow(system: System, integrator: Integrator) -> Flow:
     return flow
 
 
-def open_loop(case: Case) -> Findings:
-    """Roll the model out from the true and the perturbed start, and the floors beside it.
+def floors(case: Case) -> dict[Start, Floor]:
+    """Return the floor of each start of a case; there is none where the equations are not known.
 
-    The floors: the exact field through the model's integrator (what the integrator costs), and the exact flow
-    from the perturbed start (what the perturbation costs; no model can be blamed for less).
+    From the true start it is the exact field through the model's integrator, rk4 for a map: what the integrator
+    costs. From the perturbed start it is the exact flow: what the perturbation costs, and no model can be
+    blamed for less.
     """
-    findings = Findings()
-    dt, samples = case.test.dt, case.test.states.shape[1]
-    reference = INTEGRATORS[case.system.integrator]
-    starts = case.starts()
-    for scenario, start in starts.items():
-        prediction = rollout(case.flow, start, dt, samples, f"{case.label} from the {scenario} start")
-        findings.arrays[f"{scenario}_start"] = prediction
-        extra = {"learned_energy_drift": _drift(case, prediction)} if case.learned_energy else {}
-        findings.rows.append(Row(case.label, scenario, case.score(prediction), extra=extra))
-    floors = (
-        ("true", case.integrator, f"exact field, {case.integrator.name}"),
-        ("perturbed", reference, "exact flow"),
+    if case.truth is None:
+        return {}
+    own = case.integrator or INTEGRATORS["rk4"]
+    exact = INTEGRATORS[case.truth.integrator]
+    field = Floor(
+        Who(f"exact field, {own.name}", "true", floor=True),
+        exact_flow(case.truth, own),
     )
-    for scenario, integrator, name in floors:
-        prediction = rollout(exact_flow(case.system, integrator), starts[scenario], dt, samples)
-        findings.arrays[f"floor_{scenario}_start"] = prediction
-        findings.rows.append(Row(name, scenario, case.score(prediction), floor=True))
+    flow = Floor(Who("exact flow", "perturbed", floor=True), exact_flow(case.truth, exact))
+    found: dict[Start, Floor] = {"true": field, "perturbed": flow}
+    return {start: found[start] for start in case.starts()}
+
+
+def open_loop(case: Case) -> Findings:
+    """Roll the model out from every start of a case, and the floors beside it."""
+    findings = Findings()
+    samples, there = case.test.states.shape[1], floors(case)
+    for start, x in case.starts().items():
+        who = Who(MODEL, start)
+        prediction = rollout(case.flow, x, case.dt, samples, described(who, case.label))
+        findings.arrays[f"{start}_start"] = prediction
+        findings.rows.append(Row(who, case.score(prediction), extra=_drift(case.energy, prediction)))
+    for start, floor in there.items():
+        prediction = rollout(floor.flow, case.starts()[start], case.dt, samples)
+        findings.arrays[f"floor_{start}_start"] = prediction
+        findings.rows.append(Row(floor.who, case.score(prediction)))
     return findings
 
 
-def _drift(case: Case, prediction: Tensor) -> float:
-    """Return the rms over trajectories and times of H_theta(x^_k) - H_theta(x^_0), in the system's energy."""
-    energy = case.learned_energy(prediction)
-    return float((energy - energy[:, :1]).square().mean().sqrt())
+def _drift(energy: Callable[[Tensor], Tensor] | None, prediction: Tensor) -> dict[str, float]:
+    """Return the rms over trajectories and times of H_theta(x^_k) - H_theta(x^_0), if there is an H_theta."""
+    if energy is None:
+        return {}
+    values = energy(prediction)
+    return {"learned_energy_drift": float((values - values[:, :1]).square().mean().sqrt())}

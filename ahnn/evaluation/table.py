@@ -1,50 +1,159 @@
-"""The results as a table for the terminal."""
+"""The results as a text of 80 columns: model and floor side by side, notes below."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import textwrap
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
 
-from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.table import Table
+from ahnn.evaluation.case import Row, Who
+from ahnn.evaluation.results import Results
+from ahnn.evaluation.terminal import WIDTH
+from ahnn.evaluation.titles import MODEL, described, estimator_title, title
 
-from ahnn.evaluation.case import Row
-from ahnn.systems import System
+NUMBER = 9
+"""Columns of a number: `1.23e-300` is the longest score."""
 
-WIDTH = 110
-"""Columns of a table that goes to no terminal."""
+QUANTITIES = ("position", "velocity", "energy")
 
 
-def results_table(title: str, rows: Iterable[Row], system: System) -> Table:
-    """Return the table of an evaluation, floors dimmed, units in the head."""
-    rows, units = list(rows), system.units
-    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("prediction", no_wrap=True)
-    table.add_column("start", no_wrap=True)
-    for quantity in ("position", "velocity", "energy"):
-        table.add_column(f"{quantity}\n\\[{getattr(units, quantity)}]", justify="right", no_wrap=True)
-    for quantity in ("position", "velocity"):
-        table.add_column(f"pooled\n{quantity}", justify="right", no_wrap=True)
+class Line(NamedTuple):
+    """A line of the table.
+
+    Attributes:
+        section: heading above it.
+        name: start and span.
+        rows: the model's and the floor's, None where there is none.
+    """
+
+    section: str
+    name: str
+    rows: tuple[Row | None, Row | None]
+
+
+def results_table(results: Results, *, detail: bool = False) -> str:
+    """Return the table of an evaluation.
+
+    Args:
+        results: of the evaluation.
+        detail: whether pooled errors and those of each component follow below.
+    """
+    head = f"{results.label} on {results.space.name}" + (f": {results.assumes}" if results.assumes else "")
+    lines = table_lines(results.rows, results.label)
+    parts = [*_wrapped(head), "", *_columns(lines, results), "", *_explanations(results)]
+    for row in results.rows:
+        if row.note:
+            parts += _wrapped(f"{described(row.who, results.label)}: {row.note}", hanging=True)
+    if detail:
+        parts.append("")
+        parts += [part for row in results.rows for part in _wrapped(_details(row, results), hanging=True)]
+    return "\n".join(parts)
+
+
+def table_lines(rows: Iterable[Row], label: str) -> list[Line]:
+    """Return the lines of a table, in sections, each row in one of them.
+
+    A floor stands beside the model of the same estimator, start and span; a further process, or a second
+    floor, has a section of its own.
+    """
+    lines: dict[tuple[str, str], Line] = {}
     for row in rows:
-        s = row.scores
-        values = (s.position, s.velocity, s.energy, s.position_pooled, s.velocity_pooled)
-        table.add_row(row.name, row.start, *map(number, values), style="dim" if row.floor else None)
-    explanation = (
-        "RMSE over unseen trajectories: mean over trajectories of the rms vector norm;",
-        "pooled: over trajectories, times and components.",
+        side = 1 if row.who.floor else 0
+        own = row.who.floor or row.who.process == MODEL
+        for section in (_section(row.who), title(row.who, label)) if own else (title(row.who, label),):
+            key = section, _name(row.who)
+            line = lines.get(key, Line(*key, (None, None)))
+            if line.rows[side] is None:
+                lines[key] = line._replace(rows=(line.rows[0], row) if side else (row, line.rows[1]))
+                break
+        else:
+            message = f"two rows of {described(row.who, label)}"
+            raise ValueError(message)
+    sections = list(dict.fromkeys(section for section, _ in lines))
+    return sorted(lines.values(), key=lambda line: sections.index(line.section))
+
+
+def _section(who: Who) -> str:
+    return "no measurements" if who.estimator is None else estimator_title(who.estimator)
+
+
+def _name(who: Who) -> str:
+    return f"{who.start} start" if who.span == "whole" else f"{who.start}, {who.span}"
+
+
+def _columns(lines: list[Line], results: Results) -> Iterator[str]:
+    """Yield head and body; a column that would be empty throughout is left out."""
+    sides = [side for side in (0, 1) if any(line.rows[side] for line in lines)]
+    known = [quantity for quantity in QUANTITIES if _any(lines, quantity)]
+    body = [
+        (line, [[_cell(line.rows[side], quantity) for side in sides] for quantity in known]) for line in lines
+    ]
+    least = 5 if len(sides) > 1 else 17
+    width = max([least, *(len(cell) for _, cells in body for group in cells for cell in group)])
+    between = "  " if width < NUMBER else " "
+    group = len(sides) * (width + 1) - 1
+    units = results.space.units._asdict()
+    heads = [textwrap.wrap(f"{quantity} [{units[quantity]}]", group) for quantity in known]
+    depth = max((len(head) for head in heads), default=0)
+    names = max([18, *(2 + len(line.name) for line in lines)])
+    for i in range(depth):
+        texts = (head[i - depth + len(head)] if i >= depth - len(head) else "" for head in heads)
+        yield (" " * names + "".join(f"{between}{text:>{group}}" for text in texts)).rstrip()
+    if len(sides) > 1:
+        yield " " * names + len(known) * f"{between}{'model':>{width}} {'floor':>{width}}"
+    section = "no measurements" if {line.section for line in lines} == {"no measurements"} else None
+    for line, cells in body:
+        if line.section != section:
+            yield from _wrapped(section := line.section)
+        values = (" ".join(f"{cell:>{width}}" for cell in row) for row in cells)
+        yield f"  {line.name}".ljust(names) + "".join(f"{between}{value}" for value in values)
+
+
+def _any(lines: list[Line], quantity: str) -> bool:
+    rows = (row for line in lines for row in line.rows if row is not None)
+    return any(getattr(row.scores, quantity) is not None for row in rows)
+
+
+def _cell(row: Row | None, quantity: str) -> str:
+    return number(None if row is None else getattr(row.scores, quantity))
+
+
+def _explanations(results: Results) -> Iterator[str]:
+    """Yield what the columns and the sections mean, as far as they are there."""
+    yield from _wrapped("RMSE over unseen trajectories: mean over trajectories of the rms vector norm.")
+    floors = dict.fromkeys(title(row.who, results.label) for row in results.rows if row.who.floor)
+    if floors:
+        yield from _wrapped(f"floor: what perfect knowledge scores there ({'; '.join(floors)}).")
+    if any(row.who.span == "settled" for row in results.rows):
+        yield from _wrapped("settled: from the first update on.")
+
+
+def _details(row: Row, results: Results) -> str:
+    """Return the scores of a row that the table has no column for."""
+    units, names = results.space.units, results.space.components
+    n = results.space.dof
+    labels = [*names[:n], *(f"{name}/m" for name in names[n:])]
+    parts = zip(labels, row.scores.components, strict=False)
+    components = ", ".join(f"{name} {number(value)}" for name, value in parts)
+    return (
+        f"{described(row.who, results.label)}: pooled position {number(row.scores.position_pooled)} "
+        f"{units.position}, pooled velocity {number(row.scores.velocity_pooled)} {units.velocity}; "
+        f"components {components}"
     )
-    remarks = [f"{row.name}, {row.start} start: {row.note}" for row in rows if row.note]
-    table.caption = "\n".join((*explanation, *remarks))
-    table.caption_justify = "left"
-    return table
 
 
-def show(table: Table) -> None:
-    """Write a table to standard output, unwrapped where that is a file or a pipe."""
-    console = Console()
-    Console(width=console.width if console.is_terminal else WIDTH).print(table)
+def _wrapped(text: str, *, hanging: bool = False) -> list[str]:
+    return textwrap.wrap(text, WIDTH, subsequent_indent="  " if hanging else "") or [""]
 
 
-def number(value: float) -> str:
-    """Return a number with three digits, in the shorter of the two notations."""
-    return f"{value:.3g}" if value == 0 or 1e-2 <= abs(value) < 1e4 else f"{value:.2e}"
+def number(value: float | None) -> str:
+    """Return a number with three digits, in the shorter of the two notations and at most nine signs.
+
+    An exponent is never cut; what is not there is `-`.
+    """
+    if value is None:
+        return "-"
+    size = abs(value)
+    style = ".3g" if size == 0 or 1e-2 <= size < 999.5 else ".0f" if 999.5 <= size < 9999.5 else ".2e"
+    text = f"{value:{style}}"
+    return text if len(text) <= NUMBER else f"{value:.1e}"

@@ -1,0 +1,47 @@
+"""By what an evaluation was made: versions, command, machine, date."""
+
+from __future__ import annotations
+
+import platform
+import re
+import shlex
+import subprocess
+import sys
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from ahnn import __version__
+
+PASSWORD = re.compile(r"://[^@/\s]*@")
+"""User and password in an address, such as that of a database."""
+
+
+def provenance() -> dict[str, Any]:
+    """Return what made the results, for metrics.json; `commit` is None outside a checkout of `ahnn`."""
+    lightning = sys.modules.get("lightning")
+    return {
+        "ahnn": __version__,
+        "commit": commit(Path(__file__).parents[2]),
+        "command": PASSWORD.sub("://***@", shlex.join(sys.orig_argv)),
+        "date": datetime.now().astimezone().isoformat(timespec="seconds"),
+        "host": platform.node(),
+        "threads": torch.get_num_threads(),
+        "python": platform.python_version(),
+        "torch": torch.__version__,
+        "lightning": getattr(lightning, "__version__", None),
+    }
+
+
+def commit(root: Path) -> str | None:
+    """Return the commit of a checkout, with `-dirty` where files differ from it; None for another folder."""
+    if not (root / ".git").exists():
+        return None
+    describe = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:
+        done = subprocess.run(describe, capture_output=True, text=True, timeout=5, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip() or None

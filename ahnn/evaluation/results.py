@@ -1,0 +1,184 @@
+"""The results of an evaluation as one value, and the versioned metrics.json that keeps it."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple, get_args, get_type_hints
+
+from ahnn.errors import UserError
+from ahnn.evaluation.case import Row, Who
+from ahnn.evaluation.titles import title
+from ahnn.metrics import Scores
+from ahnn.types import Space, Units
+
+SCHEMA = 2
+"""Raise this number when the meaning of a key of metrics.json changes."""
+
+FILE = "metrics.json"
+NOT_FINITE = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
+"""Texts in place of numbers that strict JSON does not have."""
+
+
+class Results(NamedTuple):
+    """What an evaluation found, without its arrays and pictures.
+
+    Attributes:
+        label: name of the model in tables.
+        assumes: what the model takes as known of the dynamics.
+        space: what the numbers mean.
+        rows: scores, each with its identity.
+        training: numbers on the training, such as `seed`, `window`, `val_loss` and `seconds`.
+        numbers: what each plugin tells besides its rows, by the plugin's name.
+        about: versions, command, machine and date; see `provenance`.
+        schema: version of the file.
+    """
+
+    label: str
+    assumes: str
+    space: Space
+    rows: tuple[Row, ...]
+    training: dict[str, Any] = {}  # noqa: RUF012 - never written to
+    numbers: dict[str, Any] = {}  # noqa: RUF012
+    about: dict[str, Any] = {}  # noqa: RUF012
+    schema: int = SCHEMA
+
+    def row(self, who: Who) -> Row | None:
+        """Return the row of this identity, or None where there is none."""
+        return next((row for row in self.rows if row.who == who), None)
+
+
+def load_results(folder: Path | str) -> Results:
+    """Return the results in a folder's metrics.json.
+
+    Raises:
+        UserError: there is none, it is damaged, or of another schema.
+    """
+    path = Path(folder) / FILE
+    try:
+        content = json.loads(path.read_text())
+        schema = content.get("schema", "none")
+        results = decoded(content) if schema == SCHEMA else None
+    except OSError as error:
+        message = f"{path}: expected the results of an evaluation; received: {error.strerror}"
+        raise UserError(message) from error
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        reason = f"no {error}" if isinstance(error, KeyError) else error
+        message = f"{path}: expected the results of an evaluation; received a damaged file: {reason}"
+        raise UserError(message) from error
+    if results is None:
+        message = f"{path}: expected schema {SCHEMA}; received {schema}. Evaluate the run again"
+        raise UserError(message)
+    return results
+
+
+def encoded(results: Results) -> dict[str, Any]:
+    """Return results as plain values for strict JSON.
+
+    A row has its `name` for readers only: it follows from the identity.
+    """
+    space = results.space
+    content = {
+        "schema": results.schema,
+        "system": space.name,
+        "model": results.label,
+        "assumes": results.assumes,
+        "training": results.training,
+        "units": space.units._asdict(),
+        "components": space.components,
+        "inertia": space.inertia,
+        "rows": [
+            {"name": title(r.who, results.label), **r.who._asdict(), **r.scores._asdict()}
+            | {"note": r.note, "extra": r.extra}
+            for r in results.rows
+        ],
+        "plugins": results.numbers,
+        "about": results.about,
+    }
+    return plain(content)
+
+
+def decoded(content: Mapping[str, Any]) -> Results:
+    """Return the results that `encoded` made plain; raises KeyError, TypeError or ValueError.
+
+    In `training`, in `extra` and in the numbers of plugins the texts inf, -inf and nan are numbers.
+    """
+    units = Units(**{key: _text(value) for key, value in content["units"].items()})
+    components = tuple(_text(name) for name in content["components"])
+    return Results(
+        label=_text(content["model"]),
+        assumes=_text(content["assumes"]),
+        space=Space(_text(content["system"]), components, units, _number(content["inertia"])),
+        rows=tuple(_row(row) for row in content["rows"]),
+        training=restored(dict(content["training"])),
+        numbers=restored(dict(content["plugins"])),
+        about=restored(dict(content["about"])),
+        schema=content["schema"],
+    )
+
+
+def plain(value: Any) -> Any:
+    """Return nested values fit for strict JSON: numbers that are not finite become texts."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(float(value))
+    if value is None or isinstance(value, str | bool | int | float):
+        return value
+    return plain(value.tolist()) if hasattr(value, "tolist") else str(value)
+
+
+def restored(value: Any) -> Any:
+    """Return nested values with the numbers that `plain` had made texts."""
+    if isinstance(value, dict):
+        return {key: restored(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [restored(item) for item in value]
+    return NOT_FINITE.get(value, value) if isinstance(value, str) else value
+
+
+def _row(row: Mapping[str, Any]) -> Row:
+    who = Who(
+        process=_text(row["process"]),
+        start=_choice("start", row["start"]),
+        estimator=None if row["estimator"] is None else _text(row["estimator"]),
+        span=_choice("span", row["span"]),
+        floor=bool(row["floor"]),
+    )
+    names = [name for name in Scores._fields if name not in ("energy", "components")]
+    scores = Scores(
+        **{name: _number(row[name]) for name in names},
+        energy=None if row["energy"] is None else _number(row["energy"]),
+        components=tuple(_number(value) for value in row["components"]),
+    )
+    return Row(who, scores, _text(row["note"]), restored(dict(row["extra"])))
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        message = f"expected a text, received {value!r}"
+        raise TypeError(message)
+    return value
+
+
+def _choice(name: str, value: Any) -> Any:
+    """Return a value that the identity of a row may have under a name."""
+    known = get_args(get_type_hints(Who)[name])
+    if value not in known:
+        message = f"{name}: expected one of {', '.join(known)}, received {value!r}"
+        raise ValueError(message)
+    return value
+
+
+def _number(value: Any) -> float:
+    """Return a score, a number of JSON or one of the texts for those that it lacks."""
+    if isinstance(value, str):
+        return NOT_FINITE[value]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        message = f"expected a number, received {value!r}"
+        raise TypeError(message)
+    return float(value)

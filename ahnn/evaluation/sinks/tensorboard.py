@@ -1,0 +1,54 @@
+"""The scores and figures in TensorBoard."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, final
+
+from ahnn.evaluation.case import Findings
+from ahnn.evaluation.results import Results
+from ahnn.evaluation.sinks.base import TensorBoardLike, flatten
+from ahnn.evaluation.table import QUANTITIES
+from ahnn.evaluation.titles import metric_name
+
+
+@final
+@dataclass(frozen=True)
+class TensorBoardSink:
+    """Writes hyper-parameters with the scores that they led to, and the figures.
+
+    Scores have names without the model's label, so that the runs of several models stand in one column.
+
+    Attributes:
+        logger: Lightning's TensorBoard logger, or one like it.
+        settings: nested hyper-parameters beside system, model and what it assumes.
+    """
+
+    logger: TensorBoardLike
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def __call__(self, results: Results, findings: Findings) -> None:
+        """Write the HPARAMS entry, whose metrics are the scores of all rows but the floors', and figures."""
+        self.logger.log_hyperparams(hyperparameters(results, self.settings), scores(results))
+        for name, figure in findings.figures.items():
+            self.logger.experiment.add_figure(name, figure, close=False)
+        self.logger.finalize("success")
+
+
+def hyperparameters(results: Results, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings under dotted names, led by system, model and what it assumes."""
+    about = {"system": results.space.name, "model": results.label, "assumes": results.assumes}
+    return {**about, **{k: v for k, v in flatten(settings).items() if k not in about}}
+
+
+def scores(results: Results) -> dict[str, float]:
+    """Return the scores of all rows but the floors' under names that all runs share."""
+    found: dict[str, float] = {}
+    loss = results.training.get("val_loss")
+    if isinstance(loss, int | float):
+        found["score/val_loss"] = float(loss)
+    for row in results.rows:
+        values = {q: getattr(row.scores, q) for q in QUANTITIES} if not row.who.floor else {}
+        found |= {metric_name(row.who, q): value for q, value in values.items() if value is not None}
+    return found

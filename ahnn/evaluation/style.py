@@ -1,0 +1,134 @@
+"""How pictures look: colours that colour-blind readers tell apart, axes of time and of errors, legends.
+
+The colours are those of Okabe & Ito (2008); line styles differ too, for print without colour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import torch
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from torch import Tensor
+
+from ahnn.evaluation.case import Case
+
+ORANGE, SKY, GREEN, BLUE = "#E69F00", "#56B4E9", "#009E73", "#0072B2"
+VERMILLION, PURPLE, BLACK = "#D55E00", "#CC79A7", "#000000"
+
+TRUTH: dict[str, Any] = {"color": BLACK, "ls": (0, (4, 3)), "lw": 1.0}
+MODEL: dict[str, Any] = {"color": VERMILLION, "ls": "-", "lw": 1.8}
+FLOOR: dict[str, Any] = {"color": BLUE, "ls": (0, (6, 1.5, 1.5, 1.5)), "lw": 1.5}
+ALONE: dict[str, Any] = {"color": GREEN, "ls": (0, (1.5, 1.2)), "lw": 1.8}
+"""Styles of the truth, of a model, of a floor, and of a model whose estimator is switched off."""
+
+BAND = SKY
+ERRORS = "viridis"
+"""Colour map of errors along a path."""
+
+NAMES = ("position", "velocity")
+
+
+class Axis(NamedTuple):
+    """Times of samples, (T,), and their unit."""
+
+    time: Tensor
+    unit: str
+
+    def at(self, samples: Tensor) -> Axis:
+        """Return the times of some samples, given by their numbers."""
+        return Axis(self.time[samples], self.unit)
+
+
+def time_axis(case: Case) -> Axis:
+    """Return the times since the start of the test trajectories, in hours where they are many seconds.
+
+    Where trajectories differ it is the mean of those that have the sample.
+    """
+    times = case.test.times
+    elapsed = (times - times[:, :1]).nanmean(0)
+    regular = case.dt * torch.arange(len(elapsed), dtype=torch.float64)
+    time = torch.where(elapsed.isnan(), regular, elapsed)
+    unit = case.space.units.time
+    return Axis(time / 3600, "h") if unit == "s" and float(time[-1]) > 7200 else Axis(time, unit)
+
+
+def reference(case: Case) -> str:
+    """Return what the trajectories of a case are called: the truth, or data where no equations are known."""
+    return "test data" if case.truth is None else "truth"
+
+
+def canvas(width: float, height: float) -> Figure:
+    """Return an empty figure, in inches."""
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def label_time(axes: Any, axis: Axis) -> None:
+    """Label and limit a horizontal axis of time."""
+    axes.set_xlabel(f"time [{axis.unit}]")
+    axes.set_xlim(0, float(axis.time[-1]))
+    axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
+
+
+def label_errors(case: Case, panels: Iterable[Any], word: str = "error") -> None:
+    """Label the vertical axes of a panel of positions and one of velocities."""
+    for axes, name in zip(panels, NAMES, strict=True):
+        axes.set_ylabel(f"{name} {word} [{getattr(case.space.units, name)}]")
+
+
+def state_labels(case: Case) -> list[str]:
+    """Return the names of the state components with their units, momenta as velocities."""
+    n, units = case.space.dof, case.space.units
+    names = enumerate(case.space.components)
+    scale = "" if case.space.inertia == 1 else " / m"
+    return [f"{s} [{units.position}]" if i < n else f"{s}{scale} [{units.velocity}]" for i, s in names]
+
+
+def legend_below(figure: Figure, *panels: Any) -> None:
+    """Put one legend under a figure, of all that its panels show, each name once."""
+    entries: dict[str, Any] = {}
+    for axes in panels:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label, handle)
+    longest = max((len(label) for label in entries), default=0)
+    columns = max(1, min(len(entries), int(figure.get_figwidth() * 13 / (longest + 8))))
+    figure.legend(entries.values(), entries, loc="outside lower center", ncols=columns, frameon=False)
+
+
+def logarithmic(axes: Any, first: int, others: Iterable[Any] = ()) -> None:
+    """Make the vertical axis logarithmic, scaled to the curves from their entry `first` on.
+
+    Args:
+        axes: with lines.
+        first: entries before it may leave the frame: errors begin at zero from a true start.
+        others: further axes that share the scale.
+    """
+    curves = [line for each in (axes, *others) for line in each.get_lines()]
+    series = [torch.as_tensor(line.get_ydata()).double() for line in curves]
+    values = torch.cat([torch.zeros(1).double(), *(each[min(first, len(each) - 1) :] for each in series)])
+    values = values[values.isfinite() & (values > 0)]
+    axes.grid(alpha=0.3)
+    if not len(values):
+        return
+    low, high = float(values.min()) / 1.3, float(values.max()) * 1.3
+    low = max(low, high * 1e-12)
+    axes.set_yscale("log")
+    axes.set_ylim(low, high)
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 30 * low else (1.0,)))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def frame(axes: Any, curves: Iterable[Tensor], *, symmetric: bool) -> None:
+    """Set the vertical limits to curves, (T,), with a margin; leave them where nothing is finite."""
+    values = torch.cat([curve[curve.isfinite()] for curve in curves])
+    if not len(values):
+        return
+    low, high = float(values.min()), float(values.max())
+    if symmetric:
+        high = max(abs(low), abs(high))
+        low = -high
+    margin = 0.08 * (high - low) or 1.0
+    axes.set_ylim(low - margin, high + margin)

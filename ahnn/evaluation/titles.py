@@ -1,0 +1,45 @@
+"""The names of a row, for readers and for TensorBoard; derived from its identity here and nowhere else."""
+
+from __future__ import annotations
+
+from ahnn.evaluation.case import Who
+
+MODEL = "model"
+"""The process of the rows of the trained model."""
+
+SPANS = {"whole": "", "settled": "from the first update on"}
+
+
+def title(who: Who, label: str) -> str:
+    """Return what predicts, for example `ahnn5`, `exact flow + UKF` or `ahnn5 + UKF tuned`.
+
+    Args:
+        who: identity of a row.
+        label: name of the model.
+    """
+    process = label if who.process == MODEL else who.process
+    return process if who.estimator is None else f"{process} + {estimator_title(who.estimator)}"
+
+
+def estimator_title(estimator: str) -> str:
+    """Return the name of an estimator for readers: `ukf_tuned` is `UKF tuned`."""
+    first, *rest = estimator.split("_")
+    return " ".join((first.upper(), *rest))
+
+
+def described(who: Who, label: str) -> str:
+    """Return what predicts, from which start and over which span."""
+    parts = title(who, label), f"{who.start} start", SPANS[who.span]
+    return ", ".join(part for part in parts if part)
+
+
+def metric_name(who: Who, quantity: str) -> str:
+    """Return the name of a score in TensorBoard, free of the model's label so that runs compare.
+
+    The plain case is the shortest: `score/position` is that of the model from the true start without
+    measurements, `score/position/ukf/perturbed/settled` that of a filter.
+    """
+    process = None if who.process == MODEL else who.process.replace(", ", "_").replace(" ", "_")
+    start = None if who.start == "true" else who.start
+    span = None if who.span == "whole" else who.span
+    return "/".join(part for part in ("score", quantity, process, who.estimator, start, span) if part)
