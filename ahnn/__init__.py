@@ -34,7 +34,17 @@ HOMES = {
 }
 """The module of each public name: none is imported before it is used."""
 
-__all__ = ["Run", "Space", "TrainingError", "Trajectories", "Units", "UserError", "__version__", "fit", "load"]
+__all__ = [
+    "Run",
+    "Space",
+    "TrainingError",
+    "Trajectories",
+    "Units",
+    "UserError",
+    "__version__",
+    "fit",
+    "load",
+]
 
 
 def __getattr__(name: str) -> Any:

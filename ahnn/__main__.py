@@ -6,7 +6,7 @@ import sys
 
 from ahnn import __version__
 
-COMMANDS = f"""ahnn {__version__}: learn Hamiltonian dynamics from data, and assimilate measurements with what was learned
+COMMANDS = f"""ahnn {__version__}: learn Hamiltonian dynamics, and assimilate measurements with them
 
   python -m ahnn.train       train a model and evaluate it              --help
   python -m ahnn.evaluate    judge a finished run again                 --help

@@ -6,6 +6,7 @@ takes plain values. Heavy imports wait until a job runs, so that `--help` and a 
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 import time
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from ahnn.data import Source
     from ahnn.data.datamodule import WindowDataModule
     from ahnn.models import AbstractModel
+
+log = logging.getLogger(__name__)
 
 
 def train(cfg: DictConfig) -> float:
@@ -81,6 +84,7 @@ def train_once(cfg: DictConfig, source: Source | None = None) -> float:
     training = {
         "seed": cfg.seed,
         "seconds": round(seconds, 1),
+        "window": cfg.window,
         "optimiser_steps": trainer.global_step,
         "parameters": sum(p.numel() for p in model.parameters()),
     }
@@ -103,13 +107,19 @@ def fit(
     model.calibrate(data.statistics())
     model.about["dt"] = data.statistics().dt
     if trainer.is_global_zero:
-        write_atomically(folder / "config.yaml", OmegaConf.to_yaml(plain_config(cfg)).encode())
+        write_atomically(folder / "config.yaml", stored(cfg))
         done = 0 if checkpoint is None else read_checkpoint(checkpoint)["epoch"]
         announce(trainer, data, model, cfg.label, done)
     started = time.monotonic()
     with interruptible(trainer, lambda: go_on(cfg)):
         trainer.fit(model, data, ckpt_path=checkpoint)
     return time.monotonic() - started
+
+
+def stored(cfg: DictConfig) -> bytes:
+    """Return the configuration as plain YAML; what plugins take from `measurement` stays linked to it."""
+    plugins = OmegaConf.to_container(cfg.plugins, resolve=False)
+    return OmegaConf.to_yaml(OmegaConf.create({**plain_config(cfg), "plugins": plugins})).encode()
 
 
 def judge(
@@ -120,16 +130,24 @@ def judge(
     trainer: Trainer,
 ) -> float:
     """Evaluate the best weights of a run, write and show the results, and return the validation loss."""
+    from lightning.pytorch.loggers import TensorBoardLogger
+
+    from ahnn.cli.parts import report_options
+    from ahnn.evaluation import report
     from ahnn.evaluation.prepare import make_case
-    from ahnn.evaluation.report import finish
+    from ahnn.evaluation.sinks import TensorBoardSink
     from ahnn.runs import load
 
     folder = Path(cfg.folder)
     run = load(folder)
+    loss = float(run.about["val_loss"])
     case = make_case(run.dynamics, data.splits, label=cfg.label, seed=cfg.evaluation.seed, folder=folder)
-    about = {"training": {**training, "val_loss": run.about["val_loss"]}, "settings": searched_settings(cfg)}
-    finish(case, plugins, about, loggers=trainer.loggers, **cfg.evaluation)
-    return float(run.about["val_loss"])
+    boards = [logger for logger in trainer.loggers if isinstance(logger, TensorBoardLogger)]
+    sinks = [TensorBoardSink(board, searched_settings(cfg)) for board in boards]
+    report(case, plugins, {**training, "val_loss": loss}, more=sinks, **report_options(cfg))
+    if boards:
+        log.info("TensorBoard: tensorboard --logdir %s", folder)
+    return loss
 
 
 def is_multirun() -> bool:

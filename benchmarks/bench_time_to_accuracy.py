@@ -20,10 +20,10 @@ from hydra import compose, initialize_config_dir
 from torch.utils.data import DataLoader, TensorDataset
 
 from ahnn.cli.build import OmegaConf  # registers the resolvers of conf/
-from ahnn.rollouts import rollout
 from ahnn.integrators import INTEGRATORS
 from ahnn.metrics import errors, rmse_norm
 from ahnn.paths import conf_dir
+from ahnn.rollouts import rollout
 from ahnn.train import build_parts
 from ahnn.types import Window
 

@@ -53,8 +53,10 @@ def resume_point(ckpt: str | None, model: AbstractModel, folder: Path) -> Path |
     if ckpt is None:
         return None
     path = folder / f"{ckpt}.ckpt" if ckpt in ("last", "best") else Path(ckpt)
-    received = read_checkpoint(path)["ahnn"].get("settings", {})
-    require_same(f"checkpoint {path}", model.about["settings"], received)
+    about = read_checkpoint(path)["ahnn"]
+    parts = ("data", "settings")
+    wanted, received = ({name: known.get(name, {}) for name in parts} for known in (model.about, about))
+    require_same(f"checkpoint {path}", wanted, received)
     return path
 
 

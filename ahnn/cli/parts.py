@@ -50,25 +50,33 @@ def build_model(cfg: DictConfig, data: WindowDataModule) -> AbstractModel:
     model = build(cfg.model, "model", dof=space.dof, inertia=space.inertia).to(data.dtype)
     scheduler = build(cfg.scheduler, "scheduler") if cfg.scheduler else None
     model.optimisation = Optimisation(build(cfg.optimizer, "optimizer"), scheduler)
-    model.about = {"format": FORMAT, "space": about_space(space), "settings": settings_of(cfg, data)}
+    known = {"recipe": data.source.recipe(), "split": list(data.splits.shares)}
+    model.about = {"format": FORMAT, "space": about_space(space), "data": known, "settings": settings_of(cfg)}
     return model
 
 
-def settings_of(cfg: DictConfig, data: WindowDataModule) -> dict[str, Any]:
-    """Return all that determines a training, as plain values: what a resumed one must share."""
+def settings_of(cfg: DictConfig) -> dict[str, Any]:
+    """Return all that determines a training besides its data: what a resumed one must share."""
     plain = plain_config(cfg)
     parts = {name: plain[name] for name in ("model", "loss", "optimizer", "scheduler", "seed")}
     kept = {key: value for key, value in plain["data"].items() if key not in SIMULATION}
     epochs = plain["trainer"]["max_epochs"]
-    return {**parts, "data": kept, "trainer": {"max_epochs": epochs}, "source": data.source.recipe()}
+    return {**parts, "data": kept, "trainer": {"max_epochs": epochs}}
 
 
 def build_plugins(cfg: DictConfig, splits: SplitData) -> dict[str, EvaluationPlugin]:
     """Build the evaluations that run after fit, and let each refuse data that it does not fit."""
     plugins = build_all(cfg.plugins, "plugins")
+    source = splits.source
     for plugin in plugins.values():
-        plugin.check(splits.source)
+        plugin.check(source.truth, source.space, source.steps())
     return plugins
+
+
+def report_options(cfg: DictConfig) -> dict[str, Any]:
+    """Return what the user asks of the report."""
+    asked = cfg.evaluation
+    return {"predictions": asked.save_predictions, "figures": asked.figures, "detail": asked.detail}
 
 
 def build_trainer(cfg: DictConfig) -> Trainer:

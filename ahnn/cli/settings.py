@@ -28,11 +28,11 @@ def check_settings(cfg: DictConfig) -> None:
     Raises:
         UserError: a wrong type or an impossible value.
     """
-    from ahnn.evaluation.report import finish
-
     def settings(
         *, seed: int, seeds: list[int] | None, threads: int, window: int, label: str, ckpt: str | None
     ) -> None: ...
+
+    def judged(*, seed: int, save_predictions: bool, figures: bool, detail: bool) -> None: ...
 
     def trainer(*, max_epochs: int) -> None: ...
 
@@ -41,8 +41,8 @@ def check_settings(cfg: DictConfig) -> None:
     check_arguments("configuration", settings, top)
     check_arguments("trainer", trainer, {"max_epochs": cfg.trainer.max_epochs})
     evaluation = plain_config(cfg.evaluation, "evaluation")
-    check_names("evaluation", finish, evaluation, GIVEN)
-    check_arguments("evaluation", finish, evaluation)
+    check_names("evaluation", judged, evaluation)
+    check_arguments("evaluation", judged, evaluation)
     for name, (least, most) in LIMITS.items():
         value = OmegaConf.select(cfg, name)
         for number in value if name == "seeds" and value else [value]:

@@ -8,6 +8,7 @@ this library are built, and those of installed packages that declare themselves 
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Iterator
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -20,8 +21,16 @@ from ahnn.errors import UserError
 
 OURS = ("ahnn", "ahnn_plugins")
 LARGEST = 2_000_000
-"""Bytes of a configuration; ours have a few thousand."""
-NEEDED = {"system": ("recipe", "read", "energy"), "plugins": ("check", "residual"), "measurement": ("residual",)}
+"""Characters of a configuration; ours have a few thousand."""
+LINK = re.compile(r"\$\{measurement(\.\w+)+\}")
+"""The one interpolation that we store: what a plugin takes from the group `measurement`."""
+NEEDED = {
+    "system": ("recipe", "read", "energy"),
+    "plugins": ("check", "residual"),
+    "measurement": ("residual",),
+    "data": (),
+    "evaluation": (),
+}
 """What a class must have one of to be built for a node."""
 
 
@@ -42,10 +51,8 @@ def read_plain(path: Path) -> dict[str, Any]:
         UserError: there is none, or it is something else.
     """
     try:
-        if path.stat().st_size > LARGEST:
-            message = f"{path.stat().st_size} bytes"
-            raise yaml.YAMLError(message)
-        content = yaml.load(path.read_text(), _Plain)
+        text = path.read_text()
+        content = yaml.load(text, _Plain) if len(text) <= LARGEST else f"{len(text)} characters"
     except OSError as error:
         message = f"{path}: expected the configuration of a run; received: {error.strerror}"
         raise UserError(message) from error
@@ -53,7 +60,7 @@ def read_plain(path: Path) -> dict[str, Any]:
         message = f"{path}: expected the YAML of a run; received: {' '.join(str(error).split())}"
         raise UserError(message) from error
     if not isinstance(content, dict):
-        message = f"{path}: expected keys with values; received {type(content).__name__}"
+        message = f"{path}: expected keys with values; received {str(content)[:40]!r}"
         raise UserError(message)
     return content
 
@@ -67,11 +74,11 @@ def require_trusted(path: Path, content: dict[str, Any], nodes: tuple[str, ...])
     suspicious = []
     for node in nodes:
         for name, value in flat(content.get(node), node):
-            if isinstance(value, str) and "${" in value and not value.startswith("${measurement."):
-                suspicious.append(f"{name}: {value}")
-            elif name.endswith("._target_") and not is_trusted(value, node):
-                suspicious.append(f"{name}: {value}")
-            elif name.rpartition(".")[2] in ("_partial_", "_args_", "_recursive_", "_convert_"):
+            if (
+                (isinstance(value, str) and "${" in value and not LINK.fullmatch(value))
+                or (name.endswith("._target_") and not is_trusted(value, node))
+                or name.rpartition(".")[2] in ("_partial_", "_args_", "_recursive_", "_convert_")
+            ):
                 suspicious.append(f"{name}: {value}")
     if suspicious:
         message = (

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Protocol
 
+import torch
+
 from ahnn.data import store
 from ahnn.data.generate import generate
 from ahnn.data.given import check_trajectories
@@ -27,6 +29,10 @@ class Source(Protocol):
 
     def recipe(self) -> dict[str, Any]:
         """Return all that determines the trajectories, as plain values."""
+        ...
+
+    def steps(self) -> int:
+        """Return about how many steps the shortest trajectory has, without making any."""
         ...
 
     def read(self) -> Trajectories:
@@ -57,6 +63,10 @@ class Simulated:
         """Return system, count and seed."""
         return store.recipe(self.truth, self.count, self.seed)
 
+    def steps(self) -> int:
+        """Return the steps of a trajectory drawn for a trial."""
+        return int(self.truth.durations(self.truth.initial_states(1, torch.Generator().manual_seed(0))).max())
+
     def read(self) -> Trajectories:
         """Return the trajectories, from the cache where they are in it."""
         make = lambda: generate(self.truth, self.count, self.seed)  # noqa: E731
@@ -83,6 +93,10 @@ class Given:
     def recipe(self) -> dict[str, Any]:
         """Return the hash of the content."""
         return {"given": self.space.name, "sha256": store.checksum(self.trajectories)}
+
+    def steps(self) -> int:
+        """Return the steps of the shortest trajectory."""
+        return int(self.trajectories.present.sum(1).min()) - 1
 
     def read(self) -> Trajectories:
         """Return the trajectories."""

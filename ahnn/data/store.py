@@ -30,7 +30,6 @@ FORMAT = 3
 def recipe(system: System, count: int, seed: int) -> dict[str, object]:
     """Return everything that determines a data set, as plain values."""
     return {
-        "format": FORMAT,
         "system": type(system).__name__,
         "parameters": asdict(system),
         "integrator": system.integrator,
@@ -47,7 +46,7 @@ def load_or_make(folder: Path, wanted: dict[str, object], make: Callable[[], Tra
     Raises:
         UserError: the folder cannot be written.
     """
-    key = hashlib.sha256(json.dumps(wanted, sort_keys=True).encode()).hexdigest()[:16]
+    key = hashlib.sha256(json.dumps({"format": FORMAT, **wanted}, sort_keys=True).encode()).hexdigest()[:16]
     path = folder / f"{key}.safetensors"
     stored = stored_in(path)
     if stored is not None:

@@ -14,9 +14,9 @@ from ahnn.errors import UserError
 from ahnn.estimation.belief import Gate
 from ahnn.evaluation import Case, Findings
 from ahnn.evaluation.open_loop import exact_flow
-from ahnn.rollouts import rollout
 from ahnn.integrators import INTEGRATORS
 from ahnn.measurements.base import Measurement
+from ahnn.rollouts import rollout
 from ahnn.systems import System
 from ahnn_plugins.ukf.figures import ukf_figures
 from ahnn_plugins.ukf.outcome import Outcome, filtered, numbers, rows, smoothed

@@ -18,9 +18,9 @@ import torch
 from torch import Tensor
 
 from ahnn.arguments import fits, nearest
-from ahnn.files import write_atomically
 from ahnn.errors import UserError
 from ahnn.estimation.belief import Status
+from ahnn.files import write_atomically
 from ahnn.metrics import errors, rmse_norm
 from ahnn_plugins.ukf.scenario import Filter, Problem, assimilate, shown
 from ahnn_plugins.ukf.setting import Setting
