@@ -28,6 +28,7 @@ def check_settings(cfg: DictConfig) -> None:
     Raises:
         UserError: a wrong type or an impossible value.
     """
+
     def settings(
         *, seed: int, seeds: list[int] | None, threads: int, window: int, label: str, ckpt: str | None
     ) -> None: ...

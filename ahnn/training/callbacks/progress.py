@@ -1,7 +1,8 @@
-"""One progress bar over all optimiser steps of a training, with loss and time left."""
+"""Where a training stands: one bar on a terminal, a line for each epoch in a log."""
 
 from __future__ import annotations
 
+import logging
 import time
 from typing import Any
 
@@ -12,16 +13,22 @@ from rich.progress import Progress, TaskID, TextColumn
 from ahnn.progress import progress_bar
 
 REFRESH_SECONDS = 0.5
+log = logging.getLogger(__name__)
 
 
 class TrainingProgress(ProgressBar):
-    """A bar for the whole fit; it reads the loss twice a second and costs nothing in between."""
+    """A bar for the whole fit, which reads the loss twice a second and costs nothing in between.
+
+    Where standard error is no terminal, each epoch is a line of the log.
+    """
 
     def __init__(self) -> None:
         super().__init__()
         self._bar: Progress | None = None
         self._task = TaskID(0)
         self._due = 0.0
+        self._began = 0.0
+        self._first = 0
         self._shown = True
 
     def disable(self) -> None:
@@ -37,6 +44,8 @@ class TrainingProgress(ProgressBar):
         total = int(trainer.num_training_batches) * int(trainer.max_epochs or 1)
         self._task = self._bar.add_task("training", total=total, completed=trainer.global_step, note="")
         self._bar.start()
+        self._began = time.monotonic()
+        self._first = trainer.current_epoch
 
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
@@ -51,6 +60,16 @@ class TrainingProgress(ProgressBar):
         if validation is not None:
             note += f"  val {float(validation):.2e}"
         self._bar.update(self._task, completed=trainer.global_step, note=note)
+
+    def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Write the line of an epoch where there is no bar."""
+        del pl_module
+        if self._bar is None or not self._bar.disable or trainer.sanity_checking:
+            return
+        done, epochs = trainer.current_epoch + 1, int(trainer.max_epochs or 1)
+        values = [f"{name} {float(v):.2e}" for name, v in trainer.callback_metrics.items() if "val/" in name]
+        left = (time.monotonic() - self._began) / (done - self._first) * (epochs - done)
+        log.info("epoch %d/%d  %s  about %.0f s left", done, epochs, "  ".join(values), left)
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Close the bar."""

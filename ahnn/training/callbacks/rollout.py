@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from typing import Any, cast
 
 from lightning import Callback, LightningModule, Trainer
@@ -11,10 +12,14 @@ from ahnn.data.datamodule import WindowDataModule
 from ahnn.errors import UserError
 from ahnn.metrics import errors, rmse_pooled, typical_error
 from ahnn.rollouts import rollout
-from ahnn.statistics import sampling_interval
+from ahnn.statistics import Statistics, sampling_interval
 
 LOST = 100.0
 """A position error this many times the size of the system is as bad as any."""
+
+
+TRIED = 20
+"""Steps that are timed to say how long a rollout takes."""
 
 
 class ValidationRollout(Callback):
@@ -38,6 +43,19 @@ class ValidationRollout(Callback):
             raise UserError(message)
         self.count, self.every = count, every
         self.latest = math.inf
+        self._measured: float | None = None
+
+    def seconds(self, epoch: int, trainer: Trainer, module: LightningModule, data: WindowDataModule) -> float:
+        """Return about how long this takes after an epoch: a few steps of the rollouts, measured."""
+        if (epoch + 1) % self.every and epoch + 1 != trainer.max_epochs:
+            return 0.0
+        if self._measured is None:
+            flow, whole = cast(Any, module).flow(), data.trajectories("val").part(slice(self.count))
+            dt = Statistics.of(whole).dt
+            begin = time.perf_counter()
+            rollout(flow, whole.states[:, 0].to(module.device), dt, TRIED + 1)
+            self._measured = (time.perf_counter() - begin) / TRIED * whole.states.shape[1]
+        return self._measured
 
     def state_dict(self) -> dict[str, float]:
         """Return the latest value, which epochs without a rollout repeat."""
