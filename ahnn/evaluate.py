@@ -31,8 +31,6 @@ def evaluate(arguments: list[str]) -> None:
     from ahnn.cli.parts import build_plugins, build_source, build_splits, report_options
     from ahnn.evaluation import evaluation_folder, load_results, report
     from ahnn.evaluation.prepare import make_case
-    from ahnn.evaluation.sinks import TensorBoardSink
-    from ahnn.evaluation.sinks.board import Board
     from ahnn.runs import load
 
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)

@@ -19,8 +19,8 @@ class Scores(NamedTuple):
         position, velocity: mean over trajectories of the root mean square over time of the vector norm;
             the definition that the paper's numbers fit best.
         position_pooled, velocity_pooled: root mean square over trajectories, times and components.
-        energy: root mean square over trajectories and times of H(prediction) - H(truth), with the true H; None
-            where that is not known.
+        energy: root mean square over trajectories and times of H(prediction) - H(truth), with the true H;
+            None where that is not known.
         components: (D,) root mean square of each component, velocities in place of momenta.
     """
 

@@ -2,48 +2,72 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
-from ahnn.evaluation.table import number, show
+if TYPE_CHECKING:
+    from rich.table import Table
+
+TRAINING = {"W": "window", "seconds": "seconds", "val loss": "val_loss"}
+"""Columns of numbers on the training; losses over windows of different W do not compare."""
+
+QUANTITIES = ("position", "velocity", "energy")
 
 
 class SweepTable(Callback):
-    """Collects metrics.json of every job folder of the sweep."""
+    """Collects the results in every job folder of the sweep."""
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Print the table, jobs in order, a job without scores marked."""
+        """Print the table, jobs in order, a job without results marked."""
         del kwargs
+        from ahnn.evaluation.terminal import show
+
         folder = Path(config.hydra.sweep.dir)
         jobs = sorted((f for f in folder.iterdir() if f.name.isdigit()), key=lambda f: int(f.name))
         show(sweep_table(folder, jobs))
 
 
 def sweep_table(folder: Path, jobs: list[Path]) -> Table:
-    """Return the table over job folders: overrides, time, validation loss and scores from the true start."""
+    """Return the table over job folders: overrides, training, and the model's scores from the true start."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
     table = Table(title=f"sweep {folder}", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
-    for head in ("job", "overrides"):
-        table.add_column(head)
-    for head in ("seconds", "val loss", "position", "velocity", "energy"):
-        table.add_column(head, justify="right")
+    table.pad_edge, table.padding = False, (0, 1, 0, 0)
+    table.add_column("job", no_wrap=True)
+    table.add_column("overrides", overflow="fold")
+    for head in (*TRAINING, *QUANTITIES):
+        table.add_column(head, justify="right", no_wrap=True)
     for job in jobs:
-        overrides = _overrides(job)
-        try:
-            metrics = json.loads((job / "metrics.json").read_text())
-            row = next(r for r in metrics["rows"] if not r["floor"] and r["start"] == "true")
-        except (OSError, ValueError, StopIteration):
-            table.add_row(job.name, overrides, *["-"] * 4, "no scores", style="red")
-            continue
-        numbers = (metrics["training_seconds"], metrics["val_loss"])
-        values = (*numbers, row["position"], row["velocity"], row["energy"])
-        table.add_row(job.name, overrides, *(number(float(v)) for v in values))
+        values = _values(job)
+        missing = ["-"] * (len(TRAINING) + len(QUANTITIES) - 1)
+        cells = [*missing, "no scores"] if values is None else values
+        table.add_row(job.name, _overrides(job), *cells, style="red" if values is None else None)
+    table.caption = "W: steps of the loss; losses of different W do not compare. Scores: true start."
+    table.caption_justify = "left"
     return table
+
+
+def _values(job: Path) -> list[str] | None:
+    """Return the cells of a job, or None where it has no results."""
+    from ahnn.errors import UserError
+    from ahnn.evaluation import Who, load_results
+    from ahnn.evaluation.table import number
+    from ahnn.evaluation.titles import MODEL
+
+    try:
+        results = load_results(job)
+    except UserError:
+        return None
+    row = results.row(Who(MODEL, "true"))
+    if row is None:
+        return None
+    training = [results.training.get(key) for key in TRAINING.values()]
+    numbers = [str(x) if isinstance(x, int) else "-" if x is None else number(float(x)) for x in training]
+    return [*numbers, *(number(getattr(row.scores, quantity)) for quantity in QUANTITIES)]
 
 
 def _overrides(job: Path) -> str:

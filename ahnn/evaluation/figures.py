@@ -77,60 +77,83 @@ def error(case: Case, curves: list[Curve]) -> Figure:
     style.label_errors(case, panels)
     style.label_time(panels[-1], axis)
     style.legend_below(figure, panels[0])
-    head = f"{case.space.name}: rms error over {_count(case)}, true start"
+    head = f"{case.space.name}: rms error over {_count(len(case.test.states))}, true start"
     panels[0].set_title(f"{head}\nthick: mean of the last {SMOOTHING} samples" if smooth else head)
     return figure
 
 
 def energy(case: Case, curves: list[Curve]) -> Figure:
-    """Draw how far the energy strays along the first trajectory: the true one, or else the learned one."""
-    figure = style.canvas(8, 4.5)
-    axes: Any = figure.subplots()
+    """Draw how far the energy strays along the first trajectory: the true one, or else the learned one.
+
+    The upper panel shows the change, the lower one its size, so that a small one is seen beside a large one.
+    """
+    figure = style.canvas(8, 6)
+    upper, lower = figure.subplots(2, 1, sharex=True)
     axis, unit = style.time_axis(case), case.space.units.energy
     hamiltonian = case.energy if case.truth is None else case.truth.energy
     assert hamiltonian is not None
     data = hamiltonian(case.test.states[0])
-    axes.plot(axis.time, data - data[0], **style.TRUTH, label=style.reference(case), zorder=3)
+    upper.plot(axis.time, data - data[0], **style.TRUTH, label=style.reference(case))
     for curve in curves:
-        values = hamiltonian(curve.states[0]) - data[0]
-        axes.plot(axis.time, values.where(values.isfinite(), torch.nan), **curve.look, label=curve.name)
+        change = hamiltonian(curve.states[0]) - data[0]
+        change = change.where(change.isfinite(), torch.nan)
+        upper.plot(axis.time, change, **curve.look, label=curve.name)
+        lower.plot(axis.time[1:], change[1:].abs(), **(curve.look | {"lw": 1.2}))
+    style.logarithmic(lower, 0)
+    upper.grid(alpha=0.3)
+    upper.ticklabel_format(axis="y", scilimits=(-3, 4))
     which = "true" if case.truth is not None else "learned"
-    axes.set_ylabel(f"change of the {which} energy [{unit}]")
-    axes.grid(alpha=0.3)
-    style.label_time(axes, axis)
-    style.legend_below(figure, axes)
-    start = f"{float(data[0]):.6g} {unit}"
-    axes.set_title(f"{case.space.name}: energy along one unseen trajectory, at first {start}")
+    upper.set_ylabel(f"change of {which} energy [{unit}]")
+    lower.set_ylabel(f"size of the change [{unit}]")
+    style.label_time(lower, axis)
+    style.legend_below(figure, upper)
+    start = f"{float(data[0]):.6g}" + (f" {unit}" if unit != "1" else "")
+    upper.set_title(f"{case.space.name}: energy along one unseen trajectory, at first {start}")
     return figure
 
 
-def phase_portrait(case: Case, curves: list[Curve], count: int = 5) -> Figure:
+def phase_portrait(case: Case, curves: list[Curve], count: int = 4) -> Figure:
     """Draw position against velocity for a few test trajectories, and the errors of both beside it."""
     figure = style.canvas(10, 4.8)
     left, right = figure.subplots(1, 2)
-    n, inertia = case.space.dof, case.space.inertia
-    shown = min(count, len(case.test.states))
-    model = curves[-1]
-    for b in range(shown):
-        truth = case.test.states[b]
-        left.plot(model.states[b, :, 0], model.states[b, :, n] / inertia, **model.look, label=model.name)
-        left.plot(truth[:, 0], truth[:, n] / inertia, **style.TRUTH, label=style.reference(case))
-        for curve in reversed(curves):
-            off = curve.states[b] - truth
-            right.plot(off[:, 0], off[:, n] / inertia, **(curve.look | {"lw": 1.0}), label=curve.name)
-    right.plot(0, 0, "+", color=style.BLACK, ms=9, label="no error")
-    q, v = (style.state_labels(case)[i] for i in (0, n))
+    truth = _plane(case, case.test.states[:count])
+    thick = curves[-1].look | {"lw": 3.0, "alpha": 0.7}
+    for model, data in zip(_plane(case, curves[-1].states[:count]), truth, strict=True):
+        left.plot(*model.T, **thick, label=curves[-1].name)
+        left.plot(*data.T, **style.TRUTH, label=style.reference(case))
+    for curve in reversed(curves):
+        _errors_in_plane(right, curve, _plane(case, curve.states[:count]) - truth)
+    q, v = (style.state_labels(case)[i] for i in (0, case.space.dof))
     for axes, prefix in ((left, ""), (right, "error of ")):
         axes.set_xlabel(prefix + q)
         axes.set_ylabel(prefix + v)
         axes.grid(alpha=0.3)
         axes.locator_params(axis="x", nbins=6)
         axes.ticklabel_format(scilimits=(-3, 4))
+    style.near(left, truth)
     left.set_title("phase portrait")
-    right.set_title("prediction - " + style.reference(case))
+    right.set_title(f"prediction - {style.reference(case)}")
     style.legend_below(figure, left, right)
-    figure.suptitle(f"{case.space.name}: {shown} unseen trajectories, true start")
+    figure.suptitle(f"{case.space.name}: {_count(len(truth))}, true start")
     return figure
+
+
+def _plane(case: Case, states: Tensor) -> Tensor:
+    """Return the first position and its velocity, (B, T, 2), NaN where they are not finite."""
+    plane = torch.stack((states[..., 0], states[..., case.space.dof] / case.space.inertia), dim=-1)
+    return plane.where(plane.isfinite(), torch.nan)
+
+
+def _errors_in_plane(axes: Any, curve: Curve, off: Tensor) -> None:
+    """Draw errors (B, T, 2), or a mark with a remark where they are too small to be seen."""
+    low, high = torch.tensor(axes.dataLim.get_points(), dtype=torch.float64)
+    size = off.abs().nan_to_num(0.0).flatten(0, 1).amax(0)
+    if bool((size < 0.01 * (high - low)).all()):
+        mark = {"color": curve.look["color"], "marker": "+", "ms": 9, "ls": "none", "mew": 1.5}
+        axes.plot(0, 0, **mark, label=f"{curve.name} (smaller than its mark)")
+        return
+    for one in off:
+        axes.plot(*one.T, **(curve.look | {"lw": 1.0}), label=curve.name)
 
 
 def path(case: Case, curves: list[Curve]) -> Figure:
@@ -138,7 +161,7 @@ def path(case: Case, curves: list[Curve]) -> Figure:
     figure = style.canvas(7, 5.8)
     axes: Any = figure.subplots()
     truth, model = (x[0, :, :2].numpy() for x in (case.test.states, curves[-1].states))
-    axes.plot(*truth.T, **style.TRUTH, label=style.reference(case), zorder=3)
+    axes.plot(*truth.T, **style.TRUTH, label=style.reference(case))
     _coloured(case, figure, axes, LineCollection, model, truth)
     axes.set_aspect("equal", adjustable="datalim")
     for name, text in zip("xy", style.state_labels(case), strict=False):
@@ -152,20 +175,20 @@ def path(case: Case, curves: list[Curve]) -> Figure:
 def orbit(case: Case, curves: list[Curve]) -> Figure:
     """Draw the first test orbit in space, coloured by the model's error, the planet to scale."""
     figure = style.canvas(8, 6.5)
-    axes: Any = figure.add_subplot(projection="3d")
+    axes: Any = figure.add_subplot(projection="3d", computed_zorder=False)
     truth, model = (x[0, :, :3].numpy() for x in (case.test.states, curves[-1].states))
     radius = getattr(case.truth, "r_eq", None)
     if radius:
         u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 37), np.linspace(0, np.pi, 19))
         sphere = (np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v))
-        look = {"color": style.SKY, "alpha": 0.35, "linewidth": 0, "rasterized": True}
+        look = {"color": style.SKY, "alpha": 0.35, "linewidth": 0, "rasterized": True, "zorder": 1}
         axes.plot_surface(*(radius * s for s in sphere), **look)
     axes.plot(*truth.T, **style.TRUTH, label=style.reference(case))
     _coloured(case, figure, axes, Line3DCollection, model, truth)
     axes.set_aspect("equal")
     for name, text in zip("xyz", style.state_labels(case), strict=False):
         getattr(axes, f"set_{name}label")(text, labelpad=8)
-        getattr(axes, f"{name}axis").set_major_locator(MaxNLocator(4))
+        getattr(axes, f"{name}axis").set_major_locator(MaxNLocator(4 if name == "z" else 3))
         axes.tick_params(axis=name, labelsize=8)
     axes.tick_params(axis="z", pad=6)
     axes.set_title(f"{case.space.name}: {case.label} on one unseen trajectory, true start")
@@ -183,13 +206,12 @@ def _coloured(case: Case, figure: Figure, axes: Any, kind: Any, model: Any, trut
         return
     high = float(distance.max())
     norm = LogNorm(max(float(np.quantile(distance, 0.02)), high * 1e-6), high)
-    lines = kind(segments, cmap=style.ERRORS, norm=norm, lw=3.0, alpha=0.9)
+    lines = kind(segments, cmap=style.ERRORS, norm=norm, lw=3.5, zorder=2)
     lines.set_array(distance)
     axes.add_collection(lines)
     bar = figure.colorbar(lines, ax=axes, shrink=0.75, pad=0.09 if case.space.dof == 3 else 0.02)
     bar.set_label(f"position error of {case.label} [{case.space.units.position}]")
 
 
-def _count(case: Case) -> str:
-    count = len(case.test.states)
-    return f"{count} unseen {'trajectory' if count == 1 else 'trajectories'}"
+def _count(trajectories: int) -> str:
+    return f"{trajectories} unseen {'trajectory' if trajectories == 1 else 'trajectories'}"

@@ -27,8 +27,8 @@ def evaluation_folder(run: Path, name: str | None = None) -> Path:
     parent = run / "evaluations"
     if name is not None and not NAME.fullmatch(name):
         message = (
-            "evaluation name: expected letters, digits and . _ + = @ -, beginning with a letter, a digit or _, "
-            f"at most 100 of them and no path; received {name!r}"
+            "evaluation name: expected at most 100 letters, digits and . _ + = @ -, first a letter, a digit "
+            f"or _, and no path; received {name!r}"
         )
         raise UserError(message)
     try:

@@ -39,9 +39,9 @@ def exact_flow(system: System, integrator: Integrator) -> Flow:
 def floors(case: Case) -> dict[Start, Floor]:
     """Return the floor of each start of a case; there is none where the equations are not known.
 
-    From the true start it is the exact field through the model's integrator, rk4 for a map: what the integrator
-    costs. From the perturbed start it is the exact flow: what the perturbation costs, and no model can be
-    blamed for less.
+    From the true start it is the exact field through the model's integrator, rk4 for a map: what the
+    integrator costs. From the perturbed start it is the exact flow: what the perturbation costs, and no model
+    can be blamed for less.
     """
     if case.truth is None:
         return {}

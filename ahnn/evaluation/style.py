@@ -18,11 +18,14 @@ from ahnn.evaluation.case import Case
 ORANGE, SKY, GREEN, BLUE = "#E69F00", "#56B4E9", "#009E73", "#0072B2"
 VERMILLION, PURPLE, BLACK = "#D55E00", "#CC79A7", "#000000"
 
-TRUTH: dict[str, Any] = {"color": BLACK, "ls": (0, (4, 3)), "lw": 1.0}
+TRUTH: dict[str, Any] = {"color": BLACK, "ls": (0, (4, 3)), "lw": 1.0, "zorder": 4}
 MODEL: dict[str, Any] = {"color": VERMILLION, "ls": "-", "lw": 1.8}
-FLOOR: dict[str, Any] = {"color": BLUE, "ls": (0, (6, 1.5, 1.5, 1.5)), "lw": 1.5}
-ALONE: dict[str, Any] = {"color": GREEN, "ls": (0, (1.5, 1.2)), "lw": 1.8}
-"""Styles of the truth, of a model, of a floor, and of a model whose estimator is switched off."""
+FLOOR: dict[str, Any] = {"color": BLUE, "ls": (0, (6, 1.5, 1.5, 1.5)), "lw": 1.5, "zorder": 3}
+ALONE: dict[str, Any] = {"color": GREEN, "ls": (0, (1.5, 1.2)), "lw": 1.8, "zorder": 3}
+"""Styles of the truth, of a model, of a floor, and of a model whose estimator is switched off.
+
+The interrupted lines lie over the whole one, so that both are seen where they agree.
+"""
 
 BAND = SKY
 ERRORS = "viridis"
@@ -113,12 +116,25 @@ def logarithmic(axes: Any, first: int, others: Iterable[Any] = ()) -> None:
     if not len(values):
         return
     low, high = float(values.min()) / 1.3, float(values.max()) * 1.3
-    low = max(low, high * 1e-12)
+    axes.set_ylim(low, min(high, low * 1e18))  # one lost prediction does not flatten the others
     axes.set_yscale("log")
-    axes.set_ylim(low, high)
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 30 * low else (1.0,)))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def near(axes: Any, points: Tensor) -> None:
+    """Keep a frame near some points (..., 2) where other curves leave it by far."""
+    points = points.flatten(0, -2)
+    points = points[points.isfinite().all(-1)]
+    if not len(points):
+        return
+    low, high = points.amin(0), points.amax(0)
+    for name, a, b in zip("xy", low.tolist(), high.tolist(), strict=True):
+        least, most = getattr(axes, f"get_{name}lim")()
+        size = (b - a) or 1.0
+        if most - least > 3 * size:
+            getattr(axes, f"set_{name}lim")(a - 0.5 * size, b + 0.5 * size)
 
 
 def frame(axes: Any, curves: Iterable[Tensor], *, symmetric: bool) -> None:

@@ -125,7 +125,7 @@ def _explanations(results: Results) -> Iterator[str]:
     if floors:
         yield from _wrapped(f"floor: what perfect knowledge scores there ({'; '.join(floors)}).")
     if any(row.who.span == "settled" for row in results.rows):
-        yield from _wrapped("settled: from the first update on.")
+        yield from _wrapped("settled: scores from the first update on.")
 
 
 def _details(row: Row, results: Results) -> str:
@@ -147,13 +147,13 @@ def _wrapped(text: str, *, hanging: bool = False) -> list[str]:
 
 
 def number(value: float | None) -> str:
-    """Return a number with three digits, in the shorter of the two notations and at most nine signs.
+    """Return a number with three or four digits, in the shorter of the two notations and at most nine signs.
 
     An exponent is never cut; what is not there is `-`.
     """
     if value is None:
         return "-"
     size = abs(value)
-    style = ".3g" if size == 0 or 1e-2 <= size < 999.5 else ".0f" if 999.5 <= size < 9999.5 else ".2e"
-    text = f"{value:{style}}"
+    style = "#.3g" if 1e-2 <= size < 999.5 else ".0f" if 999.5 <= size < 9999.5 or size == 0 else ".2e"
+    text = f"{value:{style}}".rstrip(".")
     return text if len(text) <= NUMBER else f"{value:.1e}"

@@ -7,7 +7,7 @@ from ahnn.evaluation.case import Who
 MODEL = "model"
 """The process of the rows of the trained model."""
 
-SPANS = {"whole": "", "settled": "from the first update on"}
+SPANS = {"whole": "", "settled": "settled"}
 
 
 def title(who: Who, label: str) -> str:

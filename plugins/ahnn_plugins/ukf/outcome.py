@@ -9,21 +9,23 @@ from torch import Tensor
 
 from ahnn.estimation.belief import Status
 from ahnn.estimation.consistency import GAUSSIAN, band, coverage, deviations, nees, share_within
-from ahnn.evaluation import Case, Row
-from ahnn.metrics import Scores, score
-from ahnn_plugins.ukf.scenario import Filter, Problem
+from ahnn.evaluation import Case, Row, Who
+from ahnn.evaluation.titles import title
+from ahnn.metrics import Scores
+from ahnn_plugins.ukf.scenario import Problem
 from ahnn_plugins.ukf.setting import Setting
 from ahnn_plugins.ukf.smoother import unscented_smoother
 from ahnn_plugins.ukf.types import FilterResult
+
+SMOOTHED = "_smoothed"
+"""Ending of an estimator that is the smoother behind a filter."""
 
 
 class Outcome(NamedTuple):
     """A filter, or its smoother, on the test trajectories of one scenario.
 
     Attributes:
-        name: in tables.
-        start: scenario, `true` or `perturbed`.
-        floor: whether the flow is perfect knowledge.
+        who: identity of its row over the whole arc.
         estimate: (B, T + 1, D) after updates, the start first; NaN where a member is lost.
         chol: (B, T + 1, D, D) lower factors of what the filter believes its error to be.
         nees: (B, T + 1).
@@ -31,9 +33,7 @@ class Outcome(NamedTuple):
         result: of the filter.
     """
 
-    name: str
-    start: str
-    floor: bool
+    who: Who
     estimate: Tensor
     chol: Tensor
     nees: Tensor
@@ -46,35 +46,26 @@ class Outcome(NamedTuple):
         return int((self.result.status != Status.OK).sum())
 
 
-def filtered(chosen: Filter, setting: Setting, problem: Problem, start: str, result: FilterResult) -> Outcome:
+def filtered(who: Who, setting: Setting, problem: Problem, result: FilterResult) -> Outcome:
     """Return the outcome of a filter."""
-    parts = chosen.name, start, chosen.floor, result.means, result.chols
-    return _outcome(*parts, setting=setting, problem=problem, result=result)
+    return _outcome(who, (result.means, result.chols), setting, problem, result)
 
 
-def smoothed(chosen: Filter, setting: Setting, problem: Problem, start: str, result: FilterResult) -> Outcome:
+def smoothed(who: Who, setting: Setting, problem: Problem, result: FilterResult) -> Outcome:
     """Return the outcome of the smoother behind a filter that ran with `smoothing=True`."""
     s = unscented_smoother(result)
+    behind = who._replace(estimator=f"{who.estimator}{SMOOTHED}")
     result = result._replace(initial=s.initial, backward=None)
-    parts = f"{chosen.name} + RTS", start, chosen.floor, s.means, s.chols
-    return _outcome(*parts, setting=setting, problem=problem, result=result)
+    return _outcome(behind, (s.means, s.chols), setting, problem, result)
 
 
 def _outcome(
-    name: str,
-    start: str,
-    floor: bool,
-    means: Tensor,
-    chols: Tensor,
-    *,
-    setting: Setting,
-    problem: Problem,
-    result: FilterResult,
+    who: Who, moments: tuple[Tensor, Tensor], setting: Setting, problem: Problem, result: FilterResult
 ) -> Outcome:
+    means, chols = moments
     estimate = torch.cat((result.initial.mean[:, None], means), dim=1)
     chol = torch.cat((result.initial.chol[:, None], chols), dim=1)
-    normalised = nees(estimate - problem.truth, chol)
-    return Outcome(name, start, floor, estimate, chol, normalised, setting.first, result)
+    return Outcome(who, estimate, chol, nees(estimate - problem.truth, chol), setting.first, result)
 
 
 def rows(outcome: Outcome, case: Case, without: Scores | None) -> list[Row]:
@@ -85,27 +76,17 @@ def rows(outcome: Outcome, case: Case, without: Scores | None) -> list[Row]:
         case: the model.
         without: scores of the same start without a filter, to say why a filter is worse; None skips that.
     """
-    whole = case.score(outcome.estimate)
-    settled = settled_scores(outcome, case)
-    extra = {"from_first_update": False, "lost": outcome.lost}
+    whole, extra = case.score(outcome.estimate), {"lost": outcome.lost}
+    settled = case.score(outcome.estimate, outcome.first)
     return [
-        Row(outcome.name, outcome.start, whole, _remark(outcome, whole, without), outcome.floor, extra),
-        Row(
-            f"{outcome.name}, 1st fix on",
-            outcome.start,
-            settled,
-            _consistency_remark(outcome),
-            outcome.floor,
-            {**extra, "from_first_update": True},
-        ),
+        Row(outcome.who, whole, _remark(outcome, whole, without), extra),
+        Row(outcome.who._replace(span="settled"), settled, _consistency_remark(outcome), extra),
     ]
 
 
-def settled_scores(outcome: Outcome, case: Case) -> Scores:
-    """Return the scores from the first update on, that sample included."""
-    estimate, truth = (x[:, outcome.first :] for x in (outcome.estimate, case.test.states))
-    energies = case.system.energy(estimate), case.system.energy(truth)
-    return score(estimate, truth, energies, case.system.inertia)
+def name(outcome: Outcome, case: Case) -> str:
+    """Return the name of an outcome in pictures."""
+    return title(outcome.who, case.label)
 
 
 def _remark(outcome: Outcome, whole: Scores, without: Scores | None) -> str:
@@ -120,7 +101,7 @@ def _remark(outcome: Outcome, whole: Scores, without: Scores | None) -> str:
         mean = float(outcome.nees[:, outcome.first :].nanmean())
         if outcome.lost:
             reason = "lost members"
-        elif outcome.start == "true" and mean <= high:
+        elif outcome.who.start == "true" and mean <= high:
             reason = "the start is exact, measurements are not"
         else:
             reason = "overconfident" if mean > high else "cautious" if mean < low else "measurement noise"
@@ -139,13 +120,15 @@ def _consistency_remark(outcome: Outcome) -> str:
     result = outcome.result
     nis = result.nis.masked_fill(result.rejected, torch.nan)
     limits = band(result.innovations.shape[-1], len(outcome.nees) - outcome.lost)
+    if outcome.lost == len(outcome.nees):
+        return ""
     parts = (("NEES", outcome.nees[:, outcome.first :], _band(outcome)), ("NIS", nis, limits))
     return ", ".join(_verdict(name, float(values.nanmean()), limits) for name, values, limits in parts)
 
 
 def _verdict(name: str, mean: float, limits: tuple[float, float]) -> str:
     low, high = limits
-    return f"{name} {mean:.3g} {'in' if low <= mean <= high else 'not in'} {low:.1f}–{high:.1f}"
+    return f"{name} {mean:.3g} {'in' if low <= mean <= high else 'not in'} {low:.1f} to {high:.1f}"
 
 
 def _band(outcome: Outcome) -> tuple[float, float]:
@@ -168,7 +151,7 @@ def numbers(outcome: Outcome, case: Case) -> dict[str, Any]:
     shares = coverage(error[:, after], deviations(outcome.chol[:, after]))
     return {
         "whole_arc": case.score(outcome.estimate)._asdict(),
-        "from_first_update": settled_scores(outcome, case)._asdict(),
+        "from_first_update": case.score(outcome.estimate, first)._asdict(),
         "nees": _series(outcome.nees[:, after], band(error.shape[-1], members)),
         "nis": _series(kept, band(width, members)),
         "coverage": {f"{k}_sigma": {"share": shares[k], "gaussian": p} for k, p in GAUSSIAN.items()},

@@ -12,12 +12,15 @@ from torch import Tensor
 from ahnn.arguments import check_arguments
 from ahnn.errors import UserError
 from ahnn.estimation.belief import Gate
-from ahnn.evaluation import Case, Findings
+from ahnn.evaluation import Case, Findings, Who
+from ahnn.evaluation.case import Start
 from ahnn.evaluation.open_loop import exact_flow
+from ahnn.evaluation.titles import MODEL, described
 from ahnn.integrators import INTEGRATORS
 from ahnn.measurements.base import Measurement
 from ahnn.rollouts import rollout
 from ahnn.systems import System
+from ahnn.types import Space
 from ahnn_plugins.ukf.figures import ukf_figures
 from ahnn_plugins.ukf.outcome import Outcome, filtered, numbers, rows, smoothed
 from ahnn_plugins.ukf.process_noise import fitted_process_noise
@@ -98,13 +101,18 @@ class UKFEvaluation:
             gate=None if gate is None else Gate(gate, patience),
         )
 
-    def check(self, system: System) -> None:
-        """Refuse what does not fit a system, before anything is trained on it.
+    def check(self, truth: System | None, space: Space, steps: int) -> None:
+        """Refuse what does not fit the data, before anything is trained on them.
+
+        Args:
+            truth: the system whose equations are known, or None.
+            space: what the numbers mean.
+            steps: of the shortest test trajectory.
 
         Raises:
             UserError: says which option.
         """
-        steps = int(system.durations(system.initial_states(1, torch.Generator().manual_seed(0))).max())
+        system = _known(truth, space)
         setting = self._setting(system, steps)
         if self.tuning is not None and (self.tuning.steps or steps) < setting.first:
             message = (
@@ -123,59 +131,65 @@ class UKFEvaluation:
     @torch.no_grad()
     def __call__(self, case: Case) -> Findings:
         """Filter the test trajectories and report scores, consistency and figures."""
-        self.check(case.system)
-        shortest = min(int(part.lengths.min()) - 1 for part in (case.test, case.validation))
-        setting = self._setting(case.system, shortest)
+        shortest = min(int(part.present.sum(-1).min()) - 1 for part in (case.test, case.validation))
+        self.check(case.truth, case.space, shortest)
+        setting = self._setting(_known(case.truth, case.space), shortest)
         findings = Findings(numbers=self._settings(setting))
         problems = self._problems(case, setting)
         outcomes: list[Outcome] = []
-        for chosen in self._filters(case, setting, findings):
+        for who, chosen in self._filters(case, setting, findings):
             for start, problem in problems.items():
-                outcomes += self._outcomes(chosen, setting, problem, start)
-        dt, samples = case.test.dt, case.test.states.shape[1]
-        without = {start: rollout(case.flow, p.starts, dt, samples) for start, p in problems.items()}
+                outcomes += self._outcomes(who._replace(start=start), chosen, case, setting, problem)
+        samples = case.test.states.shape[1]
+        without = {start: rollout(case.flow, p.starts, case.dt, samples) for start, p in problems.items()}
         scores = {start: case.score(prediction) for start, prediction in without.items()}
         findings.numbers["filters"] = {}
         for outcome in outcomes:
-            findings.rows += rows(outcome, case, None if outcome.floor else scores[outcome.start])
-            entry = findings.numbers["filters"].setdefault(outcome.name, {})
-            entry[outcome.start] = numbers(outcome, case) | moving_averages(outcome, case)
+            who = outcome.who
+            findings.rows += rows(outcome, case, None if who.floor else scores[who.start])
+            several = findings.numbers["filters"].setdefault(who.estimator, {})
+            entry = several.setdefault("floor" if who.floor else MODEL, {})
+            entry[who.start] = numbers(outcome, case) | moving_averages(outcome, case)
         findings.arrays, findings.figures = ukf_figures(case, setting, outcomes, without)
         return findings
 
-    def _outcomes(self, chosen: Filter, setting: Setting, problem: Problem, start: str) -> list[Outcome]:
+    def _outcomes(
+        self, who: Who, chosen: Filter, case: Case, setting: Setting, problem: Problem
+    ) -> list[Outcome]:
         """Return what comes of a filter, and of its smoother if asked for, in one scenario."""
-        text, steps = f"{chosen.name} from the {start} start", problem.measurements.shape[1]
-        with shown(chosen.flow, text, steps) as flow:
+        with shown(chosen.flow, described(who, case.label), problem.measurements.shape[1]) as flow:
             result = assimilate(chosen._replace(flow=flow), setting, problem, smoothing=self.smoother)
-        outcomes = [filtered(chosen, setting, problem, start, result)]
+        outcomes = [filtered(who, setting, problem, result)]
         if self.smoother:
-            outcomes.append(smoothed(chosen, setting, problem, start, result))
+            outcomes.append(smoothed(who, setting, problem, result))
         return outcomes
 
-    def _filters(self, case: Case, setting: Setting, findings: Findings) -> list[Filter]:
+    def _filters(self, case: Case, setting: Setting, findings: Findings) -> list[tuple[Who, Filter]]:
         """Return the filters of the table: the model's, tuned if asked for, and the floor."""
         r, size = setting.measurement_noise, case.test.states.shape[-1]
         nothing = torch.zeros(size, size, dtype=torch.float64)
         model = Filter(f"{case.label} + UKF", case.flow, nothing, r, self.parameters)
         model = model._replace(process_noise=self._process_noise(case, setting, model, findings))
-        filters = [model]
+        filters = [(Who(MODEL, "true", "ukf"), model)]
         if self.tuning is not None:
             options = self.tuning
             count = min(options.trajectories, len(case.validation.states))
             arcs = validation_problem(setting, case.validation, count, options.steps, self.seed + 3)
             tuned = tuned_once(model, setting, arcs, options, case.folder / "ukf_tuned.json")
             findings.numbers["tuning"] = tuned._asdict()
-            filters.append(tuned.apply(model)._replace(name=f"{case.label} + UKF tuned"))
-        exact = exact_flow(case.system, INTEGRATORS[case.system.integrator])
-        return [*filters, Filter("exact flow + UKF", exact, nothing, r, self.parameters, floor=True)]
+            filters.append((Who(MODEL, "true", "ukf_tuned"), tuned.apply(model)))
+        if case.truth is not None:
+            exact = exact_flow(case.truth, INTEGRATORS[case.truth.integrator])
+            floor = Filter("exact flow + UKF", exact, nothing, r, self.parameters, floor=True)
+            filters.append((Who("exact flow", "true", "ukf", floor=True), floor))
+        return filters
 
     def _process_noise(self, case: Case, setting: Setting, model: Filter, findings: Findings) -> Tensor:
         """Return Q of the model and write down where it comes from."""
         if isinstance(self.process_noise, list):
             position, velocity = self.process_noise
-            blocks = torch.tensor([position, velocity * case.system.inertia], dtype=torch.float64)
-            q = torch.diag(blocks.repeat_interleave(case.system.dof) ** 2)
+            blocks = torch.tensor([position, velocity * case.space.inertia], dtype=torch.float64)
+            q = torch.diag(blocks.repeat_interleave(case.space.dof) ** 2)
             about: dict[str, Any] = {"from": "given"}
         else:
             count = min(FITTING, len(case.validation.states))
@@ -186,13 +200,11 @@ class UKFEvaluation:
         findings.numbers["process_noise"] = {**about, "step_sd": q.diagonal().sqrt().tolist()}
         return q
 
-    def _problems(self, case: Case, setting: Setting) -> dict[str, Problem]:
+    def _problems(self, case: Case, setting: Setting) -> dict[Start, Problem]:
         """Return the scenarios; both see the same measurements."""
-        measurements = simulated(setting, case.test.states, case.test.dt, self.seed)
-        starts = case.starts().items()
-        return {
-            start: Problem(case.test.states, states, measurements, case.test.dt) for start, states in starts
-        }
+        truth = case.test.states
+        measurements = simulated(setting, truth, case.dt, self.seed)
+        return {start: Problem(truth, x, measurements, case.dt) for start, x in case.starts().items()}
 
     def _settings(self, setting: Setting) -> dict[str, Any]:
         """Return what was assumed, for metrics.json."""
@@ -205,6 +217,18 @@ class UKFEvaluation:
             "parameters": self.parameters._asdict(),
             "seed": self.seed,
         }
+
+
+def _known(truth: System | None, space: Space) -> System:
+    """Return the system, whose default noise and initial states the settings of a filter are made of.
+
+    Raises:
+        UserError: its equations are not known.
+    """
+    if truth is None:
+        message = f"plugins.ukf: expected a system whose equations are known; received data of {space.name}"
+        raise UserError(message)
+    return truth
 
 
 def _check_measurement(measurement: Any) -> None:
