@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import logging
 import sys
+from typing import Any
 
 from ahnn.cli.build import guard
 
@@ -31,6 +32,8 @@ def evaluate(arguments: list[str]) -> None:
     from ahnn.cli.parts import build_plugins, build_source, build_splits, report_options
     from ahnn.evaluation import evaluation_folder, load_results, report
     from ahnn.evaluation.prepare import make_case
+    from ahnn.evaluation.sinks import TensorBoardSink
+    from ahnn.evaluation.sinks.board import Board
     from ahnn.runs import load
 
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
@@ -43,15 +46,13 @@ def evaluate(arguments: list[str]) -> None:
     plugins = build_plugins(cfg, splits)
     note = provenance_note(run, splits)
     training = load_results(run.folder).training if (run.folder / "metrics.json").exists() else {}
+    options = report_options(cfg)
     folder = evaluation_folder(request.folder, request.name)
     case = make_case(run.dynamics, splits, label=cfg.label, seed=cfg.evaluation.seed, folder=folder)
-    known: dict[str, Any] = {
-        **training,
-        "val_loss": run.about["val_loss"],
-        "ckpt": request.ckpt,
-        "data": note,
-    }
-    report(case, plugins, known, **report_options(cfg))
+    about = {"ckpt": request.ckpt, "data": note}
+    board = TensorBoardSink(Board(folder), about)
+    known: dict[str, Any] = {**training, "val_loss": run.about["val_loss"], **about}
+    report(case, plugins, known, more=[board] if cfg.evaluation.figures else [], **options)
 
 
 def set_threads(count: int) -> None:

@@ -183,10 +183,11 @@ def provenance_note(run: Run, splits: SplitData) -> str:
     count = len(splits.source.read().states)
     then, now = (split_sizes(count, shares) for shares in (known["split"], list(splits.shares)))
     if now[0] + now[1] < then[0] + then[1]:
+        seen = then[0] + then[1] - now[0] - now[1]
         message = (
-            f"data.split: expected test trajectories that the training has not seen; received {splits.shares}, "
-            f"where the training had {known['split']}: {then[0] + then[1] - now[0] - now[1]} of {now[2]} are "
-            "its own. Keep its split, or draw others with data.seed"
+            f"data.split: expected test trajectories that the training has not seen; received "
+            f"{splits.shares}: {seen} of {now[2]} are its own. Keep the training's {known['split']}, or draw "
+            "others with data.seed"
         )
         raise UserError(message)
     return "a part of the test split of the training's data"

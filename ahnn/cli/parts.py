@@ -76,7 +76,8 @@ def build_plugins(cfg: DictConfig, splits: SplitData) -> dict[str, EvaluationPlu
 def report_options(cfg: DictConfig) -> dict[str, Any]:
     """Return what the user asks of the report."""
     asked = cfg.evaluation
-    return {"predictions": asked.save_predictions, "figures": asked.figures, "detail": asked.detail}
+    detail = asked.get("detail", False)  # runs of earlier versions do not have it
+    return {"predictions": asked.save_predictions, "figures": asked.figures, "detail": detail}
 
 
 def build_trainer(cfg: DictConfig) -> Trainer:

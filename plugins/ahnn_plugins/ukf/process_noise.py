@@ -23,6 +23,7 @@ import torch
 from torch import Tensor
 
 from ahnn.estimation.consistency import nees
+from ahnn.statistics import Statistics
 from ahnn.types import Flow, Trajectories
 from ahnn_plugins.ukf.scenario import Filter, Problem, assimilate, shown
 from ahnn_plugins.ukf.setting import Setting
@@ -53,7 +54,7 @@ def one_step_covariance(flow: Flow, trajectories: Trajectories) -> Tensor:
     before = trajectories.states[:, :-1].reshape(-1, size)
     after = trajectories.states[:, 1:].reshape(-1, size)
     chosen = torch.linspace(0, len(before) - 1, min(PAIRS, len(before)), dtype=torch.float64).long()
-    residual = flow(before[chosen], trajectories.dt) - after[chosen]
+    residual = flow(before[chosen], Statistics.of(trajectories).dt) - after[chosen]
     residual = residual[residual.isfinite().all(-1)]
     return residual.mT @ residual / max(len(residual), 1)
 

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ahnn.estimation.covariances import initial_belief
 from ahnn.progress import progress_bar
+from ahnn.statistics import Statistics
 from ahnn.types import Flow, TimeStep, Trajectories
 from ahnn_plugins.ukf.filter import unscented_filter
 from ahnn_plugins.ukf.setting import Setting
@@ -90,13 +91,14 @@ def validation_problem(
     states = validation.states[torch.linspace(0, len(validation.states) - 1, count).long()]
     last = states.shape[1] - 1
     steps = last if steps is None else min(steps, last)
-    ends = validation.lengths.min() - 1 - steps
+    ends = validation.present.sum(1).min() - 1 - steps
     begin = torch.linspace(0, max(0, int(ends)), count).long()
     truth = states[torch.arange(count)[:, None], begin[:, None] + torch.arange(steps + 1)]
+    dt = Statistics.of(validation).dt
     generator = torch.Generator().manual_seed(seed)
     noise = torch.randn(truth[:, 0].shape, generator=generator, dtype=torch.float64)
-    measurements = simulated(setting, truth, validation.dt, seed + 1)
-    return Problem(truth, truth[:, 0] + noise * setting.start_sd, measurements, validation.dt)
+    measurements = simulated(setting, truth, dt, seed + 1)
+    return Problem(truth, truth[:, 0] + noise * setting.start_sd, measurements, dt)
 
 
 def assimilate(
