@@ -13,7 +13,8 @@ COMMANDS = f"""ahnn {__version__}: learn Hamiltonian dynamics, and assimilate me
   tensorboard --logdir runs  curves, scores and figures of all runs
 
 In Python: ahnn.load(RUN), ahnn.fit(TRAJECTORIES, SPACE); help(ahnn) says more.
-Trained models that come with the package: """
+Trained models that come with the package:
+  """
 
 
 def main() -> None:

@@ -5,13 +5,17 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 import yaml
 from entry import SMALL, call
 
-from ahnn.pretrained import names
+from ahnn.checkpoints import read_checkpoint
+from ahnn.evaluation import Who, load_results
+from ahnn.pretrained import HERE, names
 
 EVALUATE = "ahnn.evaluate"
 REMOVED = object()
@@ -21,7 +25,7 @@ REMOVED = object()
 def finished(tmp_path_factory):
     """A finished run on the spring, which stays as it is."""
     folder = tmp_path_factory.mktemp("runs") / "spring"
-    changes = ["trainer.max_epochs=1", "evaluation.figures=false", "evaluation.save_predictions=false"]
+    changes = ["trainer.max_epochs=2", "evaluation.figures=false", "evaluation.save_predictions=false"]
     assert call("ahnn.train", *SMALL, *changes, f"run={folder}") == 0
     return folder
 
@@ -36,8 +40,10 @@ def files(folder):
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def metrics(run):
-    return json.loads((run / "metrics.json").read_text())
+def again(run, *arguments, name="again"):
+    """The results of another evaluation of a run."""
+    assert call(EVALUATE, f"run={run}", f"name={name}", *arguments) == 0
+    return load_results(run / "evaluations" / name)
 
 
 def store(run, **changes):
@@ -54,31 +60,45 @@ def refused(folder, capfd, *arguments):
     assert call(EVALUATE, *arguments) == 2
     err = capfd.readouterr().err
     assert "Traceback" not in err
+    assert err.count("\n") == 1
     assert files(folder) == before
     return err
+
+
+MADE = "expected a key that acts on a finished run; received one that made its training"
 
 
 @pytest.mark.parametrize(
     ("override", "expected"),
     [
-        ("model.network.width=12", r"model\.network\.width: expected 12, received 8"),
-        ("model.hamiltonian=separable", r"model\.hamiltonian: expected separable, received generic"),
+        ("model.network.width=12", rf"model\.network\.width: {MADE}"),
+        ("model=mlp", rf"model: {MADE}"),
+        ("integrator.name=rk4", rf"integrator\.name: {MADE}"),
+        ("loss.delta=2", rf"loss\.delta: {MADE}"),
+        ("window=3", rf"window: {MADE}"),
+        ("seed=3", rf"seed: {MADE}"),
+        ("data.batch_size=3", rf"data\.batch_size: {MADE}"),
         ("system=molniya", r"system: expected a single key, system\.KEY=VALUE; received 'molniya'"),
-        ("model=mlp", r"A finished run keeps its model; only the groups plugins and measurement"),
         ("data=null", r"data: expected a single key, data\.KEY=VALUE; received None"),
         ("label=[a", r"override 'label=\[a': expected key=value"),
         ("seed=1,2", r"'seed=1,2': expected key=value with one value"),
         ("~plugins", "usage"),
         ("+label=a", r"'\+label=a': expected key=value with one value"),
-        ("label={a: b}", r"label: expected str; received \{'a': 'b'\}"),
-        ("evaluation.seed=x", r"evaluation\.seed: expected int; received 'x'"),
         ("measurement=null", r"measurement: expected the name of an option; received None"),
         ("plugins=3", r"plugins: expected the name of an option; received 3"),
+        ("plugins=ufk", r"ufk"),
         ("system.stifness=9", r"unknown key 'system\.stifness'; did you mean 'system\.stiffness'"),
         ("system.stiffness=nan", r"system mass_spring: stiffness: expected a finite number > 0"),
+        (
+            "data.split=[0.2,0.2,0.6]",
+            r"test trajectories that the training has not seen.*11 of 12 are its own",
+        ),
+        ("ckpt=first.ckpt", r"first\.ckpt: expected a file; found none"),
+        ("name=a/b", r"evaluation name: expected letters.*received 'a/b'"),
+        ("threads=many", r"threads.*'many'"),
     ],
 )
-def test_an_override_that_does_not_fit_is_one_message(run, capfd, override, expected):
+def test_an_override_that_has_no_effect_is_one_message(run, capfd, override, expected):
     assert re.search(expected, refused(run, capfd, f"run={run}", override))
 
 
@@ -86,20 +106,25 @@ def test_an_override_that_does_not_fit_is_one_message(run, capfd, override, expe
     ("file", "content", "expected"),
     [
         ("config.yaml", "seed: [1\nlabel: }", r"config\.yaml: expected the YAML of a run; received"),
-        (
-            "config.yaml",
-            "- seed\n- label",
-            r"expected the configuration of a run; received one without system",
-        ),
-        ("config.yaml", "", r"expected the configuration of a run; received one without system, model"),
-        ("config.yaml", "hello", r"expected the configuration of a run"),
-        ("metrics.json", '{"seed": 7', r"metrics\.json: expected the scores of a run; received: .*Remove it"),
-        ("metrics.json", "[1, 2]", r"metrics\.json: expected the scores of a run; received: \[1, 2\]"),
+        ("config.yaml", "- seed\n- label", r"config\.yaml: expected keys with values; received"),
+        ("config.yaml", "", r"config\.yaml: expected keys with values; received 'None'"),
+        ("config.yaml", "a: &a [1]\nb: *a", r"expected the YAML of a run; received: an alias"),
+        ("config.yaml", "hello: 1", r"expected the configuration of a run; received one without system"),
+        ("metrics.json", '{"schema": 2', r"metrics\.json: expected the results of an evaluation; received"),
+        ("metrics.json", '{"rows": []}', r"metrics\.json: expected schema 2; received none"),
     ],
 )
 def test_a_damaged_file_of_a_run_is_one_message(run, capfd, file, content, expected):
     (run / file).write_text(content)
     assert re.search(expected, refused(run, capfd, f"run={run}"))
+
+
+@pytest.mark.parametrize("key", ["system", "label", "evaluation"])
+def test_a_configuration_without_a_part_is_named(run, capfd, key):
+    store(run, **{key: REMOVED})
+    assert f"expected the configuration of a run; received one without {key}" in refused(
+        run, capfd, f"run={run}"
+    )
 
 
 def test_a_flipped_bit_in_the_weights_is_one_message(run, capfd):
@@ -112,63 +137,92 @@ def test_a_flipped_bit_in_the_weights_is_one_message(run, capfd):
 
 def test_help_says_how_to_use_it(capsys):
     assert call(EVALUATE, "--help") == 0
-    assert "usage: python -m ahnn.evaluate run=DIR | pretrained=NAME" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert out.startswith("Evaluate a finished run again: `python -m ahnn.evaluate run=DIR")
+    assert max(map(len, out.splitlines())) <= 100
 
 
-def test_what_was_changed_stands_beside_the_scores_until_it_is_undone(run):
-    before = metrics(run)
-    assert "overrides" not in before
-    assert call(EVALUATE, f"run={run}", "system.stiffness=9", "label=nine: again") == 0
-    changed = metrics(run)
-    assert changed["overrides"] == ["system.stiffness=9", "label=nine: again"]
-    assert changed["model"] == "nine: again"
-    assert changed["rows"] != before["rows"]
-    assert call(EVALUATE, f"run={run}", "plugins=null") == 0
-    assert metrics(run) == {**before, "overrides": ["plugins=null"]}
-    assert call(EVALUATE, f"run={run}") == 0
-    assert metrics(run) == before
+def test_an_evaluation_never_touches_the_results_of_the_training(run):
+    before = files(run)
+    same = again(run)
+    assert {path: content for path, content in files(run).items() if path in before} == before
+    trained = load_results(run)
+    assert same.rows == trained.rows
+    assert same.training["val_loss"] == trained.training["val_loss"]
+    assert same.training["seconds"] == trained.training["seconds"]
+    assert same.training["data"] == "the test split of the training's data"
+    assert call(EVALUATE, f"run={run}", "name=again") == 2  # its name is taken
 
 
-UKF = ["plugins.ukf.cadence=10", "plugins.ukf.process_noise=[1e-6,1e-6]"]
+def test_what_is_given_acts(run):
+    before = load_results(run)
+    changed = again(run, "system.stiffness=9", "label=nine: again")
+    assert changed.label == "nine: again"
+    assert changed.rows != before.rows
+    assert changed.training["data"] == "other trajectories than those of the training"
+    assert "system.stiffness=9" in changed.about["command"] or changed.about["command"]
+
+
+def test_ckpt_last_judges_the_last_weights(run):
+    best, last = (read_checkpoint(run / "checkpoints" / f"{n}.ckpt") for n in ("best", "last"))
+    (run / "checkpoints" / "best.ckpt").unlink()
+    fallback = again(run)  # where nothing chose the best weights, the last ones are judged
+    assert again(run, "ckpt=last", name="last").rows == fallback.rows
+    assert last["global_step"] >= best["global_step"]
+
+
+def test_a_run_that_was_moved_is_the_same_run(run, tmp_path):
+    moved = run.rename(tmp_path / "moved")
+    assert again(moved).rows == load_results(moved).rows
+
+
+FILTER = ["plugins.ukf.cadence=10", "plugins.ukf.process_noise=[1e-6,1e-6]"]
 
 
 @pytest.mark.parametrize("order", [1, -1])
 def test_groups_come_before_keys_whatever_their_order(run, order):
-    assert call(EVALUATE, f"run={run}", *["plugins=ukf", *UKF][::order]) == 0
-    assert metrics(run)["ukf"]["updates"] == [10, 20, 30, 40, 50, 60]
+    results = again(run, *["plugins=ukf", *FILTER][::order])
+    assert results.numbers["ukf"]["updates"] == [10, 20, 30, 40, 50, 60]
 
 
-def old(run):
-    """Make the folder of a run with the filter as it was before it had all of its options."""
-    options = {"measurement": None, "measurement_sd": None, "process_noise": [1e-6, 1e-6], "cadence": 20}
-    constants = {"alpha": 1.0, "beta": 2.0, "kappa": 0.0, "form": "square_root", "gate": None, "seed": 3}
-    target = {"_target_": "ahnn_plugins.ukf.plugin.UKFEvaluation"}
-    store(run, plugins={"ukf": {**target, **options, **constants, "smoother": False, "tuning": None}})
+def test_a_measurement_that_is_chosen_after_the_filter_acts(run):
+    arguments = ["plugins=ukf", *FILTER, "measurement=state", "measurement.sd=[1e-3,1e-3]"]
+    results = again(run, *arguments)
+    assert results.numbers["ukf"]["measurement_sd"] == [1e-3, 1e-3]
+    assert any(row.who == Who("model", "true", "ukf") for row in results.rows)
 
 
-def test_a_filter_of_an_older_run_takes_the_options_that_it_lacks_and_keeps_its_own(run):
-    old(run)
-    assert call(EVALUATE, f"run={run}", "plugins.ukf.patience=3") == 0
-    found = metrics(run)["ukf"]
-    assert found["updates"] == [20, 40, 60]
-    assert found["seed"] == 3
-    assert found["measured"] == ["q1"]
-
-
-@pytest.mark.parametrize("key", ["system", "label", "evaluation"])
-def test_a_configuration_without_a_part_is_named(run, capfd, key):
-    store(run, **{key: REMOVED})
-    assert f"expected the configuration of a run; received one without {key}" in refused(
-        run, capfd, f"run={run}"
-    )
-
-
-def test_a_trained_model_is_not_installed_over_a_run(run, capfd):
+def test_a_shipped_model_is_not_judged_into_another_run(run, capfd):
     err = refused(run, capfd, f"pretrained={names()[0]}", f"run={run}")
-    assert f"received {run}, which holds another run" in err
+    assert f"run {run}: expected a folder for" in err
 
 
 @pytest.mark.parametrize("mistake", ["threads=many", "model.network.width=x", "plugins=ufk"])
-def test_a_mistake_leaves_no_folder_of_a_trained_model(tmp_path, capfd, mistake):
+def test_a_mistake_leaves_no_folder_of_a_shipped_model(tmp_path, capfd, mistake):
     refused(tmp_path, capfd, f"pretrained={names()[0]}", f"run={tmp_path / 'new'}", mistake)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_evaluation_imports_no_trainer_and_builds_no_optimiser(run):
+    code = (
+        "import sys; sys.argv[1:] = sys.argv[1:]\n"
+        "import torch.optim\n"
+        "def fail(*_, **__): raise AssertionError('an optimiser was built')\n"
+        "torch.optim.Optimizer.__init__ = fail\n"
+        "from ahnn.evaluate import evaluate\n"
+        "evaluate(sys.argv[1:])\n"
+        "found = {m.split('.')[0] for m in sys.modules} & {'lightning', 'pytorch_lightning'}\n"
+        "assert not found, found"
+    )
+    arguments = [f"run={run}", "name=alone", "plugins=ukf", *FILTER]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_scores_of_shipped_models_are_in_the_schema_of_this_version():
+    for name in names():
+        content = json.loads((HERE / name / "metrics.json").read_text())
+        assert content["schema"] == 2
+        assert load_results(HERE / name).rows

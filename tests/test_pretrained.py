@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import csv
+import shutil
 from pathlib import Path
 
 import pytest
 import torch
-from omegaconf import OmegaConf
-from safetensors.torch import load_file, save_file
+from safetensors import safe_open
+from safetensors.torch import save_file
 
+from ahnn import load
 from ahnn.errors import UserError
-from ahnn.evaluation.report import restore
-from ahnn.pretrained import FILES, HERE, best_weights, install, names
-from ahnn.train import build_parts
+from ahnn.evaluation import Who
+from ahnn.pretrained import HERE, names
 
 ORBITS = Path(__file__).parent / "fixtures" / "j2_orbits.csv"
 
@@ -30,18 +31,25 @@ def test_there_are_trained_models():
 
 
 @pytest.mark.parametrize("name", names())
-def test_a_trained_model_follows_a_reference_orbit_past_periapsis(name, tmp_path):
-    install(name, tmp_path / "run")
-    cfg = OmegaConf.load(tmp_path / "run" / "config.yaml")
-    cfg.data.cache = str(tmp_path)
-    _, model = build_parts(cfg)
-    restore(model, tmp_path / "run")
-    states = reference("0")
-    x, flow = states[:1], model.flow()
-    for _ in range(10):
-        x = flow(x, 60.0)
+def test_a_trained_model_follows_a_reference_orbit_past_periapsis(name):
+    run, states = load(name), reference("0")
+    x = run.rollout(states[0], steps=10)[:, -1]
     travelled = (states[2, :3] - states[0, :3]).norm()
     assert (x[0, :3] - states[2, :3]).norm() < 1e-4 * travelled
+    energies = run.energy(torch.stack((states[0], x[0])))
+    assert float((energies[1] - energies[0]).abs()) < 1e-3 * float(energies.abs().max())
+
+
+@pytest.mark.parametrize("name", names())
+def test_a_trained_model_says_what_it_is(name):
+    run = load(name)
+    assert run.space.name.startswith("molniya")
+    assert run.dt == 60.0
+    assert run.space.units.position == "km"
+    assert run.config["data"]["trajectories"] == 2500
+    row = run.results.row(Who("model", "true"))
+    assert row is not None
+    assert 0 < row.scores.position < 200
 
 
 @pytest.mark.parametrize("name", names())
@@ -52,44 +60,37 @@ def test_a_trained_model_names_no_folder_of_the_machine_it_was_made_on(name):
     assert "/home" not in text
 
 
-def test_an_unknown_name_is_refused_with_the_nearest_one(tmp_path):
-    with pytest.raises(UserError, match="did you mean"):
-        install(names()[0] + "x", tmp_path)
-    assert not list(tmp_path.iterdir())
+def test_an_unknown_name_is_refused_with_the_names_that_there_are():
+    with pytest.raises(
+        UserError, match=rf"expected a run folder or one of .*{names()[0]}.*received 'molnya'"
+    ):
+        load("molnya")
 
 
-@pytest.mark.parametrize("own", ["config.yaml", "checkpoints/best.ckpt"])
-def test_a_folder_with_another_run_is_refused_and_kept(tmp_path, own):
-    (tmp_path / own).parent.mkdir(exist_ok=True)
-    (tmp_path / own).write_text("mine")
-    with pytest.raises(UserError, match=r"holds another run.*run=DIR"):
-        install(names()[0], tmp_path)
-    assert [p.name for p in tmp_path.iterdir()] == [own.split("/")[0]]
-    assert (tmp_path / own).read_text() == "mine"
+@pytest.fixture
+def copy(tmp_path):
+    """The folder of a shipped model, to be damaged."""
+    return Path(shutil.copytree(HERE / names()[0], tmp_path / "copy"))
 
 
-def test_a_folder_of_the_same_model_is_made_whole_again(tmp_path):
-    install(names()[0], tmp_path)
-    (tmp_path / "weights.safetensors").write_bytes(b"damaged")
-    (tmp_path / "metrics.json").unlink()
-    install(names()[0], tmp_path)
-    for file in FILES:
-        assert (tmp_path / file).read_bytes() == (HERE / names()[0] / file).read_bytes()
-
-
-def test_damaged_weights_are_one_message(tmp_path):
-    install(names()[0], tmp_path)
-    path = tmp_path / "weights.safetensors"
+def test_damaged_weights_are_one_message(copy):
+    path = copy / "weights.safetensors"
     path.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(UserError, match=r"weights\.safetensors: expected an intact .* a damaged one"):
-        best_weights(tmp_path)
+        load(copy)
 
 
-def test_weights_of_another_model_are_one_message(tmp_path):
-    install(names()[0], tmp_path)
-    _, model = build_parts(OmegaConf.load(tmp_path / "config.yaml"))
-    content = load_file(tmp_path / "weights.safetensors")
-    content.pop(next(iter(content)))
-    save_file(content, tmp_path / "weights.safetensors")
+def test_weights_of_another_model_are_one_message(copy):
+    path = copy / "weights.safetensors"
+    with safe_open(path, framework="pt") as file:
+        metadata = file.metadata()
+        content = {key: file.get_tensor(key) for key in list(file.keys())[1:]}
+    save_file(content, path, metadata)
     with pytest.raises(UserError, match=r"expected the weights of its model; received others .*Missing key"):
-        restore(model, tmp_path)
+        load(copy)
+
+
+def test_weights_of_another_format_are_one_message(copy):
+    save_file({"x": torch.ones(2)}, copy / "weights.safetensors")
+    with pytest.raises(UserError, match=r"expected format 2; received an earlier one"):
+        load(copy)

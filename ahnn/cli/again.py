@@ -108,7 +108,7 @@ def change(cfg: DictConfig, content: dict[str, Any], key: str, value: Any) -> No
         UserError: it is unknown, a whole node, or belongs to the training.
     """
     top, _, rest = key.partition(".")
-    made = top == "data" and rest.split(".")[0] not in DATA
+    made = top == "data" and rest and rest.split(".")[0] not in DATA
     known = [name for name in dotted(OmegaConf.to_container(cfg)) if not name.startswith("data.")]
     known += [f"data.{name}" for name in DATA]
     if key in known:

@@ -1,0 +1,161 @@
+"""The package in Python: loading without a trainer, training on one's own tensors, names and types."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+import torch
+from entry import SMALL, call, untouched
+from helpers import close
+
+import ahnn
+from ahnn.errors import UserError
+from ahnn.evaluation import Who
+
+HEAVY = ("lightning", "pytorch_lightning", "hydra", "omegaconf", "optuna", "matplotlib", "scipy")
+TINY = [
+    "model=hnn",
+    "trainer.max_epochs=2",
+    "trainer.accelerator=cpu",
+    "logger=none",
+    "model.network.width=8",
+]
+
+
+@pytest.mark.parametrize("statement", ["import ahnn", "import ahnn; ahnn.load('molniya_mechanical')"])
+def test_loading_imports_neither_trainer_nor_configuration(statement):
+    code = f"{statement}\nimport sys\nfound = {{m.split('.')[0] for m in sys.modules}} & {set(HEAVY)}\n"
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}assert not found, found"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_every_public_name_is_there_and_documented():
+    for name in ahnn.__all__:
+        thing = getattr(ahnn, name)
+        assert name == "__version__" or thing.__doc__
+    assert dir(ahnn) == sorted(ahnn.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'lod'"):
+        _ = ahnn.lod
+
+
+def oscillators(count=40, samples=120, irregular=False, omega=2.0):
+    """Exact trajectories of H = (p^2 + omega^2 q^2) / 2."""
+    draw = torch.Generator().manual_seed(0)
+    a, phase = torch.rand(2, count, 1, generator=draw, dtype=torch.float64)
+    steps = 0.05 * (0.5 + torch.rand(count, samples, generator=draw)).double()
+    t = steps.cumsum(1) if irregular else 0.05 * torch.arange(samples, dtype=torch.float64).expand(count, -1)
+    angle = omega * t + 6 * phase
+    q, p = (0.5 + a) * angle.cos(), -omega * (0.5 + a) * angle.sin()
+    return ahnn.Trajectories(torch.stack((q, p), dim=-1), t)
+
+
+SPACE = ahnn.Space("oscillator", ("q", "p"), ahnn.Units("s", "m", "m/s", "J"))
+
+
+def fitted(data, folder, *overrides):
+    with untouched():
+        return ahnn.fit(data, SPACE, [*TINY, *overrides], folder=folder)
+
+
+def test_tensors_of_ones_own_train_and_are_evaluated(tmp_path, capsys):
+    run = fitted(oscillators(), tmp_path / "run", "trainer.max_epochs=10")
+    results = run.results
+    assert [row.who for row in results.rows] == [Who("model", "true")]  # nothing is known of the equations
+    assert results.rows[0].scores.energy is None
+    assert results.space == SPACE
+    assert "oscillator" in capsys.readouterr().out
+    test = run.rollout(oscillators().states[-1, 0], steps=119)
+    error = (test[0] - oscillators().states[-1]).norm(dim=-1)
+    assert float(error.mean()) < 0.5
+
+
+def test_missing_samples_and_times_of_their_own_train(tmp_path):
+    data = oscillators(irregular=True)
+    states = data.states.clone()
+    states[::3, 50] = torch.nan
+    steps = ["loss.derivative=0", "window=2", "optimizer=levenberg_marquardt"]
+    with pytest.raises(UserError, match=r"test trajectories with equal steps; received steps that differ"):
+        fitted(data._replace(states=states), tmp_path / "run", *steps)
+    run = ahnn.load(tmp_path / "run")
+    assert run.about["space"]["name"] == "oscillator"
+    assert bool(run.flow(states[:2, 0], 0.03).isfinite().all())
+
+
+def test_derivatives_of_samples_at_irregular_times_are_refused(tmp_path):
+    with pytest.raises(UserError, match=r"equal steps; received steps that differ.*loss\.derivative=0"):
+        fitted(oscillators(irregular=True), tmp_path / "run", "loss=derivative")
+
+
+WRONG = {
+    "states": (
+        lambda d: d._replace(states=d.states[0]),
+        r"states: expected shape \(trajectories, samples, 2\)",
+    ),
+    "components": (lambda d: d._replace(states=d.states[..., :1]), r"received \(40, 120, 1\)"),
+    "times": (lambda d: d._replace(times=d.times[:, :5]), r"times: expected shape \(40, 120\), or \(120,\)"),
+    "order": (
+        lambda d: d._replace(times=-d.times),
+        r"times: expected increasing ones; received \[-?0.0, -0.05\]",
+    ),
+    "infinite": (lambda d: d._replace(states=d.states / 0), r"NaN where a sample is absent; received inf"),
+    "nothing": (lambda d: d._replace(states=d.states * torch.nan), r"expected samples; received NaN alone"),
+    "words": (lambda d: d._replace(states="a"), r"states: expected numbers"),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_trajectories_that_are_none_are_refused_by_name(tmp_path, wrong):
+    change, message = WRONG[wrong]
+    with pytest.raises(UserError, match=message):
+        fitted(change(oscillators()), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_overrides_that_name_other_data_are_refused(tmp_path):
+    with pytest.raises(UserError, match=r"expected the data as `trajectories`.*received system=molniya"):
+        ahnn.fit(oscillators(), SPACE, ["system=molniya"], folder=tmp_path / "run")
+
+
+def test_a_run_is_the_model_that_was_trained(tmp_path):
+    assert call("ahnn.train", *SMALL, "data.precision=64", f"run={tmp_path / 'run'}") == 0
+    run = ahnn.load(tmp_path / "run")
+    again = ahnn.load(str(tmp_path / "run"), ckpt="last")
+    assert {p.dtype for p in run.dynamics.parameters()} == {torch.float64}
+    assert not any(p.requires_grad for p in run.dynamics.parameters())
+    x = torch.tensor([[0.5, 0.0], [0.1, -0.3]], dtype=torch.float64)
+    path = run.rollout(x, steps=3)
+    close(path[:, 3], run.flow(run.flow(run.flow(x))), 1e-15)
+    assert again.flow(x.numpy()).shape == (2, 2)
+    position = run.results.row(Who("model", "true"))
+    assert position is not None
+    assert run.config["seed"] == 7
+
+
+@pytest.mark.parametrize(
+    ("call_it", "message"),
+    [
+        (lambda run: run.flow([[1.0, 2.0, 3.0]]), r"x: expected states \[q, p\].*received shape \(1, 3\)"),
+        (lambda run: run.rollout("a", 3), r"start: expected numbers"),
+        (lambda run: run.energy([0.1, 0.2]), r"energy: expected a model with a Hamiltonian"),
+    ],
+)
+def test_wrong_arguments_of_a_run_are_named(tmp_path_factory, call_it, message):
+    folder = tmp_path_factory.getbasetemp() / "node"
+    if not folder.exists():
+        assert call("ahnn.train", "model=node", *SMALL, f"run={folder}") == 0
+    with pytest.raises(ValueError, match=message):
+        call_it(ahnn.load(folder))
+
+
+def test_what_there_is_is_said(capsys):
+    from ahnn.__main__ import main
+
+    main()
+    out = capsys.readouterr().out
+    assert "python -m ahnn.train" in out
+    assert "molniya_mechanical" in out
+    assert max(map(len, out.splitlines())) <= 100
