@@ -30,7 +30,7 @@ def provenance() -> dict[str, Any]:
         "host": platform.node(),
         "threads": torch.get_num_threads(),
         "python": platform.python_version(),
-        "torch": torch.__version__,
+        "torch": str(torch.__version__),
         "lightning": getattr(lightning, "__version__", None),
     }
 
