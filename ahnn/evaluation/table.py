@@ -69,10 +69,9 @@ def table_lines(rows: Iterable[Row], label: str) -> list[Line]:
 
 def _slot(lines: list[Line], who: Who, label: str) -> int:
     """Return the number of the line that has room for a row; it is added where there is none."""
-    sections = [title(who, label)]
-    if who.floor or who.process == MODEL:
-        sections.insert(0, _section(who))
-    for section in sections:
+    own = title(who, label)
+    section = own
+    for section in (_section(who), own) if who.floor or who.process == MODEL else (own,):
         there = [i for i, line in enumerate(lines) if (line.section, line.name) == (section, _name(who))]
         free = [i for i in there if lines[i].rows[int(who.floor)] is None]
         if free:

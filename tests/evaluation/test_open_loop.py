@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from examples import MODEL, ORBITS, RK4, SPRING, STIFFER, drop, make_case
+from cases import MODEL, ORBITS, RK4, SPRING, STIFFER, drop, make_case
 
 from ahnn.evaluation import Findings, Row, Who, evaluate
 from ahnn.evaluation.open_loop import exact_flow, floors, open_loop

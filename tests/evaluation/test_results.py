@@ -6,7 +6,7 @@ import json
 import math
 
 import pytest
-from examples import MODEL, make_case, make_results, scores
+from cases import MODEL, make_case, make_results, scores
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from examples import KEPLER, MODEL, ORBITS, SPRING, make_case, make_results, scores
+from cases import KEPLER, MODEL, ORBITS, SPRING, make_case, make_results, scores
 from matplotlib.figure import Figure
 from safetensors.torch import load_file
 

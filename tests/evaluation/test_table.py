@@ -8,7 +8,7 @@ import re
 import sys
 
 import pytest
-from examples import MODEL, SPACE, make_results, scores
+from cases import MODEL, SPACE, make_results, scores
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
