@@ -13,24 +13,24 @@ from typing import Any
 
 import torch
 
-from ahnn import __version__
-
 PASSWORD = re.compile(r"://[^@/\s]*@")
 """User and password in an address, such as that of a database."""
 
 
 def provenance() -> dict[str, Any]:
     """Return what made the results, for metrics.json; `commit` is None outside a checkout of `ahnn`."""
+    import ahnn  # the package may be half imported when this module is
+
     lightning = sys.modules.get("lightning")
     return {
-        "ahnn": __version__,
+        "ahnn": ahnn.__version__,
         "commit": commit(Path(__file__).parents[2]),
         "command": PASSWORD.sub("://***@", shlex.join(sys.orig_argv)),
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "host": platform.node(),
         "threads": torch.get_num_threads(),
         "python": platform.python_version(),
-        "torch": torch.__version__,
+        "torch": str(torch.__version__),
         "lightning": getattr(lightning, "__version__", None),
     }
 

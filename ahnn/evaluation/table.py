@@ -56,21 +56,30 @@ def table_lines(rows: Iterable[Row], label: str) -> list[Line]:
     A floor stands beside the model of the same estimator, start and span; a further process, or a second
     floor, has a section of its own.
     """
-    lines: dict[tuple[str, str], Line] = {}
+    lines: list[Line] = []
     for row in rows:
-        side = 1 if row.who.floor else 0
-        own = row.who.floor or row.who.process == MODEL
-        for section in (_section(row.who), title(row.who, label)) if own else (title(row.who, label),):
-            key = section, _name(row.who)
-            line = lines.get(key, Line(*key, (None, None)))
-            if line.rows[side] is None:
-                lines[key] = line._replace(rows=(line.rows[0], row) if side else (row, line.rows[1]))
-                break
-        else:
-            message = f"two rows of {described(row.who, label)}"
-            raise ValueError(message)
-    sections = list(dict.fromkeys(section for section, _ in lines))
-    return sorted(lines.values(), key=lambda line: sections.index(line.section))
+        side = int(row.who.floor)
+        at = _slot(lines, row.who, label)
+        pair = list(lines[at].rows)
+        pair[side] = row
+        lines[at] = lines[at]._replace(rows=(pair[0], pair[1]))
+    order = list(dict.fromkeys(line.section for line in lines))
+    return sorted(lines, key=lambda line: order.index(line.section))
+
+
+def _slot(lines: list[Line], who: Who, label: str) -> int:
+    """Return the number of the line that has room for a row; it is added where there is none."""
+    own = title(who, label)
+    section = own
+    for section in (_section(who), own) if who.floor or who.process == MODEL else (own,):
+        there = [i for i, line in enumerate(lines) if (line.section, line.name) == (section, _name(who))]
+        free = [i for i in there if lines[i].rows[int(who.floor)] is None]
+        if free:
+            return free[0]
+        if not there:
+            break
+    lines.append(Line(section, _name(who), (None, None)))
+    return len(lines) - 1
 
 
 def _section(who: Who) -> str:
@@ -88,7 +97,7 @@ def _columns(lines: list[Line], results: Results) -> Iterator[str]:
     body = [
         (line, [[_cell(line.rows[side], quantity) for side in sides] for quantity in known]) for line in lines
     ]
-    least = 5 if len(sides) > 1 else 17
+    least = 7 if len(sides) > 1 else 17
     width = max([least, *(len(cell) for _, cells in body for group in cells for cell in group)])
     between = "  " if width < NUMBER else " "
     group = len(sides) * (width + 1) - 1

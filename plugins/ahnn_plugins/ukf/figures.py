@@ -61,7 +61,7 @@ def drawn(outcomes: Iterable[Outcome]) -> Chosen:
 def _averages(case: Case, chosen: Chosen, without: dict[Start, Tensor]) -> dict[Start, dict[str, Tensor]]:
     """Return the moving averages (2, T + 1) of the errors of each start."""
     names = {False: "filter", True: "floor"}
-    predictions = {start: {"without": x} for start, x in without.items()}
+    predictions: dict[Start, dict[str, Tensor]] = {start: {"without": x} for start, x in without.items()}
     for (start, floor), outcome in chosen.items():
         predictions[start][names[floor]] = outcome.estimate
     truth, inertia = case.test.states, case.space.inertia
@@ -141,7 +141,7 @@ def consistency(case: Case, setting: Setting, chosen: Chosen) -> Figure:
     figure = style.canvas(8, 6.6)
     panels = figure.subplots(2, 1, sharex=True)
     axis, members = style.time_axis(case), len(case.test.states)
-    looks = {
+    looks: dict[tuple[Start, bool], dict[str, Any]] = {
         ("perturbed", True): style.FLOOR,
         ("perturbed", False): style.MODEL,
         ("true", False): style.ALONE,

@@ -141,7 +141,9 @@ class UKFEvaluation:
             for start, problem in problems.items():
                 outcomes += self._outcomes(who._replace(start=start), chosen, case, setting, problem)
         samples = case.test.states.shape[1]
-        without = {start: rollout(case.flow, p.starts, case.dt, samples) for start, p in problems.items()}
+        without: dict[Start, Tensor] = {
+            start: rollout(case.flow, problem.starts, case.dt, samples) for start, problem in problems.items()
+        }
         scores = {start: case.score(prediction) for start, prediction in without.items()}
         findings.numbers["filters"] = {}
         for outcome in outcomes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -13,10 +14,10 @@ from hydra import compose, initialize_config_dir
 from ahnn.cli.build import build_all
 from ahnn.data.generate import generate
 from ahnn.errors import UserError
-from ahnn.evaluation import Case, Findings
+from ahnn.evaluation import Case, Findings, Who
 from ahnn.evaluation.case import perturbations
 from ahnn.evaluation.open_loop import exact_flow
-from ahnn.evaluation.run import plain
+from ahnn.evaluation.results import plain
 from ahnn.integrators import INTEGRATORS
 from ahnn.paths import conf_dir
 from ahnn.systems import MassSpring, Molniya, System
@@ -38,11 +39,14 @@ def make_case(tmp_path: Path) -> Callable[..., Case]:
     def make(system: System, flow: Flow) -> Case:
         test, validation = generate(system, 6, seed=1), generate(system, 4, seed=2)
         return Case(
-            label="model",
-            system=system,
+            label="mine",
+            assumes="nothing",
+            space=system.space,
+            truth=system,
             flow=flow,
-            learned_energy=None,
+            energy=None,
             integrator=RK4,
+            dt=system.dt,
             test=test,
             validation=validation,
             train=validation,
@@ -68,14 +72,15 @@ def spring(make_case: Callable[..., Case]) -> Case:
 
 def test_rows_numbers_arrays_and_figures(spring: Case) -> None:
     findings = run(spring)
-    names = [f"{who} + UKF{when}" for who in ("model", "exact flow") for when in ("", ", 1st fix on")]
-    assert {(row.name, row.start) for row in findings.rows} == {
-        (name, start) for name in names for start in ("true", "perturbed")
+    assert {row.who for row in findings.rows} == {
+        Who(process, start, "ukf", span, process == "exact flow")
+        for process in ("model", "exact flow")
+        for start in ("true", "perturbed")
+        for span in ("whole", "settled")
     }
     assert all(torch.tensor(row.scores[:5]).isfinite().all() for row in findings.rows)
-    assert [row.floor for row in findings.rows] == [False] * 4 + [True] * 4
     json.dumps(plain(findings.numbers), allow_nan=False)
-    told = findings.numbers["filters"]["model + UKF"]["perturbed"]
+    told = findings.numbers["filters"]["ukf"]["model"]["perturbed"]
     assert told["status"] == {"OK": 6, "NOT_FINITE": 0, "COLLAPSED": 0, "DIVERGED": 0}
     assert told["repairs"] == 0
     assert 0.5 < told["coverage"]["1_sigma"]["share"] <= 1.0
@@ -88,7 +93,7 @@ def test_fitted_process_noise_makes_the_filter_consistent_and_better_than_none(m
     system = MassSpring(name="spring", dt=0.01, steps=600)
     case = make_case(system, exact_flow(MassSpring(name="s", dt=0.01, steps=600, stiffness=5.05), RK4))
     findings = run(case)
-    told = findings.numbers["filters"]["model + UKF"]["perturbed"]
+    told = findings.numbers["filters"]["ukf"]["model"]["perturbed"]
     # Errors that repeat themselves need a Q tens of times that of independent ones.
     assert findings.numbers["process_noise"]["scale"] > 5
     assert 0.5 < told["nees"]["mean"] < 4.0
@@ -100,8 +105,8 @@ def test_fitted_process_noise_makes_the_filter_consistent_and_better_than_none(m
 
 def test_same_measurements_for_every_model(spring: Case, make_case: Callable) -> None:
     other = make_case(SPRING, exact_flow(SPRING, RK4))
-    rows = [run(case).rows[-1] for case in (spring, other)]
-    assert rows[0].name == "exact flow + UKF, 1st fix on"
+    floor = Who("exact flow", "perturbed", "ukf", "settled", floor=True)
+    rows = [next(row for row in run(case).rows if row.who == floor) for case in (spring, other)]
     assert rows[0].scores == rows[1].scores
 
 
@@ -110,7 +115,7 @@ def test_a_model_that_blows_up_ends_in_a_remark(make_case: Callable, tmp_path: P
     row = findings.rows[0]
     assert row.note == "6 of 6 lost (not finite)"
     assert row.scores.position == float("inf")
-    assert findings.numbers["filters"]["model + UKF"]["true"]["status"]["NOT_FINITE"] == 6
+    assert findings.numbers["filters"]["ukf"]["model"]["true"]["status"]["NOT_FINITE"] == 6
     assert findings.rows[-1].scores.position < 1e-3
     json.dumps(plain(findings.numbers), allow_nan=False)
     for name, figure in findings.figures.items():
@@ -119,10 +124,10 @@ def test_a_model_that_blows_up_ends_in_a_remark(make_case: Callable, tmp_path: P
 
 def test_smoother_has_its_own_rows_and_is_better(spring: Case) -> None:
     findings = run(spring, group="ukf_smoothed")
-    scores = {(row.name, row.start): row.scores for row in findings.rows}
-    for who in ("model", "exact flow"):
-        smoothed, filtered = (scores[f"{who} + UKF{s}", "perturbed"].position for s in (" + RTS", ""))
-        assert smoothed < filtered
+    scores = {row.who: row.scores for row in findings.rows}
+    for process in ("model", "exact flow"):
+        who = Who(process, "perturbed", "ukf", floor=process == "exact flow")
+        assert scores[who._replace(estimator="ukf_smoothed")].position < scores[who].position
 
 
 def test_ground_station_from_yaml(make_case: Callable) -> None:
@@ -168,7 +173,7 @@ def test_mistakes_are_named(spring: Case, change: str, message: str) -> None:
 def test_measurements_at_given_times(spring: Case) -> None:
     findings = run(spring, "times=[0.3,0.5,1.7]")
     assert findings.numbers["updates"] == [30, 50, 170]
-    told = findings.numbers["filters"]["model + UKF"]["true"]["moving_average_240"]
+    told = findings.numbers["filters"]["ukf"]["model"]["true"]["moving_average_240"]
     assert told["sample"] == [30, 50, 170]
     assert all(value > 0 for value in told["position"])
 
@@ -194,7 +199,7 @@ def test_measurement_noise_is_not_the_initial_error(spring: Case) -> None:
 def test_a_filter_that_spoils_the_velocity_alone_says_so(make_case: Callable[..., Case]) -> None:
     case = make_case(SPRING, exact_flow(SPRING, RK4))
     findings = run(case, "process_noise=[0.0,5e-5]")
-    row = next(row for row in findings.rows if row.start == "perturbed")
+    row = next(row for row in findings.rows if row.who.start == "perturbed")
     assert row.note == "worse than no filter in velocity: measurement noise"
 
 
@@ -207,3 +212,18 @@ def test_a_station_that_would_read_momenta_as_velocities_is_refused(make_case: C
 def test_a_measurement_of_another_system_is_refused(spring: Case) -> None:
     with pytest.raises(UserError, match="states with 2 components; GroundStation failed"):
         run(spring, measurement="ground_station")
+
+
+def test_without_a_perturbed_start_the_true_one_is_filtered_and_drawn(spring: Case, tmp_path: Path) -> None:
+    findings = run(dataclasses.replace(spring, perturbation=None))
+    assert {row.who.start for row in findings.rows} == {"true"}
+    assert set(findings.figures) == {"state", "error", "error_band", "consistency", "moving_average"}
+    for name, figure in findings.figures.items():
+        figure.savefig(tmp_path / f"{name}.png")
+
+
+def test_data_without_equations_are_refused(spring: Case) -> None:
+    with pytest.raises(
+        UserError, match="expected a system whose equations are known; received data of spring"
+    ):
+        run(dataclasses.replace(spring, truth=None))

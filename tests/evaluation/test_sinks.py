@@ -1,0 +1,141 @@
+"""Files are written fresh and follow no link; TensorBoard gets names that all runs share."""
+
+from __future__ import annotations
+
+import dataclasses
+from types import SimpleNamespace
+
+import pytest
+import torch
+from cases import KEPLER, MODEL, ORBITS, SPRING, make_case, make_results, scores
+from matplotlib.figure import Figure
+from safetensors.torch import load_file
+
+from ahnn.evaluation import Findings, Row, evaluate, style
+from ahnn.evaluation.figures import open_loop_figures
+from ahnn.evaluation.open_loop import open_loop
+from ahnn.evaluation.sinks import FigureSink, PredictionSink, TensorBoardSink
+from ahnn.files import write_atomically
+
+RESULTS = make_results(Row(MODEL, scores()))
+
+
+def findings(*names):
+    return Findings(figures={name: Figure(figsize=(1, 1)) for name in names}, arrays={"a": torch.arange(3.0)})
+
+
+def names(folder):
+    return {path.name for path in folder.iterdir()}
+
+
+def test_pictures_are_written_fresh_in_two_formats(tmp_path):
+    FigureSink(tmp_path)(RESULTS, findings("error", "orbit"))
+    (tmp_path / "figures" / "notes.txt").write_text("mine")
+    FigureSink(tmp_path)(RESULTS, findings("error", "ukf/state"))
+    expected = {"error.png", "error.svg", "ukf_state.png", "ukf_state.svg", "notes.txt"}
+    assert names(tmp_path / "figures") == expected
+    FigureSink(tmp_path)(RESULTS, findings())
+    assert names(tmp_path / "figures") == {"notes.txt"}
+
+
+def test_the_same_figure_is_the_same_file(tmp_path):
+    for name in ("a", "b"):
+        FigureSink(tmp_path / name)(RESULTS, evaluate(make_case(tmp_path), {}))
+    for path in (tmp_path / "a" / "figures").iterdir():
+        assert path.read_bytes() == (tmp_path / "b" / "figures" / path.name).read_bytes()
+
+
+def test_links_are_not_followed(tmp_path):
+    kept = tmp_path / "kept.png"
+    kept.write_text("mine")
+    folder = tmp_path / "run" / "figures"
+    folder.mkdir(parents=True)
+    (folder / "error.png").symlink_to(kept)
+    (folder / "old.png").symlink_to(kept)
+    FigureSink(tmp_path / "run")(RESULTS, findings("error"))
+    assert kept.read_text() == "mine"
+    assert names(folder) == {"error.png", "error.svg"}
+    assert not (folder / "error.png").is_symlink()
+
+
+def test_a_figures_folder_that_is_a_link_is_replaced(tmp_path):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "error.png").write_text("mine")
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "figures").symlink_to(elsewhere)
+    FigureSink(tmp_path / "run")(RESULTS, findings("error"))
+    assert (elsewhere / "error.png").read_text() == "mine"
+    assert names(tmp_path / "run" / "figures") == {"error.png", "error.svg"}
+
+
+def test_files_have_the_usual_permissions_and_leave_nothing_behind(tmp_path):
+    (tmp_path / "usual").write_text("")
+    write_atomically(tmp_path / "ours", b"x")
+    assert (tmp_path / "ours").stat().st_mode == (tmp_path / "usual").stat().st_mode
+    assert names(tmp_path) == {"usual", "ours"}
+
+
+def test_predictions_are_kept_or_removed(tmp_path):
+    PredictionSink(tmp_path)(RESULTS, findings())
+    assert torch.equal(load_file(tmp_path / "predictions.safetensors")["a"], torch.arange(3.0))
+    PredictionSink(tmp_path, keep=False)(RESULTS, findings())
+    assert not names(tmp_path)
+
+
+def test_tensorboard_gets_one_name_for_all_models():
+    calls = []
+    logger = SimpleNamespace(
+        log_hyperparams=lambda params, metrics: calls.append((params, metrics)),
+        experiment=SimpleNamespace(add_figure=lambda name, *_, **__: calls.append(name)),
+        finalize=calls.append,
+    )
+    rows = [Row(MODEL, scores(1.0, None)), Row(MODEL._replace(floor=True), scores(2.0))]
+    rows.append(Row(MODEL._replace(start="perturbed", estimator="ukf"), scores(3.0, 4.0)))
+    results = make_results(*rows, training={"val_loss": 0.5}, numbers={"ukf": {"alpha": 1.0}})
+    settings = {"optimizer": {"lr": 0.1}, "model": "hidden"}
+    TensorBoardSink(logger, settings)(results, findings("error"))
+    params, metrics = calls[0]
+    assert params == {"system": "spring", "model": "model of mine", "assumes": "nothing", "optimizer.lr": 0.1}
+    assert metrics == {
+        "score/val_loss": 0.5,
+        "score/position": 1.0,
+        "score/velocity": 1.0,
+        "score/position/ukf/perturbed": 3.0,
+        "score/velocity/ukf/perturbed": 3.0,
+        "score/energy/ukf/perturbed": 4.0,
+    }
+    assert calls[1:] == ["error", "success"]
+
+
+CASES = {
+    "spring": {},
+    "plane": {"system": KEPLER, "wrong": dataclasses.replace(KEPLER, mass=1.01)},
+    "space": {"system": ORBITS, "wrong": dataclasses.replace(ORBITS, j2=2e-3)},
+    "no truth": {"truth": None, "perturbation": None},
+    "neither energy": {"truth": None, "perturbation": None, "energy": None},
+    "exact": {"wrong": None},
+    "lost": {"flow": lambda x, dt: x * 1e40 * dt},
+    "map": {"integrator": None, "energy": None},
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_every_case_draws_what_it_can(tmp_path, name):
+    case = make_case(tmp_path, **CASES[name])
+    figures = open_loop_figures(case, open_loop(case).arrays)
+    assert next(iter(figures)) == "error"
+    assert ("energy" in figures) == (name != "neither energy")
+    FigureSink(tmp_path)(RESULTS, Findings(figures=figures))
+
+
+def test_the_error_is_drawn_over_the_times_of_the_data(tmp_path):
+    case = make_case(tmp_path)
+    later = dataclasses.replace(case, test=case.test._replace(times=case.test.times + 4e5))
+    axis = style.time_axis(later)
+    assert axis.unit == "s"
+    assert torch.allclose(axis.time, SPRING.dt * torch.arange(SPRING.steps + 1.0).double(), atol=1e-9)
+    panels = open_loop_figures(case, open_loop(case).arrays)["error"].axes
+    labels = {line.get_label() for line in panels[0].get_lines()}
+    assert labels == {"model of mine", "floor: exact field, rk4"}
+    assert [axes.get_ylabel() for axes in panels] == ["position error [m]", "velocity error [m/s]"]

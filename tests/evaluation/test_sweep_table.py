@@ -1,0 +1,46 @@
+"""The table of a sweep takes the model's row by its identity and shows W beside the loss."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from cases import MODEL, make_results, scores
+
+from ahnn.cli.sweep_table import sweep_table
+from ahnn.evaluation import Findings, Row, Who
+from ahnn.evaluation.sinks import MetricsSink
+from ahnn.evaluation.terminal import show
+
+
+@pytest.fixture
+def sweep(tmp_path):
+    """Four jobs: scores among decoys, a lost model of another W, a damaged file, and nothing."""
+    jobs = [tmp_path / str(number) for number in range(4)]
+    for job in jobs:
+        (job / ".hydra").mkdir(parents=True)
+        (job / ".hydra" / "overrides.yaml").write_text(f"- window={job.name}\n- model=ahnn\n")
+    decoys = [
+        Row(Who("exact field, rk4", "true", floor=True), scores(7.7)),
+        Row(MODEL._replace(start="perturbed"), scores(8.8)),
+        Row(MODEL._replace(estimator="ukf"), scores(9.9)),
+    ]
+    training = {"window": 5, "val_loss": 1e-9, "seconds": 12.25}
+    first = make_results(*decoys, Row(MODEL, scores(1.25, 2.5)), training=training)
+    MetricsSink(jobs[0])(first, Findings())
+    other = make_results(Row(MODEL, scores(math.inf, None)), training={"window": 1, "val_loss": 0.5})
+    MetricsSink(jobs[1])(other, Findings())
+    (jobs[2] / "metrics.json").write_text("{")
+    return tmp_path, jobs
+
+
+def test_each_job_has_its_row(sweep, capsys):
+    show(sweep_table(*sweep))
+    out = capsys.readouterr().out
+    lines = [line.split() for line in out.splitlines()]
+    assert max(map(len, out.splitlines())) <= 80
+    jobs = [line for line in lines if line and line[0] in ("0", "1", "2", "3")]
+    assert jobs[0] == ["0", "window=0", "model=ahnn", "5", "12.2", "1.00e-09", "1.25", "1.25", "2.50"]
+    assert jobs[1] == ["1", "window=1", "model=ahnn", "1", "-", "0.500", "inf", "inf", "-"]
+    for line in jobs[2:]:
+        assert line[-7:] == [*["-"] * 5, "no", "scores"]
