@@ -19,7 +19,6 @@ from hydra.utils import get_object
 
 from ahnn.errors import UserError
 
-OURS = ("ahnn", "ahnn_plugins")
 LARGEST = 2_000_000
 """Characters of a configuration; ours have a few thousand."""
 LINK = re.compile(r"\$\{measurement(\.\w+)+\}")
@@ -90,7 +89,7 @@ def require_trusted(path: Path, content: dict[str, Any], nodes: tuple[str, ...])
 
 def is_trusted(target: Any, node: str) -> bool:
     """Return whether a class may be built for a node of a configuration from elsewhere."""
-    packages = {*OURS, *(point.value.partition(":")[0] for point in entry_points(group="ahnn.trusted"))}
+    packages = {"ahnn", *(point.value.partition(":")[0] for point in entry_points(group="ahnn.trusted"))}
     if not isinstance(target, str) or target.partition(".")[0] not in packages:
         return False
     try:

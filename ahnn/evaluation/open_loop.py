@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 from ahnn.evaluation.case import Case, Findings, Row, Start, Who
@@ -59,14 +60,17 @@ def floors(case: Case) -> dict[Start, Floor]:
 def open_loop(case: Case) -> Findings:
     """Roll the model out from every start of a case, and the floors beside it."""
     findings = Findings()
-    samples, there = case.test.states.shape[1], floors(case)
-    for start, x in case.starts().items():
+    samples, starts, there = case.test.states.shape[1], case.starts(), floors(case)
+    # All starts in one batch: a step of a small model costs the same for twice as many states.
+    together = torch.cat(list(starts.values()))
+    text = described(Who(MODEL, "true"), case.label)
+    predictions = rollout(case.flow, together, case.dt, samples, text).chunk(len(starts))
+    for start, prediction in zip(starts, predictions, strict=True):
         who = Who(MODEL, start)
-        prediction = rollout(case.flow, x, case.dt, samples, described(who, case.label))
         findings.arrays[f"{start}_start"] = prediction
         findings.rows.append(Row(who, case.score(prediction), extra=_drift(case.energy, prediction)))
     for start, floor in there.items():
-        prediction = rollout(floor.flow, case.starts()[start], case.dt, samples)
+        prediction = rollout(floor.flow, starts[start], case.dt, samples)
         findings.arrays[f"floor_{start}_start"] = prediction
         findings.rows.append(Row(floor.who, case.score(prediction)))
     return findings
