@@ -1,4 +1,4 @@
-"""Ground truth: all trajectories of a system at once, in float64, by its own integrator."""
+"""Ground truth: all trajectories of a system at once, in float64, by its exact flow."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import torch
 from torch import Tensor
 
 from ahnn.errors import UserError
-from ahnn.integrators import INTEGRATORS
 from ahnn.progress import track
 from ahnn.systems import System
+from ahnn.systems.truth import exact_flow
 from ahnn.types import Trajectories
 
 
@@ -20,16 +20,16 @@ def generate(system: System, count: int, seed: int) -> Trajectories:
     are NaN.
 
     Raises:
-        UserError: the trajectories are too long to be kept, or do not stay finite.
+        UserError: the trajectories are too long to be kept, do not stay finite, or cannot be made accurate.
     """
-    integrator = INTEGRATORS[system.integrator]
     x = system.initial_states(count, torch.Generator().manual_seed(seed))
     steps = system.durations(x)
     longest = int(steps.max())
     states = room(system, x, steps)
     states[:, 0] = x
+    flow = exact_flow(system)
     for k in track(range(1, longest + 1), f"generating {count} trajectories of {system.name}", longest):
-        x = integrator.step(system, x, system.dt)
+        x = flow(x, system.dt)
         states[:, k] = x
     beyond = torch.arange(longest + 1) > steps.unsqueeze(-1)
     require_finite(system, states, beyond)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
@@ -64,10 +65,17 @@ class Case:
             else {"true": true, "perturbed": true + self.perturbation}
         )
 
+    @cached_property
+    def true_energy(self) -> Tensor | None:
+        """The energy along the test trajectories, (B, T); None where no equations are known."""
+        return None if self.truth is None else self.truth.energy(self.test.states)
+
     def score(self, prediction: Tensor, first: int = 0) -> Scores:
         """Return the scores of predicted test trajectories, shape (B, T, D), from sample `first` on."""
         prediction, truth = prediction[:, first:], self.test.states[:, first:]
-        energies = None if self.truth is None else (self.truth.energy(prediction), self.truth.energy(truth))
+        energies = None
+        if self.truth is not None and self.true_energy is not None:
+            energies = self.truth.energy(prediction), self.true_energy[:, first:]
         return score(prediction, truth, energies, self.space.inertia)
 
 

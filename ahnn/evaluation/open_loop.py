@@ -13,6 +13,7 @@ from ahnn.evaluation.titles import MODEL, described
 from ahnn.integrators import INTEGRATORS, Integrator
 from ahnn.rollouts import rollout
 from ahnn.systems import System
+from ahnn.systems.truth import exact_flow
 from ahnn.types import Flow, TimeStep
 
 
@@ -28,7 +29,7 @@ class Floor(NamedTuple):
     flow: Flow
 
 
-def exact_flow(system: System, integrator: Integrator) -> Flow:
+def integrated(system: System, integrator: Integrator) -> Flow:
     """Return the flow of the true field through an integrator."""
 
     def flow(x: Tensor, dt: TimeStep) -> Tensor:
@@ -47,12 +48,11 @@ def floors(case: Case) -> dict[Start, Floor]:
     if case.truth is None:
         return {}
     own = case.integrator or INTEGRATORS["rk4"]
-    exact = INTEGRATORS[case.truth.integrator]
     field = Floor(
         Who(f"exact field, {own.name}", "true", floor=True),
-        exact_flow(case.truth, own),
+        integrated(case.truth, own),
     )
-    flow = Floor(Who("exact flow", "perturbed", floor=True), exact_flow(case.truth, exact))
+    flow = Floor(Who("exact flow", "perturbed", floor=True), exact_flow(case.truth))
     found: dict[Start, Floor] = {"true": field, "perturbed": flow}
     return {start: found[start] for start in case.starts()}
 

@@ -1,0 +1,91 @@
+"""The exact flow of a system, at a step that is fine enough for it to be called exact."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from ahnn.errors import UserError
+from ahnn.integrators import INTEGRATORS
+from ahnn.systems.base import System
+from ahnn.types import Flow, TimeStep
+
+ACCURACY = 1e-10
+"""Error of a whole trajectory, as a share of the size of positions and of momenta."""
+TRIED, STEPS = 16, 24
+"""Trajectories and sampling intervals of a trial."""
+FINEST = 64
+"""Most substeps of a sampling interval."""
+_KNOWN: dict[str, int] = {}
+"""What was found for the systems of this process; their parameters may be lists, which no cache takes."""
+
+
+def exact_flow(system: System) -> Flow:
+    """Return the flow of a system by its own integrator, in as many substeps as its accuracy needs.
+
+    Raises:
+        UserError: no admissible number of substeps is accurate.
+    """
+    return _substeps_flow(system, substeps(system))
+
+
+def substeps(system: System) -> int:
+    """Return into how many substeps the sampling interval is cut.
+
+    The error of a trial with n substeps is its difference from the same with 2n, taken to grow in proportion
+    to the time up to the length of a trajectory.
+
+    Raises:
+        UserError: even the finest step misses `ACCURACY`; nothing could be scored against such a truth.
+    """
+    if (key := repr((type(system), system))) in _KNOWN:
+        return _KNOWN[key]
+    count, error = 1, math.inf
+    while count <= FINEST:
+        error = _trial_error(system, count)
+        if error <= ACCURACY:
+            _KNOWN[key] = count
+            return count
+        count *= 2
+    message = (
+        f"system {system.name}: expected a truth that is accurate to {ACCURACY:g} of its size; "
+        f"received dt={system.dt:g}, where {FINEST} substeps of {system.integrator} miss it by {error:.1e}. "
+        "Shorten system.dt"
+    )
+    raise UserError(message)
+
+
+@torch.no_grad()
+def _trial_error(system: System, count: int) -> float:
+    """Return the estimated error of a trajectory with `count` substeps, relative to its size."""
+    start = system.initial_states(TRIED, torch.Generator().manual_seed(0))
+    whole = int(system.durations(start).max())
+    steps = min(whole, max(4, STEPS // count))
+    coarse, fine = (_substeps_flow(system, n) for n in (count, 2 * count))
+    x = y = start
+    size = start.abs()
+    for _ in range(steps):
+        x, y = coarse(x, system.dt), fine(y, system.dt)
+        size = torch.maximum(size, y.abs())
+    blocks = zip((x - y).chunk(2, dim=-1), size.chunk(2, dim=-1), strict=True)
+    errors = [
+        float(difference.norm(dim=-1).max() / extent.norm(dim=-1).max()) for difference, extent in blocks
+    ]
+    worst = max(errors) * whole / steps
+    return worst if math.isfinite(worst) else 0.0  # who generates it will see it leave all bounds
+
+
+def _substeps_flow(system: System, count: int) -> Flow:
+    """Return the flow with `count` substeps in a sampling interval, in proportion for other steps."""
+    integrator = INTEGRATORS[system.integrator]
+
+    def flow(x: Tensor, dt: TimeStep) -> Tensor:
+        longest = float(dt.abs().max()) if isinstance(dt, Tensor) else abs(dt)
+        parts = max(1, math.ceil(count * longest / system.dt - 1e-9))
+        for _ in range(parts):
+            x = integrator.step(system, x, dt / parts)
+        return x
+
+    return flow
