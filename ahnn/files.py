@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from uuid import uuid4
+
+from filelock import FileLock, Timeout
 
 from ahnn.errors import UserError
 
@@ -26,6 +30,25 @@ def write_atomically(path: Path, content: bytes) -> None:
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+@contextlib.contextmanager
+def claimed(folder: Path) -> Iterator[None]:
+    """Hold a folder for this process alone; the claim ends with the process, however that ends.
+
+    Raises:
+        UserError: another process holds it.
+    """
+    lock = FileLock(folder / ".claim", timeout=0)
+    try:
+        with lock:
+            try:
+                yield
+            finally:
+                (folder / ".claim").unlink(missing_ok=True)
+    except Timeout as error:
+        message = f"folder {folder}: expected one of its own; received one that another process writes into"
+        raise UserError(message) from error
 
 
 def require_writable(folder: Path) -> None:

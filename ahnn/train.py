@@ -10,6 +10,7 @@ import logging
 import math
 import os
 import time
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -64,9 +65,11 @@ def train_once(cfg: DictConfig, source: Source | None = None) -> float:
     import torch
     from lightning import seed_everything
 
-    from ahnn.cli.before import check_training, resume_point
+    from ahnn.cli.before import check_training
     from ahnn.cli.parts import build_data, build_model, build_plugins, build_source, build_trainer
+    from ahnn.cli.resume import resume_point
     from ahnn.cli.stops import interruptible
+    from ahnn.files import claimed, require_writable
 
     folder = Path(cfg.folder)
     torch.set_num_threads(cfg.threads)
@@ -78,32 +81,34 @@ def train_once(cfg: DictConfig, source: Source | None = None) -> float:
     trainer = build_trainer(cfg)
     check_training(trainer, cfg.window, data, model, multirun=is_multirun())
 
-    seconds = fit(cfg, trainer, model, data, checkpoint)
-    if not trainer.is_global_zero:
-        return math.nan
-    training = {
-        "seed": cfg.seed,
-        "seconds": round(seconds, 1),
-        "window": cfg.window,
-        "optimiser_steps": trainer.global_step,
-        "parameters": sum(p.numel() for p in model.parameters()),
-    }
-    with interruptible(trainer, lambda: f"it is trained; python -m ahnn.evaluate run={folder} judges it"):
-        return judge(cfg, data, plugins, training, trainer)
+    data.train_dataloader()  # the last that may be refused: from here on files are written
+
+    require_writable(folder)
+    with claimed(folder) if trainer.is_global_zero else nullcontext():
+        seconds = fit(cfg, trainer, model, data, checkpoint)
+        if not trainer.is_global_zero:
+            return math.nan
+        training = {
+            "seed": cfg.seed,
+            "seconds": round(seconds, 1),
+            "window": cfg.window,
+            "steps": trainer.global_step,
+            "parameters": sum(p.numel() for p in model.parameters()),
+        }
+        with interruptible(trainer, lambda: f"it is trained; python -m ahnn.evaluate run={folder} judges it"):
+            return judge(cfg, data, plugins, training, trainer)
 
 
 def fit(
     cfg: DictConfig, trainer: Trainer, model: AbstractModel, data: WindowDataModule, checkpoint: Path | None
 ) -> float:
-    """Train, from here on files are written; return the seconds that it took."""
+    """Train and return the seconds that it took."""
     from ahnn.checkpoints import read_checkpoint
     from ahnn.cli.announce import announce
     from ahnn.cli.stops import interruptible
-    from ahnn.files import require_writable, write_atomically
+    from ahnn.files import write_atomically
 
     folder = Path(cfg.folder)
-    data.train_dataloader()  # the last that may be refused
-    require_writable(folder)
     model.calibrate(data.statistics())
     model.about["dt"] = data.statistics().dt
     if trainer.is_global_zero:

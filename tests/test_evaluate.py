@@ -94,7 +94,7 @@ MADE = "expected a key that acts on a finished run; received one that made its t
             r"test trajectories that the training has not seen.*11 of 12 are its own",
         ),
         ("ckpt=first.ckpt", r"first\.ckpt: expected a file; found none"),
-        ("name=a/b", r"evaluation name: expected letters.*received 'a/b'"),
+        ("name=a/b", r"evaluation name: expected at most.*received 'a/b'"),
         ("threads=many", r"threads.*'many'"),
     ],
 )

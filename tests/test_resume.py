@@ -42,7 +42,7 @@ RESUMES_FROM = {
 def no_evaluation():
     """Training alone is compared; the evaluation after it has tests of its own."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ahnn.evaluation.report.finish", lambda *_, **__: 0.0)
+        patch.setattr("ahnn.train.judge", lambda *_, **__: 0.0)
         yield
 
 
@@ -98,5 +98,5 @@ def test_a_killed_training_ends_with_the_same_bits(tmp_path):
 def test_another_seed_gives_other_weights(tmp_path):
     for seed in (7, 201):
         assert call("ahnn.train", *SMALL, f"run={tmp_path / str(seed)}", f"seed={seed}") == 0
-    with pytest.raises(AssertionError, match="learner"):
+    with pytest.raises(AssertionError, match="network"):
         assert_same_bits(tmp_path / "7", tmp_path / "201")

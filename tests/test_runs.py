@@ -62,7 +62,7 @@ def fitted(data, folder, *overrides):
 
 
 def test_tensors_of_ones_own_train_and_are_evaluated(tmp_path, capsys):
-    run = fitted(oscillators(), tmp_path / "run", "trainer.max_epochs=10")
+    run = fitted(oscillators(), tmp_path / "run", "trainer.max_epochs=10", "data.batch_size=500")
     results = run.results
     assert [row.who for row in results.rows] == [Who("model", "true")]  # nothing is known of the equations
     assert results.rows[0].scores.energy is None
@@ -70,7 +70,7 @@ def test_tensors_of_ones_own_train_and_are_evaluated(tmp_path, capsys):
     assert "oscillator" in capsys.readouterr().out
     test = run.rollout(oscillators().states[-1, 0], steps=119)
     error = (test[0] - oscillators().states[-1]).norm(dim=-1)
-    assert float(error.mean()) < 0.5
+    assert float(error.mean()) < 0.1
 
 
 def test_missing_samples_and_times_of_their_own_train(tmp_path):

@@ -1,4 +1,4 @@
-"""Before the fit: a quiet Lightning, the folder, the checkpoint to go on from, and what cannot work."""
+"""Before the fit: a quiet Lightning, the folder of the run, and what cannot work."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ahnn.checkpoints import read_checkpoint, require_same
 from ahnn.errors import UserError
 
 if TYPE_CHECKING:
@@ -37,27 +36,6 @@ def quiet() -> None:
         logging.getLogger("ahnn").setLevel(logging.WARNING)
     for hint in HINTS:
         warnings.filterwarnings("ignore", hint)
-
-
-def resume_point(ckpt: str | None, model: AbstractModel, folder: Path) -> Path | None:
-    """Return the checkpoint to go on from, or None.
-
-    Args:
-        ckpt: None, `last`, `best`, or a path.
-        model: what is going to be trained; the checkpoint must be of the same training.
-        folder: where checkpoints of this run are.
-
-    Raises:
-        UserError: the checkpoint is missing, damaged, or of another training.
-    """
-    if ckpt is None:
-        return None
-    path = folder / f"{ckpt}.ckpt" if ckpt in ("last", "best") else Path(ckpt)
-    about = read_checkpoint(path)["ahnn"]
-    parts = ("data", "settings")
-    wanted, received = ({name: known.get(name, {}) for name in parts} for known in (model.about, about))
-    require_same(f"checkpoint {path}", wanted, received)
-    return path
 
 
 def require_new(folder: Path, ckpt: str | None) -> None:

@@ -5,9 +5,12 @@ Files are in the safetensors format: reading one never executes anything.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import inspect
 import json
 import logging
+import sys
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -29,13 +32,36 @@ FORMAT = 3
 
 def recipe(system: System, count: int, seed: int) -> dict[str, object]:
     """Return everything that determines a data set, as plain values."""
-    return {
-        "system": type(system).__name__,
+    kind = type(system)
+    known = {
+        "system": f"{kind.__module__}.{kind.__qualname__}",
         "parameters": asdict(system),
         "integrator": system.integrator,
         "count": count,
         "seed": seed,
     }
+    return known | ({"code": code} if (code := source_of(kind)) else {})
+
+
+def source_of(kind: type) -> dict[str, str]:
+    """Return the hashes of the modules that define a system and its bases; those of ahnn go by `FORMAT`.
+
+    A module, and not the class alone: a force may call what stands beside it.
+    """
+    modules = {base.__module__ for base in kind.__mro__} - {"builtins", "abc"}
+    return {
+        name: hashlib.sha256(_source(name, kind).encode()).hexdigest()[:16]
+        for name in sorted(modules)
+        if name.partition(".")[0] != "ahnn"
+    }
+
+
+def _source(name: str, kind: type) -> str:
+    """Return the source of a module; of one without, that of the class, or else its bytecode."""
+    for place in (sys.modules.get(name), kind):
+        with contextlib.suppress(OSError, TypeError):
+            return inspect.getsource(place)  # pyright: ignore[reportArgumentType]
+    return repr([getattr(f, "__code__", None) and f.__code__.co_code for f in vars(kind).values()])
 
 
 def load_or_make(folder: Path, wanted: dict[str, object], make: Callable[[], Trajectories]) -> Trajectories:

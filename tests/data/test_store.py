@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import logging
 import os
+import sys
 import threading
 
 import pytest
@@ -137,3 +139,39 @@ def test_every_parameter_of_a_system_changes_the_recipe(name):
 def test_systems_of_equal_parameters_do_not_share_a_recipe():
     kepler, pendulum = (store.recipe(SYSTEMS[n], 3, 0) for n in ("kepler", "pendulum"))
     assert kepler["system"] != pendulum["system"]
+
+
+MINE = """
+from dataclasses import dataclass
+from ahnn.systems import MassSpring, System, Units
+from ahnn.systems.pendulum import Pendulum
+def law(q):
+    return -q{power}
+@dataclass(frozen=True, kw_only=True)
+class Mine(System):
+    dof, components, integrator, noise = 1, ("q", "p"), "kahan_li8", MassSpring.noise
+    units = Units()
+    def energy(self, x): return x[..., 0]
+    def force(self, q): return law(q)
+    def initial_states(self, count, generator): return None
+"""
+
+
+def mine(folder, monkeypatch, name="my_systems", power=""):
+    """A system in a module of the user's own."""
+    (folder / f"{name}.py").write_text(MINE.replace("{power}", power))
+    monkeypatch.syspath_prepend(folder)
+    importlib.invalidate_caches()
+    sys.modules.pop(name, None)
+    return importlib.import_module(name).Mine(name="mine", dt=0.1, steps=3)
+
+
+def test_an_edited_system_of_ones_own_has_another_recipe(tmp_path, monkeypatch):
+    first = store.recipe(mine(tmp_path, monkeypatch), 3, 0)
+    again = store.recipe(mine(tmp_path, monkeypatch), 3, 0)
+    edited = store.recipe(mine(tmp_path, monkeypatch, power="**3"), 3, 0)
+    other = store.recipe(mine(tmp_path, monkeypatch, name="other_systems"), 3, 0)
+    assert first == again
+    assert first["code"] != edited["code"]
+    assert first["system"] != other["system"]
+    assert "code" not in RECIPE

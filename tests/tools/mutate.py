@@ -2,8 +2,8 @@
 
     python tests/tools/mutate.py --seed 0 --count 64 [--only PART]
 
-Each mutant is one change in a copy of the tree; the tests nearest to its file run against it. What survives is
-printed with its place, to be tested or to be explained. A mutant that runs out of time counts as noticed.
+Each mutant is one change in a copy of the tree; the tests nearest to its file run against it. What survives
+is printed with its place, to be tested or to be explained. A mutant that runs out of time counts as noticed.
 """
 
 from __future__ import annotations

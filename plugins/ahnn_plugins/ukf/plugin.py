@@ -14,12 +14,11 @@ from ahnn.errors import UserError
 from ahnn.estimation.belief import Gate
 from ahnn.evaluation import Case, Findings, Who
 from ahnn.evaluation.case import Start
-from ahnn.evaluation.open_loop import exact_flow
 from ahnn.evaluation.titles import MODEL, described
-from ahnn.integrators import INTEGRATORS
 from ahnn.measurements.base import Measurement
 from ahnn.rollouts import rollout
 from ahnn.systems import System
+from ahnn.systems.truth import exact_flow
 from ahnn.types import Space
 from ahnn_plugins.ukf.figures import ukf_figures
 from ahnn_plugins.ukf.outcome import Outcome, filtered, numbers, rows, smoothed
@@ -181,7 +180,7 @@ class UKFEvaluation:
             findings.numbers["tuning"] = tuned._asdict()
             filters.append((Who(MODEL, "true", "ukf_tuned"), tuned.apply(model)))
         if case.truth is not None:
-            exact = exact_flow(case.truth, INTEGRATORS[case.truth.integrator])
+            exact = exact_flow(case.truth)
             floor = Filter("exact flow + UKF", exact, nothing, r, self.parameters, floor=True)
             filters.append((Who("exact flow", "true", "ukf", floor=True), floor))
         return filters
