@@ -14,17 +14,17 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import OverrideType
-from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import nearest
-from ahnn.cli.build import dotted_keys, guard
+from ahnn.cli.commandline import dotted_keys, parse
+from ahnn.cli.entry import guard
+from ahnn.cli.settings import check_settings
 from ahnn.errors import UserError
 from ahnn.paths import conf_dir
 from ahnn.pretrained import install, shipped
-from ahnn.train import build_parts, build_plugins, check_settings
+from ahnn.train import build_parts, build_plugins
 
 log = logging.getLogger("ahnn")
 
@@ -69,7 +69,7 @@ def request(arguments: list[str]) -> tuple[str | None, Path, list[str]]:
     """Return the name of a trained model of the package or None, the run folder, and the overrides.
 
     Raises:
-        UserError: neither a run nor a trained model is named, or an argument is no key=value.
+        UserError: neither a run nor a trained model is named, or an argument is not of the form key=value.
     """
     pairs = dict(argument.split("=", 1) for argument in arguments if "=" in argument)
     if not pairs.keys() & {"run", "pretrained"} or not all("=" in argument for argument in arguments):
@@ -145,11 +145,7 @@ def parsed(text: str) -> tuple[str, Any]:
     Raises:
         UserError: it is something else.
     """
-    try:
-        override = OverridesParser.create().parse_override(text)
-    except HydraException as error:
-        message = f"override {text!r}: expected key=value, the value quoted if need be; {one_line(error)}"
-        raise UserError(message) from error
+    override = parse(text)
     if override.type is not OverrideType.CHANGE or override.is_sweep_override():
         message = f"override {text!r}: expected key=value with one value; a finished run takes no other"
         raise UserError(message)

@@ -17,9 +17,9 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from ahnn.arguments import check_arguments, check_names
-from ahnn.cli.build import build, build_all, plain_config, run_hydra
-from ahnn.errors import UserError
+from ahnn.cli.build import build, build_all, plain_config
+from ahnn.cli.entry import run_hydra
+from ahnn.cli.settings import check_settings
 
 if TYPE_CHECKING:
     from lightning import Trainer
@@ -29,17 +29,6 @@ if TYPE_CHECKING:
     from ahnn.models import AbstractDynamics
 
 log = logging.getLogger(__name__)
-
-SEEDS = (0, 2**32 - 1)
-LIMITS = {
-    **dict.fromkeys(("seed", "seeds", "data.seed", "data.order_seed", "evaluation.seed"), SEEDS),
-    "threads": (1, 1024),
-    **dict.fromkeys(("trainer.max_epochs", "trainer.accumulate_grad_batches"), (1, math.inf)),
-}
-"""Least and largest values of numbers that other libraries take unseen and fail on later."""
-
-GIVEN = ("model", "data", "plugins", "about", "loggers", "label", "folder", "settings")
-"""What the evaluation gets from a training and not from its own part of the configuration."""
 
 
 def train(cfg: DictConfig) -> float:
@@ -126,38 +115,6 @@ def searched_settings(cfg: DictConfig) -> dict[str, Any]:
     return {**groups, "batch_size": cfg.data.batch_size, "epochs": cfg.trainer.max_epochs, "seed": cfg.seed}
 
 
-def check_settings(cfg: DictConfig) -> None:
-    """Check the keys that belong to no group, and those that nothing looks at before a training is over.
-
-    Raises:
-        UserError: a wrong type or an impossible value.
-    """
-    from ahnn.evaluation.report import finish
-
-    def settings(
-        *, seed: int, seeds: list[int] | None, threads: int, window: int, label: str, ckpt: str | None
-    ) -> None: ...
-
-    def trainer(*, max_epochs: int) -> None: ...
-
-    top = {name: cfg[name] for name in ("seed", "threads", "window", "label", "ckpt")}
-    top = plain_config(OmegaConf.create({**top, "seeds": cfg.get("seeds")}))
-    check_arguments("configuration", settings, top)
-    check_arguments("trainer", trainer, {"max_epochs": cfg.trainer.max_epochs})
-    evaluation = plain_config(cfg.evaluation, "evaluation")
-    check_names("evaluation", finish, evaluation, GIVEN)
-    check_arguments("evaluation", finish, evaluation)
-    for name, (least, most) in LIMITS.items():
-        value = OmegaConf.select(cfg, name)
-        for number in value if name == "seeds" and value else [value]:
-            if isinstance(number, int | float) and not least <= number <= most:
-                message = f"configuration: {name}: expected {least} <= n <= {most}; received {number}"
-                raise UserError(message)
-    if cfg.get("seeds") and len({*cfg.seeds}) < len(cfg.seeds):
-        message = f"configuration: seeds: expected different ones; received {list(cfg.seeds)}"
-        raise UserError(message)
-
-
 def build_parts(cfg: DictConfig) -> tuple[WindowDataModule, AbstractDynamics]:
     """Build system, DataModule and model; nothing is generated yet, so that mistakes show at once."""
     from ahnn.cli.setup import check_optimisation, check_spans
@@ -195,7 +152,7 @@ def build_trainer(cfg: DictConfig) -> Trainer:
 
 def main() -> None:
     """Entry point of `python -m ahnn.train` and `ahnn-train`."""
-    os.environ.setdefault("TORCH_CPP_LOG_LEVEL", "ERROR")  # DDP warns of what is meant so
+    os.environ.setdefault("TORCH_CPP_LOG_LEVEL", "ERROR")  # DDP warns of what is intended
     run_hydra(train)
 
 

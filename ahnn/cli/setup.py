@@ -28,7 +28,7 @@ log = logging.getLogger(__name__)
 
 
 def quiet() -> None:
-    """Silence Lightning's hints on what is meant so, such as short epochs or a folder that is used again."""
+    """Silence Lightning's hints on what is intended, such as short epochs or a folder that is used again."""
     for name in ("lightning.pytorch", "lightning.fabric"):
         logging.getLogger(name).setLevel(logging.WARNING)
     if getattr(rank_zero_only, "rank", 0):  # of several processes, one speaks
@@ -133,7 +133,7 @@ def check_steps(trainer: Trainer, model: AbstractDynamics) -> None:
         if (value := getattr(trainer, name)) not in (neutral, None):
             message = (
                 f"trainer.{name}: expected none with levenberg_marquardt, which takes its own steps; "
-                f"received {value}. Leave it away, or choose optimizer=adamw"
+                f"received {value}. Leave it out, or choose recipe=first_order"
             )
             raise UserError(message)
 
@@ -175,7 +175,7 @@ def check_devices(trainer: Trainer, model: AbstractDynamics, *, multirun: bool) 
     if not model.automatic_optimization:
         message = (
             "trainer: expected one device for levenberg_marquardt, which takes its steps on one; "
-            f"{received}. Choose optimizer=adamw, or trainer=default"
+            f"{received}. Choose recipe=first_order, or trainer=default"
         )
         raise UserError(message)
     environment = getattr(trainer.strategy, "cluster_environment", None)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import torch
 from lightning import LightningDataModule
 
+from ahnn.arguments import Count, Seed, Within, checked
 from ahnn.data import store
 from ahnn.data.generate import generate
 from ahnn.data.loader import WindowLoader
@@ -22,6 +22,7 @@ Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
 
 
+@checked
 class WindowDataModule(LightningDataModule):
     """Sliding windows of generated trajectories, split by trajectory.
 
@@ -50,13 +51,13 @@ class WindowDataModule(LightningDataModule):
         split: list[float],
         window: int,
         stencil: int,
-        batch_size: int,
-        windows_per_epoch: int | None,
-        emphasis: float,
-        val_windows: int | None,
+        batch_size: Count,
+        windows_per_epoch: Count | None,
+        emphasis: Annotated[float, Within(0)],
+        val_windows: Count | None,
         precision: Literal[32, 64],
-        seed: int,
-        order_seed: int,
+        seed: Seed,
+        order_seed: Seed,
         cache: str,
     ) -> None:
         super().__init__()
@@ -65,7 +66,7 @@ class WindowDataModule(LightningDataModule):
         self.sizes = split_sizes(trajectories, split)
         self.window, self.stencil, self.batch_size = window, stencil, batch_size
         self.windows_per_epoch, self.val_windows = windows_per_epoch, val_windows
-        self.dtype = {32: torch.float32, 64: torch.float64}.get(precision)
+        self.dtype = {32: torch.float32, 64: torch.float64}[precision]
         self.emphasis = emphasis
         self.seed, self.order_seed = seed, order_seed
         self.cache = Path(cache).expanduser()
@@ -73,21 +74,6 @@ class WindowDataModule(LightningDataModule):
         self._check()
 
     def _check(self) -> None:
-        at_least_one = {
-            "batch_size": self.batch_size,
-            "windows_per_epoch": self.windows_per_epoch,
-            "val_windows": self.val_windows,
-        }
-        for name, value in at_least_one.items():
-            if value is not None and value < 1:
-                message = f"data: {name}: expected at least 1; received {value}"
-                raise UserError(message)
-        if not 0 <= self.emphasis < math.inf:
-            message = f"data: emphasis: expected a finite number >= 0; received {self.emphasis}"
-            raise UserError(message)
-        if self.dtype is None:
-            message = "data: precision: expected 32 or 64 bits"
-            raise UserError(message)
         if not 1 <= self.window <= self.system.steps and getattr(self.system, "periods", None) is None:
             message = (
                 f"window: expected 1 <= W <= {self.system.steps}, the steps of a {self.system.name} "
@@ -132,7 +118,6 @@ class WindowDataModule(LightningDataModule):
     def _loader(
         self, split: Split, span: int, limit: int | None, seed: int | None, emphasis: float = 0.0
     ) -> WindowLoader:
-        assert self.dtype is not None
         windows = Windows(self.trajectories(split), span, self.dtype)
         if self.trainer is None:
             return WindowLoader(windows, self.batch_size, limit, seed, emphasis)

@@ -8,10 +8,11 @@ from typing import Any
 from lightning import LightningModule, Trainer
 from lightning.pytorch.callbacks import Checkpoint
 
-from ahnn.errors import UserError
+from ahnn.arguments import Count, checked
 from ahnn.models import AbstractDynamics
 
 
+@checked
 class ResumePoint(Checkpoint):
     """Writes last.ckpt atomically every few steps and after each validation.
 
@@ -23,10 +24,7 @@ class ResumePoint(Checkpoint):
         every: optimiser steps between two writes within an epoch.
     """
 
-    def __init__(self, folder: str, every: int) -> None:
-        if every < 1:
-            message = f"callbacks.last: every: expected at least 1 step; received {every}"
-            raise UserError(message)
+    def __init__(self, folder: str, every: Count) -> None:
         self.path = Path(folder) / "last.ckpt"
         self.every = every
 

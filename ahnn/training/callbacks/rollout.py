@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Annotated, Any
 
 from lightning import Callback, LightningModule, Trainer
 
+from ahnn.arguments import Count, Within, checked
 from ahnn.data import WindowDataModule
-from ahnn.errors import UserError
 from ahnn.evaluation.rollout import rollout
 from ahnn.metrics import errors, rmse_pooled, typical_error
 from ahnn.models import AbstractDynamics
@@ -17,6 +17,7 @@ LOST = 100.0
 """A position error this many times the size of the system is as bad as any."""
 
 
+@checked
 class ValidationRollout(Callback):
     """Logs `val/rollout`, the typical position error of whole validation rollouts, in the system's unit.
 
@@ -25,15 +26,11 @@ class ValidationRollout(Callback):
     is still poor all end a system's size away from the truth, and an RMSE would choose weights by chance.
 
     Args:
-        count: trajectories to roll out.
+        count: trajectories to roll out; 0 rolls out none and logs nothing.
         every: epochs between two rollouts.
     """
 
-    def __init__(self, count: int, every: int) -> None:
-        if count < 1 or every < 1:
-            received = f"count={count}, every={every}"
-            message = f"callbacks.rollout: expected count >= 1 and every >= 1; received {received}"
-            raise UserError(message)
+    def __init__(self, count: Annotated[int, Within(0)], every: Count) -> None:
         self.count, self.every = count, every
         self.latest = math.inf
 
@@ -47,7 +44,7 @@ class ValidationRollout(Callback):
 
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Log the value of this epoch, or the latest one; the last epoch always has its own."""
-        if trainer.sanity_checking:
+        if trainer.sanity_checking or self.count == 0:
             return
         epoch = trainer.current_epoch + 1
         if epoch % self.every == 0 or epoch == trainer.max_epochs:
