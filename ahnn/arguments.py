@@ -1,25 +1,74 @@
-"""Arguments from a configuration, checked against the signature of what they are for.
+"""Arguments checked against the signature of what they are for, from a configuration and from Python alike.
 
-The signature is the schema: names, types and literals are written once, where they are used.
+The signature is the schema: names, types, literals and limits are written once, where they are used:
+
+    @checked
+    class Loader:
+        def __init__(self, batch_size: Count, share: Annotated[float, Within(0, 1)]) -> None: ...
+
+Python reads `batch_size: expected int >= 1; received 0`, a user of YAML `data.batch_size: ...`.
 """
 
 from __future__ import annotations
 
+import functools
 import inspect
+import math
 from collections.abc import Callable, Collection, Mapping
 from difflib import get_close_matches
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from ahnn.errors import UserError
+
+T = TypeVar("T", bound=type)
+
+
+class Within(NamedTuple):
+    """Limits of a number, both included; infinity and NaN are never within."""
+
+    least: float = -math.inf
+    most: float = math.inf
+
+    def __contains__(self, value: Any) -> bool:
+        return math.isfinite(value) and self.least <= value <= self.most
+
+    def __str__(self) -> str:
+        if self.most == math.inf:
+            return f">= {self.least:g}"
+        return f"from {self.least} to {self.most}"
+
+
+Count = Annotated[int, Within(1)]
+Seed = Annotated[int, Within(0, 2**32 - 1)]
+
+
+def checked(cls: T) -> T:
+    """Let a class refuse wrong arguments by the annotations of its constructor, before it runs.
+
+    The constructor then raises UserError: a value of another type or beyond its limits.
+    """
+    init = cls.__init__
+    signature = inspect.signature(init)
+
+    @functools.wraps(init)
+    def __init__(self: Any, *args: Any, **kwargs: Any) -> None:
+        named = dict(list(signature.bind(self, *args, **kwargs).arguments.items())[1:])
+        kinds = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+        plain = {k: v for k, v in named.items() if signature.parameters[k].kind not in kinds}
+        check_arguments("", cls, plain)
+        init(self, *args, **kwargs)
+
+    cls.__init__ = __init__
+    return cls
 
 
 def check_arguments(who: str, target: Callable[..., Any], arguments: Mapping[str, Any]) -> None:
     """Compare keyword arguments with the annotations of a class or function.
 
     Args:
-        who: name of the configuration node, for the message.
+        who: name of the configuration node, for the message; "" names the argument alone.
         target: what the arguments will be passed to.
         arguments: plain values; objects that are built already pass unchecked.
 
@@ -31,12 +80,13 @@ def check_arguments(who: str, target: Callable[..., Any], arguments: Mapping[str
     open_ended = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
     for name, value in arguments.items():
         if name not in parameters and not open_ended:
-            message = f"{who}: unknown key {name!r}{nearest(name, parameters)}"
+            message = f"{who}: unknown key {name!r}{nearest(name, parameters)}".removeprefix(": ")
             raise UserError(message)
         hint = hints.get(name)
         default = value is None and name in parameters and parameters[name].default is None
         if hint is not None and not default and not fits(value, hint):
-            message = f"{who}.{name}: expected {describe(hint)}; received {value!r} ({type(value).__name__})"
+            kind = "" if fits(value, bare(hint)) else f" ({type(value).__name__})"
+            message = f"{who}.{name}: expected {describe(hint)}; received {value!r}{kind}".removeprefix(".")
             raise UserError(message)
 
 
@@ -67,18 +117,20 @@ def check_names(
     others = {p.name for p in named} - own.keys()
     for name in names:
         if name in others or (name not in own and not open_ended):
-            message = f"{who}: unknown key {name!r}{nearest(name, own)}"
+            message = f"{who}: unknown key {name!r}{nearest(name, own)}".removeprefix(": ")
             raise UserError(message)
     for name, parameter in own.items():
         if parameter.default is parameter.empty and name not in names:
-            message = f"{who}: expected key {name!r}; received {', '.join(names) or 'no key'}"
+            message = f"{who}: expected key {name!r}; received {', '.join(names) or 'no key'}".removeprefix(
+                ": "
+            )
             raise UserError(message)
 
 
 def type_hints(target: Callable[..., Any]) -> dict[str, Any]:
     """Return the annotations of a class's constructor or a function; none if they cannot be resolved."""
     try:
-        return get_type_hints(target.__init__ if inspect.isclass(target) else target)
+        return get_type_hints(target.__init__ if inspect.isclass(target) else target, include_extras=True)
     except (NameError, TypeError):  # other libraries import some names for type checkers alone
         return {}
 
@@ -93,6 +145,9 @@ def nearest(name: str, known: Any) -> str:
 def fits(value: Any, hint: Any) -> bool:
     """Return whether a plain value is of an annotated type; types other than plain ones always fit."""
     origin, inner = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        limits = [limit for limit in inner[1:] if isinstance(limit, Within)]
+        return fits(value, inner[0]) and all(value in limit for limit in limits)
     if origin is Literal:
         return value in inner
     if origin in (Union, UnionType):
@@ -120,6 +175,16 @@ def fits(value: Any, hint: Any) -> bool:
     return hint.__module__ in ("builtins", "collections.abc", "numbers") and isinstance(value, hint)
 
 
+def bare(hint: Any) -> Any:
+    """Return an annotation without its limits."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        return inner[0]
+    if origin in (Union, UnionType):
+        return Union[tuple(bare(option) for option in inner)]  # noqa: UP007
+    return hint
+
+
 def repeats(hint: Any) -> bool:
     """Return whether the annotation of a list or tuple holds for any length."""
     return get_origin(hint) is not tuple or get_args(hint)[1:] == (...,)
@@ -128,6 +193,8 @@ def repeats(hint: Any) -> bool:
 def describe(hint: Any) -> str:
     """Return an annotation in words a user reads: `int`, `one of a, b`, `float or None`."""
     origin, inner = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        return " ".join([describe(inner[0]), *(str(limit) for limit in inner[1:])])
     if origin is Literal:
         return "one of " + ", ".join(str(option) for option in inner)
     if origin in (Union, UnionType):

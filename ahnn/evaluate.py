@@ -15,7 +15,7 @@ import logging
 import sys
 from typing import Any
 
-from ahnn.cli.build import guard
+from ahnn.cli.entry import guard
 
 log = logging.getLogger("ahnn")
 

@@ -18,7 +18,8 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from ahnn.cli.build import plain_config, run_hydra
+from ahnn.cli.build import plain_config
+from ahnn.cli.entry import run_hydra
 from ahnn.cli.settings import check_settings
 
 if TYPE_CHECKING:

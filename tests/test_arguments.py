@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import pytest
 
-from ahnn.arguments import check_arguments, check_names, fits, nearest
+from ahnn.arguments import Count, Within, check_arguments, check_names, checked, describe, fits, nearest
 from ahnn.errors import UserError
 from ahnn.systems import MassSpring
 
@@ -115,3 +115,29 @@ def test_the_length_of_a_pair_and_the_kind_of_a_value_that_is_none_are_checked()
     assert fits([1, 2], tuple[float, ...])
     assert not fits(None, MassSpring)
     assert fits(None, Any)
+
+
+@checked
+class Sampler:
+    """Something with limits at its parameters."""
+
+    def __init__(
+        self, batch_size: Count, share: Annotated[float, Within(0, 1)] = 0.5, limit: Count | None = None
+    ):
+        self.batch_size, self.share, self.limit = batch_size, share, limit
+
+
+def test_limits_are_written_at_the_parameter_and_hold_in_python_and_yaml():
+    assert Sampler(3, limit=None).batch_size == 3
+    for call, message in {
+        lambda: Sampler(0): r"^batch_size: expected int >= 1; received 0$",
+        lambda: Sampler("3"): r"^batch_size: expected int >= 1; received '3' \(str\)$",
+        lambda: Sampler(1, 2.0): r"^share: expected float from 0 to 1; received 2\.0$",
+        lambda: Sampler(1, float("nan")): r"^share: expected float from 0 to 1; received nan$",
+        lambda: Sampler(1, limit=0): r"^limit: expected int >= 1 or None; received 0$",
+    }.items():
+        with pytest.raises(UserError, match=message):
+            call()
+    with pytest.raises(UserError, match=r"^data\.batch_size: expected int >= 1; received 0$"):
+        check_arguments("data", Sampler, {"batch_size": 0})
+    assert describe(Count | None) == "int >= 1 or None"

@@ -94,7 +94,7 @@ def test_a_sweep_refuses_several_devices_in_its_own_process(tmp_path):
 
 
 REFUSED = {
-    "second-order steps": (["trainer=ddp", "optimizer=levenberg_marquardt"], "optimizer=adamw"),
+    "second-order steps": (["trainer=ddp", "optimizer=levenberg_marquardt"], "recipe=first_order"),
     "a job of a grid": (
         ["hydra.mode=MULTIRUN", "trainer=ddp", "optimizer=adamw"],
         "hydra/launcher=ahnn_process",

@@ -28,7 +28,7 @@ def weights(path):
 )
 def test_no_checkpoint_ever_holds_weights_that_are_not_finite(tmp_path, capsys, steps, epochs, every, kept):
     changes = [f"trainer.max_epochs={epochs}", f"callbacks.last.every={every}", *spoiled(steps)]
-    assert call("ahnn.train", "budget=smoke", *SMALL, *changes, f"run={tmp_path}") == 3
+    assert call("ahnn.train", "recipe=first_order", "budget=smoke", *SMALL, *changes, f"run={tmp_path}") == 3
     assert "last good checkpoint is kept" in capsys.readouterr().err
     written = list((tmp_path / "checkpoints").glob("*.ckpt"))
     assert all(weights(path).isfinite().all() for path in written)
@@ -44,7 +44,7 @@ def curve(folder, name):
     return [point.value for point in events.Scalars(name)]
 
 
-@pytest.mark.parametrize("optimiser", [["budget=smoke"], []])
+@pytest.mark.parametrize("optimiser", [["recipe=first_order", "budget=smoke"], []])
 def test_a_short_training_has_curves_with_a_gradient_that_is_not_zero(tmp_path, optimiser):
     small = [*(SMALL if optimiser else LAPTOP)]
     small.remove("logger=none")

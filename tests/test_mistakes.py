@@ -17,20 +17,36 @@ MISTAKES = {
     # options of groups
     "experiment=sprng": "experiment: unknown option 'sprng'; did you mean 'spring'?",
     "sweep=quik": "sweep: unknown option 'quik'; did you mean 'quick'?",
-    "preset=laptop_molnya": "preset: unknown option 'laptop_molnya'; did you mean 'laptop_molniya'?",
     "model=anhn": "model: unknown option 'anhn'; did you mean 'ahnn'?",
     "system=null": "system: expected one of henon_heiles, kepler,",
     "model=null": "model: expected one of ahnn,",
     "optimizer=null": "optimizer: expected one of adamw,",
     "callbacks=null": "callbacks: expected one of default,",
     "integrator=null": "integrator: expected one of dopri5,",
-    "loss=3": "loss: expected one of derivative, recursive; received 'loss=3'",
+    "loss=3": "recursive, recursive_state; received 'loss=3'",
     "budget=null": "budget: expected one of laptop,",
-    "=3": "expected key=value; received '=3'",
+    "=3": "expected KEY=VALUE; received '=3'",
     # names
     "system=molniya system.inclinatoin=[1,2]": "did you mean 'system.inclination'?",
     "lr=0.1": "did you mean 'optimizer.lr'?",
-    "~seed": "expected key 'seed'; received none",
+    "~seed": "~seed: every training needs seed. Leave out the ~",
+    "~scheduler": "~scheduler: every training needs scheduler",
+    "+seed=3": "+seed=3: expected a new key; seed is there already. Leave out the +",
+    "model.loss.derivative=1": "did you mean 'loss.derivative'?",
+    "model=mlp hamiltonian=generic": "model=mlp. Leave out hamiltonian=generic",
+    "model=mlp experiment=molniya_mechanical": "these options do not go together; In 'experiment/",
+    "model=mlp loss.derivative=1": "a map has no field; expected loss.derivative=0, received 1",
+    "model=hnn_derivative loss.derivative=0": "loss.derivative: expected 1.0 with model hnn_derivative",
+    "hydra/launcher=nope": "hydra/launcher: unknown option 'nope'; it takes ahnn_process, basic",
+    "seed=1,2": "'seed=1,2': expected one value; received several. Add -m to run them all",
+    "-m --cfg=hydra": "expected one of --multirun and --cfg; received both",
+    "--foo": "command line: unrecognized arguments: --foo; --help shows what there is",
+    "--config-dir=nope": "--config-dir: expected a folder; received 'nope'",
+    # what the grammar of overrides cannot read
+    "label=a=b": "'label=a=b': special characters in a value need quotes. Type 'label=\"a=b\"'",
+    "label=über": "Type 'label=\"über\"'",
+    'label=a"b': 'Type \'label="a\\"b"\'',
+    "foo": "'foo': expected KEY=VALUE, for example seed=7",
     "optimizer=adamw +optimizer.foo=3": "optimizer: unknown key 'foo'; it takes lr, betas",
     "+trainer.max_epoch=3": "trainer: unknown key 'max_epoch'; did you mean 'max_epochs'?",
     "+trainer.callbacks=3": "trainer: unknown key 'callbacks'",
@@ -41,7 +57,7 @@ MISTAKES = {
     "+callbacks.x._target_=ahnn.systems.Kepler": "callbacks.x: expected key 'name'",
     "+callbacks.x._target_=torch.nn.Identity": "callbacks.x: expected Callback; received Identity",
     "+callbacks.x=3": "callbacks.x: expected a node with _target_; received 3",
-    "evaluation=3": "evaluation: expected keys with values; received 3",
+    "evaluation=3": "evaluation: expected one of full, scores; received 'evaluation=3'",
     # values that other libraries judge
     "optimizer=adamw optimizer.lr=-1": "optimizer: Invalid learning rate: -1",
     "optimizer=adamw optimizer.lr=foo": "optimizer.lr: expected float or Tensor; received 'foo'",
@@ -53,8 +69,8 @@ MISTAKES = {
     "trainer.devices=x": "trainer: `devices`",
     "trainer.gradient_clip_val=abc": "trainer.gradient_clip_val: expected int or float or None",
     "+trainer.precision=foo": "trainer.precision: expected one of",
-    "optimizer=levenberg_marquardt trainer.gradient_clip_val=1.0": "or choose optimizer=adamw",
-    "+trainer.accumulate_grad_batches=0": "trainer.accumulate_grad_batches: expected 1 <= n",
+    "optimizer=levenberg_marquardt trainer.gradient_clip_val=1.0": "or choose recipe=first_order",
+    "+trainer.accumulate_grad_batches=0": "trainer.accumulate_grad_batches: expected int >= 1; received 0",
     f"optimizer=adamw {COSINE} scheduler.T_max=x": "scheduler.T_max: expected int; received 'x'",
     f"optimizer=adamw {COSINE} scheduler.T_max=0": "scheduler: it cannot take a step",
     f"{GL4} integrator.tolerance=x": "integrator gl4.tolerance: expected float; received 'x'",
@@ -63,14 +79,14 @@ MISTAKES = {
     f"{GL4} integrator.max_iterations=2.7": "integrator gl4.max_iterations: expected int; received 2.7",
     # values that we judge
     **{f"trainer.max_epochs={n}": "trainer.max_epochs: expected" for n in ("two", "2.5", "null", "-1", "0")},
-    "seed=4294967296": "seed: expected 0 <= n <= 4294967295; received 4294967296",
-    "data.seed=9e22": "data.seed: expected 0 <= n <= 4294967295",
-    "data.order_seed=99999999999999": "data.order_seed: expected 0 <= n",
-    "threads=100000": "threads: expected 1 <= n <= 1024; received 100000",
-    "seeds=7": "seeds: expected a list of int or None; received 7",
-    "seeds=[7,x]": "seeds: expected a list of int or None",
+    "seed=4294967296": "seed: expected int from 0 to 4294967295; received 4294967296",
+    "data.seed=9e22": "data.seed: expected int from 0 to 4294967295",
+    "data.order_seed=99999999999999": "data.order_seed: expected int from 0",
+    "threads=100000": "threads: expected int from 1 to 1024; received 100000",
+    "seeds=7": "seeds: expected a list of int from 0 to 4294967295 or None; received 7",
+    "seeds=[7,x]": "seeds: expected a list of int from 0",
     "seeds=[7,7]": "seeds: expected different ones",
-    "evaluation.seed=x": "evaluation.seed: expected int; received 'x'",
+    "evaluation.seed=x": "evaluation.seed: expected int from 0 to 4294967295; received 'x'",
     "model.window=7": "Set window=7 alone",
     "data.window=3": "Set window=3 alone",
     "data.stencil=5000": "received 60. Set loss.order=60 or loss.derivative=0",
@@ -85,7 +101,8 @@ def test_a_mistake_is_one_message_and_leaves_nothing(mistake, tmp_path, capfd, m
     given = mistake.split()
     kept = [o for o in SMALL if not any(g.startswith(o.split("=")[0] + "=") for g in given)]
     smoke = [] if mistake.startswith("budget") else ["budget=smoke"]
-    assert call("ahnn.train", *smoke, *kept, f"run={tmp_path / 'run'}", *given) == 2
+    first = [] if "loss" in mistake or "stencil" in mistake else ["recipe=first_order"]
+    assert call("ahnn.train", *smoke, *first, *kept, f"run={tmp_path / 'run'}", *given) == 2
     out, err = capfd.readouterr()
     assert err.startswith("ahnn: ")
     assert err.count("\n") == 1
@@ -110,7 +127,7 @@ def no_evaluation(monkeypatch):
 
 
 @pytest.mark.usefixtures("no_evaluation")
-def test_no_experiment_and_no_preset_of_a_system_are_no_mistake(tmp_path):
+def test_no_experiment_and_no_recipe_of_a_system_are_no_mistake(tmp_path):
     for name, options in {"a": ["experiment=null", "sweep=null"], "b": ["system=pendulum"]}.items():
         assert (
             call("ahnn.train", *SMALL, *ADAMW, "trainer.max_epochs=1", *options, f"run={tmp_path / name}")
@@ -120,7 +137,7 @@ def test_no_experiment_and_no_preset_of_a_system_are_no_mistake(tmp_path):
 
 @pytest.mark.usefixtures("no_evaluation")
 def test_ctrl_c_says_how_to_go_on_and_a_run_is_not_replaced(tmp_path, capfd):
-    run = [*SMALL, "budget=smoke", f"run={tmp_path}"]
+    run = [*SMALL, "budget=smoke", "recipe=first_order", f"run={tmp_path}"]
     cut = ["+callbacks.cut._target_=entry.CutAfter", "+callbacks.cut.ctrl_c=true"]
     assert call("ahnn.train", *run, *cut, "+callbacks.cut.steps=5") == 130
     err = capfd.readouterr().err
@@ -141,7 +158,7 @@ def test_ctrl_c_says_how_to_go_on_and_a_run_is_not_replaced(tmp_path, capfd):
 
 @pytest.mark.usefixtures("no_evaluation")
 def test_of_several_seeds_one_that_is_trained_stops_all_before_the_first(tmp_path, capfd):
-    run = [*SMALL, "budget=smoke", "trainer.max_epochs=1", f"run={tmp_path}"]
+    run = [*SMALL, "budget=smoke", "recipe=first_order", "trainer.max_epochs=1", f"run={tmp_path}"]
     assert call("ahnn.train", *run, "seeds=[201]") == 0
     assert call("ahnn.train", *run, "seeds=[7,201]") == 2
     assert f"run {tmp_path / 'seed_201'}: expected a folder without checkpoints" in capfd.readouterr().err
@@ -158,4 +175,4 @@ def test_jobs_of_a_sweep_keep_the_line_that_names_them(tmp_path):
     done = subprocess.run(command, cwd=Path(tmp_path), capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "Error executing job with overrides: ['seed=x']" in done.stderr
-    assert done.stderr.splitlines()[-1] == "ahnn: configuration.seed: expected int; received 'x' (str)"
+    assert done.stderr.splitlines()[-1] == "ahnn: seed: expected int from 0 to 4294967295; received 'x' (str)"

@@ -15,7 +15,7 @@ from safetensors.torch import load_file
 
 from ahnn.checkpoints import read_checkpoint
 
-SPRING = ["budget=smoke", "trainer.accelerator=cpu", "model.network.width=8"]
+SPRING = ["recipe=first_order", "budget=smoke", "trainer.accelerator=cpu", "model.network.width=8"]
 
 
 @pytest.fixture(scope="module")
@@ -229,9 +229,9 @@ def test_help_and_a_mistake_work_from_any_directory(tmp_path):
     command = [sys.executable, "-m", "ahnn.train"]
     helped = subprocess.run([*command, "--help"], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert helped.returncode == 0
-    for group in ("system:", "model:", "integrator:", "optimizer:", "budget:"):
+    for group in ("system", "model", "integrator", "optimizer", "budget"):
         assert group in helped.stdout
     wrong = subprocess.run([*command, "seed=x"], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert wrong.returncode == 2
-    assert "ahnn: configuration.seed: expected int; received 'x'" in wrong.stderr
+    assert "ahnn: seed: expected int from 0 to 4294967295; received 'x'" in wrong.stderr
     assert list(Path(tmp_path).rglob("config.yaml")) == []

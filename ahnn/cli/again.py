@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import OverrideType
-from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import nearest
+from ahnn.cli.commandline import parse
 from ahnn.cli.trust import read_plain, require_trusted
 from ahnn.data import SplitData
 from ahnn.data.splits import split_sizes
@@ -134,11 +133,7 @@ def dotted(values: Any, prefix: str = "") -> list[str]:
 
 def parsed(text: str) -> tuple[str, Any]:
     """Return key and value of an override, written as for a training; raises UserError for anything else."""
-    try:
-        override = OverridesParser.create().parse_override(text)
-    except HydraException as error:
-        message = f"override {text!r}: expected key=value, the value quoted if need be"
-        raise UserError(message) from error
+    override = parse(text)
     if override.type is not OverrideType.CHANGE or override.is_sweep_override():
         message = f"override {text!r}: expected key=value with one value; a finished run takes no other"
         raise UserError(message)

@@ -118,7 +118,7 @@ def _check_steps(trainer: Trainer, model: AbstractModel) -> None:
         if (value := getattr(trainer, name)) not in (neutral, None):
             message = (
                 f"trainer.{name}: expected none with levenberg_marquardt, which takes its own steps; "
-                f"received {value}. Drop it, or choose optimizer=adamw"
+                f"received {value}. Leave it out, or choose recipe=first_order"
             )
             raise UserError(message)
 
@@ -131,7 +131,7 @@ def _check_devices(trainer: Trainer, model: AbstractModel, *, multirun: bool) ->
     if not model.automatic_optimization:
         message = (
             "trainer: expected one device for levenberg_marquardt, which takes its steps on one; "
-            f"{received}. Choose optimizer=adamw, or trainer=default"
+            f"{received}. Choose recipe=first_order, or trainer=default"
         )
         raise UserError(message)
     environment = getattr(trainer.strategy, "cluster_environment", None)

@@ -1,39 +1,19 @@
-"""Between Hydra and the library: objects from YAML with checked arguments, and errors as one message.
-
-Exit codes: 0 done, 2 a mistake in what was asked for, 3 training could not go on, 130 stopped by Ctrl-C.
-"""
+"""Objects from nodes of a configuration, their arguments checked against what they are for."""
 
 from __future__ import annotations
 
 import contextlib
 import functools
 import inspect
-import logging
-import os
-import shutil
-import sys
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
-import hydra
-from hydra.core.global_hydra import GlobalHydra
-from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, InstantiationException
-from hydra.types import RunMode
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 
-from ahnn.arguments import check_arguments, check_names, nearest
-from ahnn.cli.explain import NO_OPTION, dotted_keys, explain
-from ahnn.cli.stops import listen
-from ahnn.errors import Stopped, TrainingError, UserError
-from ahnn.paths import conf_dir
-
-log = logging.getLogger("ahnn")
-
-__all__ = ["build", "build_all", "dotted_keys", "guard", "plain_config", "run_hydra"]
+from ahnn.arguments import check_arguments, check_names
+from ahnn.errors import TrainingError, UserError
 
 
 def build(node: Any, who: str, kind: type = object, **offered: Any) -> Any:
@@ -58,7 +38,8 @@ def build(node: Any, who: str, kind: type = object, **offered: Any) -> Any:
     try:
         function = get_object(target)
     except Exception as error:
-        message = f"{who}: expected _target_ to name a class or function; received {target!r} ({error})"
+        reason = " ".join(str(error).split())
+        message = f"{who}: expected _target_ to name a class or function; received {target!r} ({reason})"
         raise UserError(message) from error
     check_names(who, function, arguments, offered, partial=partial)
     built = {name for name, value in arguments.items() if isinstance(value, dict) and "_target_" in value}
@@ -127,82 +108,3 @@ def stencil(loss: DictConfig) -> int:
 
 
 OmegaConf.register_new_resolver("stencil", stencil, replace=True)
-
-
-def run_hydra(task: Callable[[DictConfig], Any], config_name: str = "train") -> None:
-    """Run a task under Hydra; a user's mistake ends in one message and an exit code, not a traceback."""
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # makes Hydra raise, so that the messages are ours
-    # Hydra takes no null for a group. For one that is empty anyway it means what leaving it away does.
-    sys.argv = [argument for argument in sys.argv if argument not in ("experiment=null", "sweep=null")]
-
-    @functools.wraps(task)
-    def tidy(cfg: DictConfig) -> Any:
-        if HydraConfig.get().mode is RunMode.MULTIRUN or cfg.get("trial") is not None:
-            return checked(cfg)  # who runs several jobs has to see how each of them ended
-        if code := guard(lambda: checked(cfg)):
-            forget(Path(cfg.folder))
-            sys.exit(code)  # past Hydra, which would say that there was an error
-        return None
-
-    def checked(cfg: DictConfig) -> Any:
-        check_preset()
-        return task(cfg)
-
-    entry = hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name=config_name)(tidy)
-    sys.exit(guard(entry))
-
-
-def check_preset() -> None:
-    """Check the one group that may be without its file: not every budget has a preset of every system.
-
-    Raises:
-        UserError: an option that was asked for by name and does not exist.
-    """
-    choices = HydraConfig.get().runtime.choices
-    name = choices.get("preset")
-    if name in (None, f"{choices.get('budget')}_{choices.get('system')}"):
-        return
-    options = GlobalHydra.instance().config_loader().get_group_options("preset")
-    if name not in options:
-        message = f"configuration: preset: unknown option {name!r}{nearest(name, options)}"
-        raise UserError(message)
-
-
-def forget(folder: Path) -> None:
-    """Remove what Hydra wrote for a run that never began, with none of its seeds."""
-    if not any((f / "config.yaml").exists() for f in (folder, *folder.glob("seed_*"))):
-        shutil.rmtree(folder / ".hydra", ignore_errors=True)
-        with contextlib.suppress(OSError):
-            folder.rmdir()
-
-
-def guard(entry: Callable[[], Any]) -> int:
-    """Call an entry point and return its exit code."""
-    listen()
-    try:
-        entry()
-    except Stopped as stop:
-        return report(str(stop) or f"stopped by {stop.signal.name}; the same command begins anew", stop.code)
-    except KeyboardInterrupt:
-        return report("stopped by Ctrl-C; the same command begins anew", 130)
-    except TrainingError as error:
-        return report(str(error), 3)
-    except UserError as error:
-        return report(str(error), 2)
-    except (HydraException, OmegaConfBaseException) as error:  # before OSError, which some of them are
-        if isinstance(error.__cause__, UserError | TrainingError):
-            return report(str(error.__cause__), 2)
-        return report(explain(error), 2)
-    except OSError as error:
-        return report(f"file {error.filename}: {error.strerror or error}", 2)
-    except ValueError as error:
-        if not str(error).startswith(NO_OPTION):
-            raise
-        return report(explain(error), 2)
-    return 0
-
-
-def report(message: str, code: int) -> int:
-    """Write a message to standard error and return the code."""
-    sys.stderr.write(f"ahnn: {message}\n")
-    return code

@@ -1,55 +1,77 @@
-"""Settings that belong to no group, and those that nothing looks at before a training is over."""
+"""The keys of a configuration that no object takes as its argument, each with its type and limits."""
 
 from __future__ import annotations
 
-import math
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from ahnn.arguments import check_arguments, check_names
+from ahnn.arguments import Count, Seed, Within, check_arguments, check_names
 from ahnn.cli.build import plain_config
 from ahnn.errors import UserError
 
-SEEDS = (0, 2**32 - 1)
-LIMITS = {
-    **dict.fromkeys(("seed", "seeds", "data.seed", "data.order_seed", "evaluation.seed"), SEEDS),
-    "threads": (1, 1024),
-    **dict.fromkeys(("trainer.max_epochs", "trainer.accumulate_grad_batches"), (1, math.inf)),
-}
-"""Least and largest values of numbers that other libraries take unseen and fail on later."""
 
-GIVEN = ("model", "data", "plugins", "about", "loggers", "label", "folder", "settings")
-"""What the evaluation gets from a training and not from its own part of the configuration."""
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """The top level beside the groups."""
+
+    seed: Seed
+    threads: Annotated[int, Within(1, 1024)]
+    window: int
+    label: str
+    ckpt: str | None
+    seeds: list[Seed] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Training:
+    """Arguments of the trainer that Lightning takes unseen."""
+
+    max_epochs: Count
+    accumulate_grad_batches: Count = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """What happens after the fit."""
+
+    seed: Seed
+    save_predictions: bool
+    figures: bool = True
+    detail: bool = False
 
 
 def check_settings(cfg: DictConfig) -> None:
-    """Check the keys that belong to no group, and those that nothing looks at before a training is over.
+    """Check what belongs to no object, before anything is built.
 
     Raises:
-        UserError: a wrong type or an impossible value.
+        UserError: a wrong type, an impossible value, or one that the chosen model does not stand for.
     """
-
-    def settings(
-        *, seed: int, seeds: list[int] | None, threads: int, window: int, label: str, ckpt: str | None
-    ) -> None: ...
-
-    def judged(*, seed: int, save_predictions: bool, figures: bool, detail: bool) -> None: ...
-
-    def trainer(*, max_epochs: int) -> None: ...
-
-    top = {name: cfg[name] for name in ("seed", "threads", "window", "label", "ckpt")}
-    top = plain_config(OmegaConf.create({**top, "seeds": cfg.get("seeds")}))
-    check_arguments("configuration", settings, top)
-    check_arguments("trainer", trainer, {"max_epochs": cfg.trainer.max_epochs})
-    evaluation = plain_config(cfg.evaluation, "evaluation")
-    check_names("evaluation", judged, evaluation)
-    check_arguments("evaluation", judged, evaluation)
-    for name, (least, most) in LIMITS.items():
-        value = OmegaConf.select(cfg, name)
-        for number in value if name == "seeds" and value else [value]:
-            if isinstance(number, int | float) and not least <= number <= most:
-                message = f"configuration: {name}: expected {least} <= n <= {most}; received {number}"
-                raise UserError(message)
+    schemas = {"": Settings, "trainer": Training, "evaluation": Evaluation}
+    for who, schema in schemas.items():
+        node = cfg[who] if who else cfg
+        if not isinstance(node, DictConfig):
+            message = f"{who}: expected keys with values; received {node!r}"
+            raise UserError(message)
+        keys = node if schema is Evaluation else schema.__annotations__
+        values = plain_config(OmegaConf.create({str(key): node[key] for key in keys if key in node}))
+        check_names(who, schema, values)
+        check_arguments(who, schema, values)
     if cfg.get("seeds") and len({*cfg.seeds}) < len(cfg.seeds):
-        message = f"configuration: seeds: expected different ones; received {list(cfg.seeds)}"
+        message = f"seeds: expected different ones; received {list(cfg.seeds)}"
         raise UserError(message)
+    _check_required(cfg, plain_config(cfg.get("required") or OmegaConf.create()))
+
+
+def _check_required(cfg: DictConfig, required: dict[str, Any], prefix: str = "") -> None:
+    """Compare values with those that the choice of a model stands for, `required` in its file."""
+    for name, value in required.items():
+        key = f"{prefix}{name}"
+        if isinstance(value, dict):
+            _check_required(cfg, value, f"{key}.")
+        elif (received := OmegaConf.select(cfg, key)) != value:
+            message = (
+                f"{key}: expected {value} with model {cfg.label}; received {received}. Choose another model"
+            )
+            raise UserError(message)

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import torch
 from lightning import LightningDataModule
 
+from ahnn.arguments import Count, Seed, Within, checked
 from ahnn.data.loader import WindowLoader
 from ahnn.data.sources import Source
 from ahnn.data.splits import Split, SplitData
 from ahnn.data.windows import Windows
-from ahnn.errors import UserError
 from ahnn.statistics import Statistics
 from ahnn.types import Trajectories
 
 
+@checked
 class WindowDataModule(LightningDataModule):
     """Sliding windows of whole trajectories, split by trajectory.
 
@@ -39,14 +39,14 @@ class WindowDataModule(LightningDataModule):
         source: Source,
         *,
         split: list[float],
-        window: int,
-        stencil: int,
-        batch_size: int,
-        windows_per_epoch: int | None,
-        emphasis: float,
-        val_windows: int | None,
+        window: Count,
+        stencil: Count,
+        batch_size: Count,
+        windows_per_epoch: Count | None,
+        emphasis: Annotated[float, Within(0)],
+        val_windows: Count | None,
         precision: Literal[32, 64],
-        order_seed: int,
+        order_seed: Seed,
     ) -> None:
         super().__init__()
         self.source = source
@@ -55,17 +55,6 @@ class WindowDataModule(LightningDataModule):
         self.windows_per_epoch, self.val_windows = windows_per_epoch, val_windows
         self.dtype = {32: torch.float32, 64: torch.float64}[precision]
         self.emphasis, self.order_seed = emphasis, order_seed
-        self._check()
-
-    def _check(self) -> None:
-        at_least_one = ("window", "batch_size", "windows_per_epoch", "val_windows")
-        for name, value in ((name, getattr(self, name)) for name in at_least_one):
-            if value is not None and value < 1:
-                message = f"{name}: expected at least 1; received {value}"
-                raise UserError(message)
-        if not 0 <= self.emphasis < math.inf:
-            message = f"emphasis: expected a finite number >= 0; received {self.emphasis}"
-            raise UserError(message)
 
     def trajectories(self, split: Split) -> Trajectories:
         """Return the whole trajectories of a split."""

@@ -11,6 +11,7 @@ from typing import Any
 from lightning import LightningModule, Trainer
 from lightning.pytorch.callbacks import Checkpoint
 
+from ahnn.arguments import Count, checked
 from ahnn.errors import Stopped, UserError
 from ahnn.training.finite import require_finite_weights
 
@@ -18,6 +19,7 @@ MONITORED = ("val/loss", "val/one_step")
 """What every model logs in a validation; a callback adds the names in its `monitored`."""
 
 
+@checked
 class BestPoint(Checkpoint):
     """Writes best.ckpt after each validation whose value is the smallest so far.
 
@@ -60,6 +62,7 @@ class BestPoint(Checkpoint):
         self.best = state_dict["best"]
 
 
+@checked
 class ResumePoint(Checkpoint):
     """Writes last.ckpt every few steps, after each validation, and when a scheduler ends the process.
 
@@ -72,10 +75,7 @@ class ResumePoint(Checkpoint):
         every: optimiser steps between two writes within an epoch.
     """
 
-    def __init__(self, folder: str, every: int) -> None:
-        if every < 1:
-            message = f"callbacks.last.every: expected at least 1 step; received {every}"
-            raise UserError(message)
+    def __init__(self, folder: str, every: Count) -> None:
         self.path = Path(folder) / "last.ckpt"
         self.every = every
         self._signal: int | None = None

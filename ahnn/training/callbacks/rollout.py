@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 from lightning import Callback, LightningModule, Trainer
 
+from ahnn.arguments import Count, Within, checked
 from ahnn.data.datamodule import WindowDataModule
-from ahnn.errors import UserError
 from ahnn.metrics import errors, rmse_pooled, typical_error
 from ahnn.rollouts import rollout
 from ahnn.statistics import Statistics, sampling_interval
@@ -22,6 +22,7 @@ TRIED = 20
 """Steps that are timed to say how long a rollout takes."""
 
 
+@checked
 class ValidationRollout(Callback):
     """Logs `val/rollout`, the typical position error of whole validation rollouts, in the system's unit.
 
@@ -30,24 +31,18 @@ class ValidationRollout(Callback):
     is still poor all end a system's size away from the truth, and an RMSE would choose weights by chance.
 
     Args:
-        count: trajectories to roll out.
+        count: trajectories to roll out; 0 rolls out none and logs nothing.
         every: epochs between two rollouts.
     """
 
-    monitored = ("val/rollout",)
-
-    def __init__(self, count: int, every: int) -> None:
-        if count < 1 or every < 1:
-            received = f"count={count}, every={every}"
-            message = f"callbacks.rollout: expected count >= 1 and every >= 1; received {received}"
-            raise UserError(message)
+    def __init__(self, count: Annotated[int, Within(0)], every: Count) -> None:
         self.count, self.every = count, every
         self.latest = math.inf
         self._measured: float | None = None
 
     def seconds(self, epoch: int, trainer: Trainer, module: LightningModule, data: WindowDataModule) -> float:
         """Return about how long this takes after an epoch: a few steps of the rollouts, measured."""
-        if (epoch + 1) % self.every and epoch + 1 != trainer.max_epochs:
+        if self.count == 0 or ((epoch + 1) % self.every and epoch + 1 != trainer.max_epochs):
             return 0.0
         if self._measured is None:
             flow, whole = cast(Any, module).flow(), data.trajectories("val").part(slice(self.count))
@@ -56,6 +51,11 @@ class ValidationRollout(Callback):
             rollout(flow, whole.states[:, 0].to(module.device), dt, TRIED + 1)
             self._measured = (time.perf_counter() - begin) / TRIED * whole.states.shape[1]
         return self._measured
+
+    @property
+    def monitored(self) -> tuple[str, ...]:
+        """Names of what is logged."""
+        return ("val/rollout",) if self.count else ()
 
     def state_dict(self) -> dict[str, float]:
         """Return the latest value, which epochs without a rollout repeat."""
@@ -67,7 +67,7 @@ class ValidationRollout(Callback):
 
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Log the value of this epoch, or the latest one; the last epoch always has its own."""
-        if trainer.sanity_checking:
+        if trainer.sanity_checking or self.count == 0:
             return
         epoch = trainer.current_epoch + 1
         if epoch % self.every == 0 or epoch == trainer.max_epochs:

@@ -9,7 +9,8 @@ from lightning import Callback, LightningModule, Trainer
 from torch.nn.utils import get_total_norm
 from torch.optim import Optimizer
 
-from ahnn.errors import TrainingError, UserError
+from ahnn.arguments import Count, checked
+from ahnn.errors import TrainingError
 
 OF_STEP = ("lr", "damping", "gradient_norm")
 """Keys of a parameter group that are recorded where an optimiser has them."""
@@ -18,6 +19,7 @@ RECORDS = 100
 """Least number of records of a training, so that a short one has curves too."""
 
 
+@checked
 class Telemetry(Callback):
     """Writes loss, learning rate and gradient norm, and stops the run when a gradient is not finite.
 
@@ -25,10 +27,7 @@ class Telemetry(Callback):
         every: most optimiser steps between two records.
     """
 
-    def __init__(self, every: int) -> None:
-        if every < 1:
-            message = f"callbacks.telemetry: every: expected at least 1 step; received {every}"
-            raise UserError(message)
+    def __init__(self, every: Count) -> None:
         self.most = self.every = every
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:

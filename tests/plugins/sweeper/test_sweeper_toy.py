@@ -57,7 +57,7 @@ def test_the_winner_runs_again_as_an_experiment(tmp_path: Path):
     subprocess.run(command, check=True, env=environment, cwd=tmp_path, capture_output=True)
     config = yaml.safe_load((again / ".hydra" / "config.yaml").read_text())
     assert config["model"]["name"] == "hnn"
-    assert config["model"]["network"] == best["model"]["network"]
+    assert config["model"]["network"] == {"activation": "gelu"} | best["model"]["network"]
     assert config["optimizer"]["lr"] == best["optimizer"]["lr"]
     assert config["trainer"]["max_epochs"] == 20  # from sweep=quick
 

@@ -1,0 +1,120 @@
+"""What `--help` says, the commented YAML of an option, and completion of commands in bash."""
+
+from __future__ import annotations
+
+import importlib.resources
+import os
+import sys
+import textwrap
+from argparse import Namespace
+from collections.abc import Iterator
+
+from hydra._internal.config_loader_impl import ConfigLoaderImpl
+from hydra.types import RunMode
+from omegaconf import OmegaConf
+
+from ahnn.arguments import nearest
+from ahnn.cli.commandline import config_loader, parse
+from ahnn.errors import UserError
+
+ABOUT = """\
+Train a model of Hamiltonian dynamics and evaluate it beside its floors.
+
+usage: python -m ahnn.train [GROUP=OPTION ...] [KEY=VALUE ...]
+
+  python -m ahnn.train                                    # AHNN on a spring
+  python -m ahnn.train model=hnn system=molniya seed=201
+  python -m ahnn.train experiment=molniya_mechanical budget=smoke
+  python -m ahnn.train -m model=hnn,node seed=7,201       # four jobs, one table
+  python -m ahnn.train run=runs/mine ckpt=last            # go on with a run
+
+Groups and their options, those of the plain command in [brackets]:
+
+"""
+MORE = """
+recipe, model, system, sweep and experiment choose options of other groups as
+well; what the command line names holds.
+
+  --help GROUP=OPTION   the keys of an option with their comments
+  --cfg job             all keys and values of a command; --resolve fills them in
+  -m                    several jobs: every combination of KEY=A,B, or a sweep=
+  --config-dir DIR      options of your own: DIR/system/mine.yaml
+  -sc install=bash      completion: eval "$(python -m ahnn.train -sc install=bash)"
+  --hydra-help          what else Hydra offers
+"""
+COMPLETION = """\
+_ahnn_train() {
+    local line="$COMP_LINE"
+    if [[ "$line" == *python*" -m "* ]]; then
+        [[ "$line" == *" -m ahnn.train"* ]] || return
+        line="ahnn-train${line#*-m ahnn.train}"
+    fi
+    local choices; choices=$(COMP_LINE="$line" PYTHON -m ahnn.train -sc query=bash 2>/dev/null)
+    COMPREPLY=($(compgen -W "$choices" -- "${COMP_WORDS[COMP_CWORD]}"))
+}
+COMP_WORDBREAKS=${COMP_WORDBREAKS//=}
+complete -o nospace -o default -F _ahnn_train ahnn-train python python3
+"""
+
+
+def show_help(args: Namespace) -> None:
+    """Write the help, or the YAML of the options that are named beside it.
+
+    Raises:
+        UserError: no such option.
+    """
+    loader = config_loader(args)
+    pairs = [parse(text) for text in args.overrides]
+    if pairs:
+        for pair in pairs:
+            sys.stdout.write("\n".join(option_text(loader, pair.key_or_group, str(pair.value()))) + "\n")
+        return
+    sys.stdout.write(ABOUT + "\n".join(group_lines(loader)) + "\n" + MORE)
+
+
+def group_lines(loader: ConfigLoaderImpl) -> Iterator[str]:
+    """Yield each group with its options, what a plain command chooses in brackets."""
+    chosen = loader.load_configuration("train", [], RunMode.RUN).hydra.runtime.choices
+    defaults = {str(key).partition("@")[0]: name for key, name in chosen.items()}
+    for group in loader.list_groups(""):
+        if group == "hydra":
+            continue
+        options = loader.get_group_options(group)
+        marked = [f"[{name}]" if name == defaults.get(group) else name for name in options]
+        yield from textwrap.wrap(
+            " ".join(marked), 79, initial_indent=f"  {group:12s} ", subsequent_indent=" " * 15
+        )
+
+
+def option_text(loader: ConfigLoaderImpl, group: str, option: str) -> Iterator[str]:
+    """Yield the YAML of an option, after that of the options that it is built on.
+
+    Raises:
+        UserError: no such option.
+    """
+    name = f"{group}/{option}.yaml"
+    for source in loader.get_sources():
+        place = source.path.replace("/", ".") if source.scheme() == "pkg" else None
+        if not source.is_config(name):
+            continue
+        if place is None:
+            with open(os.path.join(source.path, name), encoding="utf-8") as file:
+                text = file.read()
+        else:
+            text = importlib.resources.files(place).joinpath(name).read_text(encoding="utf-8")
+        for entry in OmegaConf.create(text).get("defaults", []):  # pyright: ignore
+            if isinstance(entry, str) and entry != "_self_":
+                yield from option_text(loader, group, entry)
+        yield f"# {name} of {source.path}\n{text}"
+        return
+    options = loader.get_group_options(group)
+    message = f"{group}: unknown option {option!r}{nearest(option, options or loader.list_groups(''))}"
+    raise UserError(message)
+
+
+def show_completion(args: Namespace) -> bool:
+    """Write the bash function that completes both commands, if asked for it; return whether."""
+    if args.overrides != ["install=bash"]:
+        return False
+    sys.stdout.write(COMPLETION.replace("PYTHON", sys.executable))
+    return True
