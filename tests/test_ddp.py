@@ -14,7 +14,7 @@ from entry import SMALL, call
 from helpers import data_module
 
 from ahnn.checkpoints import read_checkpoint
-from ahnn.data import WindowDataModule
+from ahnn.data.datamodule import WindowDataModule
 from ahnn.data.loader import WindowLoader
 from ahnn.systems import MassSpring
 

@@ -1,7 +1,7 @@
 """From the command line to a task under Hydra, and from its errors to one message and an exit code.
 
-Exit codes: 0 done, 2 a mistake in what was asked for, 3 training could not go on, 128 + n stopped by signal n:
-130 is Ctrl-C, 143 SIGTERM, 129 SIGHUP.
+Exit codes: 0 done, 2 a mistake in what was asked for, 3 training could not go on, 128 + n stopped by signal
+n, which is 130 for Ctrl-C, 143 for SIGTERM and 129 for SIGHUP.
 """
 
 from __future__ import annotations

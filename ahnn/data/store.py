@@ -14,6 +14,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from filelock import FileLock
 from safetensors import SafetensorError, safe_open
@@ -30,7 +31,7 @@ FORMAT = 3
 """Raise this number when the meaning of a stored file changes, for example after a fix of the generator."""
 
 
-def recipe(system: System, count: int, seed: int) -> dict[str, object]:
+def recipe(system: System, count: int, seed: int) -> dict[str, Any]:
     """Return everything that determines a data set, as plain values."""
     kind = type(system)
     known = {

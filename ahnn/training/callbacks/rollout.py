@@ -7,6 +7,7 @@ import time
 from typing import Annotated, Any, cast
 
 from lightning import Callback, LightningModule, Trainer
+from torch import Tensor
 
 from ahnn.arguments import Count, Within, checked
 from ahnn.data.datamodule import WindowDataModule
@@ -81,7 +82,7 @@ class ValidationRollout(Callback):
         whole = data.trajectories("val").part(slice(self.count))
         flow, dt = cast(Any, pl_module).flow(), sampling_interval(whole)
         start = whole.states[:, 0].to(pl_module.device)
-        steps = dt if isinstance(dt, float) else dt.to(pl_module.device)
+        steps = dt.to(pl_module.device) if isinstance(dt, Tensor) else dt
         prediction = rollout(flow, start, steps, whole.states.shape[1]).cpu()
         position = errors(prediction, whole.states)[:, 1:, :dof]
         size = float(rmse_pooled(whole.states[..., :dof]))
