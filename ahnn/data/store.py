@@ -20,6 +20,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
 from ahnn.errors import UserError
+from ahnn.files import write_atomically
 from ahnn.systems import System
 from ahnn.types import Trajectories
 
@@ -119,21 +120,6 @@ def checksum(trajectories: Trajectories) -> str:
     for tensor in (trajectories.lengths, trajectories.states):
         digest.update(tensor.contiguous().numpy().data)
     return digest.hexdigest()
-
-
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write bytes to a temporary file beside `path`, flush it to the disk, and rename it into place."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
 
 
 def require_writable(folder: Path) -> None:
