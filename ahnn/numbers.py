@@ -45,7 +45,7 @@ def require_finite(who: str, **values: float) -> None:
 
 
 def described(value: object) -> str:
-    """Return the type of a value for a message, with dtype where it is complex, and its shape if it has one."""
+    """Return the type of a value for a message, the dtype if it is complex, and the shape if it has one."""
     shape, dtype = getattr(value, "shape", None), str(getattr(value, "dtype", ""))
     kind = f"{type(value).__name__} of {dtype}" if "complex" in dtype else type(value).__name__
     return kind + ("" if shape is None else f" {tuple(shape)}")

@@ -13,7 +13,7 @@ PLUGINS = sorted((ROOT / "plugins").rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
 
 # Each room of the library and the rooms that it may import; the open ones serve all.
-OPEN = {"errors", "arguments", "numbers", "progress", "types", "paths"}
+OPEN = {"errors", "arguments", "numbers", "progress", "types", "paths", "files"}
 GROUND = OPEN | {"integrators", "measurements", "metrics"}
 TAUGHT = GROUND | {"dynamics", "systems", "data", "checkpoints"}
 MAY_IMPORT = {
@@ -21,6 +21,7 @@ MAY_IMPORT = {
     "errors": set(),
     "types": set(),
     "paths": set(),
+    "files": set(),
     "numbers": set(),
     "progress": set(),
     "arguments": {"errors"},
@@ -34,7 +35,7 @@ MAY_IMPORT = {
     "models": TAUGHT | {"training"},
     "training": TAUGHT | {"models", "evaluation"},
     "pretrained": OPEN | {"checkpoints"},
-    "estimation": TAUGHT,
+    "estimation": OPEN | {"measurements", "metrics"},
     "evaluation": TAUGHT | {"models", "pretrained"},
     "cli": TAUGHT | {"models", "training", "evaluation"},
     "train": TAUGHT | {"models", "training", "evaluation", "cli"},

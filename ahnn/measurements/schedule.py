@@ -65,8 +65,8 @@ def schedule(times: Numbers, measurements: Numbers, max_step: float, start_time:
     gaps = torch.diff(ends, prepend=ends.new_tensor([start_time]))
     if not bool(((gaps > 0.0) & gaps.isfinite()).all()) or not max_step > 0.0:
         message = (
-            f"schedule: expected times increasing from {start_time:g} and max_step > 0; received smallest gap "
-            f"{float(gaps.min()):g} and max_step {max_step:g}"
+            f"schedule: expected times increasing from {start_time:g} and max_step > 0; received "
+            f"smallest gap {float(gaps.min()):g} and max_step {max_step:g}"
         )
         raise ValueError(message)
     # A gap of 60.000000000000007 is one step of 60, not two of 30.

@@ -10,11 +10,11 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from torch import Tensor
 
 from ahnn.estimation.consistency import band
+from ahnn.estimation.scenario import Setting
 from ahnn.evaluation import Case
 from ahnn.evaluation.figures import SMOOTHING
 from ahnn_plugins.ukf.outcome import Outcome
 from ahnn_plugins.ukf.series import Sawtooth, blocks, rms_over_members, sawtooth, smoothed_rms
-from ahnn_plugins.ukf.setting import Setting
 
 MODEL, FLOOR, NONE = "tab:red", "tab:gray", "tab:blue"
 NAMES = ("position", "velocity")

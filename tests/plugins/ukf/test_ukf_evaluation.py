@@ -13,17 +13,16 @@ from hydra import compose, initialize_config_dir
 from ahnn.cli.build import build_all
 from ahnn.data.generate import generate
 from ahnn.errors import UserError
+from ahnn.estimation import Setting, simulated
 from ahnn.evaluation import Case, Findings
 from ahnn.evaluation.case import perturbations
 from ahnn.evaluation.open_loop import exact_flow
 from ahnn.evaluation.run import plain
 from ahnn.integrators import INTEGRATORS
+from ahnn.measurements import Position
 from ahnn.paths import conf_dir
 from ahnn.systems import MassSpring, Molniya, System
 from ahnn.types import Flow
-from ahnn_plugins.ukf import SQUARE_ROOT, Position
-from ahnn_plugins.ukf.scenario import simulated
-from ahnn_plugins.ukf.setting import Setting
 
 RK4 = INTEGRATORS["rk4"]
 SPRING = MassSpring(name="spring", dt=0.01, steps=200)
@@ -76,7 +75,7 @@ def test_rows_numbers_arrays_and_figures(spring: Case) -> None:
     assert [row.floor for row in findings.rows] == [False] * 4 + [True] * 4
     json.dumps(plain(findings.numbers), allow_nan=False)
     told = findings.numbers["filters"]["model + UKF"]["perturbed"]
-    assert told["status"] == {"OK": 6, "NOT_FINITE": 0, "COLLAPSED": 0, "DIVERGED": 0}
+    assert told["status"] == {"OK": 6, "NOT_FINITE": 0, "COLLAPSED": 0, "DIVERGED": 0, "IMPRECISE": 0}
     assert told["repairs"] == 0
     assert 0.5 < told["coverage"]["1_sigma"]["share"] <= 1.0
     assert findings.arrays["perturbed_start"].shape == spring.test.states.shape
@@ -146,7 +145,7 @@ def test_ground_station_from_yaml(make_case: Callable) -> None:
         ("alpha=nan", "expected alpha other than 0, a finite beta"),
         ("patience=0", "patience: expected at least 1 refusal"),
         ("measurement=velocity", "measurement: expected .* position, state"),
-        ("measurement={_target_:ahnn_plugins.ukf.Gate}", "Gate has no names, units, residual"),
+        ("measurement={_target_:ahnn.estimation.Gate}", "Gate has no names, units, residual"),
         ("cadence=fast", "cadence: expected int; received 'fast'"),
         ("process_noise=[1.0]", "process_noise: expected `fitted` or two"),
         ("process_noise=guessed", "process_noise: expected one of fitted or a list of float"),
@@ -184,7 +183,7 @@ def test_satellites_and_whole_states_are_measured_from_yaml(make_case: Callable[
 
 
 def test_measurement_noise_is_not_the_initial_error(spring: Case) -> None:
-    setting = Setting(Position(1, "m"), torch.ones(1), SPRING.deviations(), (1, 2), SQUARE_ROOT, None)
+    setting = Setting(Position(1, "m"), torch.ones(1), SPRING.deviations(), (1, 2))
     truth = torch.zeros(6, 3, 2, dtype=torch.float64)
     noise = simulated(setting, truth, 0.01, seed=0).flatten()
     drawn = (spring.perturbation / SPRING.deviations()).flatten()
