@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -31,7 +33,7 @@ def lagrange(times: Tensor, values: Tensor, t: float, order: int) -> Tensor:
     """
     distance = (times - t).abs()
     nearest = int(distance.argmin())
-    if float(distance[nearest]) <= TOLERANCE * max(1.0, abs(t)):
+    if math.isfinite(t) and float(distance[nearest]) <= TOLERANCE * max(1.0, abs(t)):
         return values[nearest]
     if not float(times[0]) < t < float(times[-1]):
         message = f"expected a time of the table, {times[0]:g} to {times[-1]:g}; received {t:g}"

@@ -10,7 +10,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ahnn.measurements import GnssRange, GroundStation, Position, State, wrap
+from ahnn.measurements import GnssRange, GroundStation, Position, State, observe, wrap
 from ahnn.measurements.ground_station import EARTH_RATE
 
 F64 = torch.float64
@@ -175,3 +175,45 @@ def test_states_that_are_too_short_for_a_model(model, size, least):
         ValueError, match=rf"{who}: expected states of at least {least} .* received \(5, {size}\)"
     ):
         model(torch.ones(5, size, dtype=F64), 0.0)
+
+
+@pytest.mark.parametrize("least", [-90.0, 0.0, 10.0])
+def test_what_stands_lower_than_the_least_elevation_is_not_observed(least):
+    latitude, longitude, t = 47.0, 11.0, 500.0
+    station = GroundStation(latitude, longitude, min_elevation=least)
+    angles = torch.tensor([-60.0, -1.0, 1.0, 9.0, 11.0, 89.0]).deg2rad().tolist()
+    x = torch.stack([neighbour(latitude, longitude, north=math.cos(a), up=math.sin(a), t=t) for a in angles])
+    seen = torch.tensor([math.degrees(a) > least for a in angles])
+    y = observe(station, x, t)
+    assert torch.equal(station.in_view(x, t), seen)
+    assert torch.equal(y[seen], station(x, t)[seen])
+    assert bool(y[~seen].isnan().all())
+    assert bool(station(x, t).isfinite().all())
+
+
+def test_a_model_without_a_view_observes_every_state():
+    x = torch.arange(6.0, dtype=F64)
+    assert observe(Position(3), x, 0.0).tolist() == [0.0, 1.0, 2.0]
+
+
+NUMBERS = ("height", "earth_angle", "rotation_rate", "radius", "flattening", "mass", "min_elevation")
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("name", ["latitude", "longitude", *NUMBERS])
+def test_a_number_that_is_not_finite_is_refused(name, value):
+    with pytest.raises(ValueError, match=f"GroundStation: expected a finite {name}; received {value}"):
+        GroundStation(**({"latitude": 1.0, "longitude": 2.0} | {name: value}))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"min_elevation": 91.0}, r"a min_elevation in \[-90, 90\] degrees; received 91.0"),
+        ({"radius": 0.0}, "a radius > 0 km; received 0.0"),
+        ({"flattening": 1.0}, r"a flattening in \[0, 1\); received 1.0"),
+    ],
+)
+def test_impossible_stations(options, message):
+    with pytest.raises(ValueError, match=message):
+        GroundStation(0.0, 0.0, **options)

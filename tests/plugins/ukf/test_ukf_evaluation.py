@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
+from scipy.stats import chi2
 
 from ahnn.cli.build import build_all
 from ahnn.data.generate import generate
@@ -129,6 +130,30 @@ def test_ground_station_from_yaml(make_case: Callable) -> None:
     findings = run(case, "cadence=10", measurement="ground_station")
     assert findings.numbers["measured"] == ["range", "azimuth", "elevation", "range_rate"]
     assert findings.rows[3].scores.position < 3.0  # km; without measurements tens of km
+
+
+def test_a_filter_that_measured_nothing_says_so(make_case: Callable) -> None:
+    # Nothing of these orbits stands in the zenith of the pole.
+    case = make_case(ORBITS, exact_flow(ORBITS, RK4))
+    station = (
+        "measurement={_target_:ahnn.measurements.GroundStation,latitude:-90,longitude:0,min_elevation:89}"
+    )
+    findings = run(case, "cadence=10", f"measurement={{{station}}}", "measurement_sd=1e-3")
+    for row in findings.rows:
+        text = "nothing was measured" if row.extra["from_first_update"] else "6 of 6 without any measurement"
+        assert text in row.note
+    json.dumps(plain(findings.numbers), allow_nan=False)
+
+
+def test_the_consistency_is_judged_by_the_band_of_what_is_averaged(spring: Case) -> None:
+    told = run(spring).numbers["filters"]["exact flow + UKF"]["perturbed"]
+    rows, degrees = 6 * 3, 1
+    low, high = (chi2.ppf(p, rows * degrees) / rows for p in (0.025, 0.975))
+    assert told["nis"]["band_95"] == pytest.approx([low, high])
+    # The error of a spring without process noise lasts: many times count little more than one.
+    narrow, wide = told["nees"]["band_95"], told["nees"]["one_time_band_95"]
+    assert wide[0] <= narrow[0] < narrow[1] <= wide[1]
+    assert narrow[1] - narrow[0] > 0.3 * (wide[1] - wide[0])
 
 
 @pytest.mark.parametrize(

@@ -34,6 +34,14 @@ class Answers(Position):
         return self.answer(x)
 
 
+class Subtracts(Position):
+    """A model with another difference."""
+
+    def __init__(self, difference, size=1):
+        super().__init__(size)
+        self.residual = difference
+
+
 def parameters(alpha=1.0, beta=2.0, kappa=0.0):
     return {"parameters": UnscentedParameters(alpha, beta, kappa)}
 
@@ -67,6 +75,34 @@ MISTAKES = {
     ),
     "model too flat": ({"model": Answers(lambda x: x[..., 0])}, r"\(2, 5, 1\) .* received Tensor \(2, 5\)"),
     "model of NumPy": ({"model": Answers(lambda x: x[..., :1].numpy())}, r"received ndarray \(2, 5, 1\)"),
+    "model complex": (
+        {"model": Answers(lambda x: x[..., :1] + 1j)},
+        "a real tensor .* Tensor of torch.complex128",
+    ),
+    "model that lost an axis of its residual": (
+        {"model": Subtracts(lambda y, p: (y - p)[..., 0])},
+        r"residual\(y, y_pred\) to return a real tensor \(2, 4, 1\) .* received Tensor \(2, 4\)",
+    ),
+    "model whose residual would be broadcast": (
+        {
+            "model": Subtracts(lambda y, p: (y - p)[..., :1], 2),
+            "rows": torch.zeros(2, 4, 2),
+            "r": EYE,
+        },
+        r"return a real tensor \(2, 4, 2\) for y of that shape .* received Tensor \(2, 4, 1\)",
+    ),
+    "residual complex": ({"model": Subtracts(lambda y, p: y - p + 0j)}, "residual.* of torch.complex128"),
+    "rows complex": (
+        {"rows": ROWS + 0j},
+        r"measurements: expected real numbers; received Tensor of torch.complex128",
+    ),
+    "R complex": ({"r": [[1j]]}, "R: expected real numbers; received list"),
+    "Q complex array": (
+        {"q": np.eye(2) * 1j},
+        "Q: expected real numbers; received ndarray of",
+    ),
+    "dt complex": ({"dt": 1j}, "dt: expected real numbers; received complex"),
+    "flow complex": ({"flow": lambda x, _: x + 0j}, "flow: .* real tensor .* Tensor of torch.complex128"),
     "model a function": (
         {"model": lambda x, _: x},
         "expected a measurement model .* without names, residual",
