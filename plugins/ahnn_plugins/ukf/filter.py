@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -34,6 +37,17 @@ from ahnn_plugins.ukf.types import (
     UnscentedParameters,
     Weights,
 )
+
+
+class _Problem(NamedTuple):
+    """What does not change from step to step."""
+
+    flow: Flow
+    sensor: kernel.Sensor
+    chol_q: Callable[[float], Tensor]
+    weights: Weights
+    form: Form
+    smoothing: bool
 
 
 def unscented_filter(
@@ -84,27 +98,38 @@ def unscented_filter(
     check_form(form)
     check_gate(gate, "gate")
     state = _initial(belief, start_time)
-    sensor = checked_sensor(measurement, measurement_noise, state.belief, form, gate)
-    (batch, size), device = state.belief.mean.shape, state.belief.mean.device
-    rows = checked_rows(measurements, batch, len(measurement.names), device)
-    grid = checked_grid(dt, rows.shape[1], state.time)
-    parameters = UnscentedParameters() if parameters is None else parameters
     with torch.set_grad_enabled(gradients):
+        sensor = checked_sensor(measurement, measurement_noise, state.belief, form, gate)
+        (batch, size), device = state.belief.mean.shape, state.belief.mean.device
+        rows = checked_rows(measurements, batch, len(measurement.names), device)
+        grid = checked_grid(dt, rows.shape[1], state.time)
+        parameters = UnscentedParameters() if parameters is None else parameters
         weights = unscented_weights(parameters, size, device, batch=batch)
         chol_q = process_factor(process_noise, state.belief)
+        problem = _Problem(flow, sensor, chol_q, weights, form, smoothing)
         is_measured = (~torch.isnan(rows)).any(-1).any(0).tolist()
         after, steps = state, []
         for k, (length, time) in enumerate(zip(*grid, strict=True)):
-            before, q = after.belief, chol_q(length)
-            after, propagated = kernel.predict(after, flow, length, time, q, weights, form)
-            backward = None
-            if smoothing:
-                after, backward = _backward(after, before, propagated, q, weights)
-            predicted, updated, rejected = after.belief, None, None
-            if is_measured[k]:
-                after, updated, rejected = kernel.update(after, rows[:, k], sensor, weights, form)
-            steps.append(Step(predicted, after.belief, updated, rejected, backward))
+            after, step = _step(problem, after, length, time, rows[:, k] if is_measured[k] else None)
+            steps.append(step)
         return collected(steps, state, after, rows)
+
+
+def _step(
+    problem: _Problem, before: FilterState, length: float, time: Tensor, row: Tensor | None
+) -> tuple[FilterState, Step]:
+    """Predict over one step, and update with the row at its end if anything was measured."""
+    flow, sensor, chol_of, weights, form, smoothing = problem
+    chol_q = chol_of(length)
+    after, propagated = kernel.predict(before, flow, length, time, chol_q, weights, form)
+    backward = None
+    if smoothing:
+        after, backward = _backward(after, before.belief, propagated, chol_q, weights)
+    predicted = after.belief
+    if row is None:
+        return after, Step(predicted, predicted, None, None, backward)
+    after, updated, rejected = kernel.update(after, row, sensor, weights, form)
+    return after, Step(predicted, after.belief, updated, rejected, backward)
 
 
 def _initial(belief: Belief | FilterState, start_time: float) -> FilterState:

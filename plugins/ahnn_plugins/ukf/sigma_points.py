@@ -33,14 +33,7 @@ def unscented_weights(
     """
     alpha, beta, kappa = torch.broadcast_tensors(*_checked(parameters, device, batch))
     total = alpha**2 * (size + kappa)
-    if not bool((total > 0.0).all()):
-        b = int((~(total > 0.0)).flatten().nonzero()[0])
-        received = (float(value.flatten()[b]) for value in (total, alpha, kappa))
-        message = (
-            "unscented_weights: expected L + lambda = alpha² (L + kappa) > 0; received "
-            "{:g} with alpha = {:g}, kappa = {:g}, L = {}; choose alpha != 0 and kappa > -L"
-        ).format(*received, size)
-        raise ValueError(message)
+    _check_total(total, alpha, kappa, size)
     mean_centre = (total - size) / total
     outer_sum = size / total
     crowded = outer_sum > CROWDED
@@ -69,6 +62,17 @@ def _checked(parameters: UnscentedParameters, device: torch.device | None, batch
             raise ValueError(message)
         columns.append(column.reshape(-1, 1, 1))
     return columns
+
+
+def _check_total(total: Tensor, alpha: Tensor, kappa: Tensor, size: int) -> None:
+    if not bool((total > 0.0).all()):
+        b = int((~(total > 0.0)).flatten().nonzero()[0])
+        received = (float(value.flatten()[b]) for value in (total, alpha, kappa))
+        message = (
+            "unscented_weights: expected L + lambda = alpha² (L + kappa) > 0; received "
+            "{:g} with alpha = {:g}, kappa = {:g}, L = {}; choose alpha != 0 and kappa > -L"
+        ).format(*received, size)
+        raise ValueError(message)
 
 
 def draw(belief: Belief, weights: Weights) -> Tensor:

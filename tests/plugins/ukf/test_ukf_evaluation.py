@@ -135,10 +135,8 @@ def test_ground_station_from_yaml(make_case: Callable) -> None:
 def test_a_filter_that_measured_nothing_says_so(make_case: Callable) -> None:
     # Nothing of these orbits stands in the zenith of the pole.
     case = make_case(ORBITS, exact_flow(ORBITS, RK4))
-    station = (
-        "measurement={_target_:ahnn.measurements.GroundStation,latitude:-90,longitude:0,min_elevation:89}"
-    )
-    findings = run(case, "cadence=10", f"measurement={{{station}}}", "measurement_sd=1e-3")
+    station = "{_target_:ahnn.measurements.GroundStation,latitude:-90,longitude:0,min_elevation:89}"
+    findings = run(case, "cadence=10", f"measurement={station}", "measurement_sd=1e-3")
     for row in findings.rows:
         text = "nothing was measured" if row.extra["from_first_update"] else "6 of 6 without any measurement"
         assert text in row.note
