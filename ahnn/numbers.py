@@ -1,10 +1,12 @@
-"""Numbers as users have them, turned into tensors."""
+"""Numbers as users have them, turned into tensors, and checked."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
@@ -14,19 +16,36 @@ Numbers = Tensor | NDArray[Any] | Sequence[Any] | float
 
 
 def as_float64(value: Numbers, who: str, device: torch.device | None = None) -> Tensor:
-    """Return numbers of any shape as a float64 tensor.
+    """Return real numbers of any shape as a float64 tensor; gradients flow through it.
 
     Raises:
-        ValueError: if they are no numbers, or not of a rectangular shape; begins with `who`.
+        ValueError: if they are no numbers, complex, or not of a rectangular shape; begins with `who`.
     """
     try:
-        return torch.as_tensor(value, dtype=torch.float64, device=device)
-    except (TypeError, ValueError, RuntimeError) as error:
-        message = f"{who}: expected numbers in a tensor, an array or nested lists, got {described(value)}"
-        raise ValueError(message) from error
+        # A cast would drop the imaginary part.
+        if not (value.is_complex() if isinstance(value, Tensor) else np.iscomplexobj(value)):
+            return torch.as_tensor(value, dtype=torch.float64, device=device)
+        expected = "real numbers"
+    except (TypeError, ValueError, RuntimeError):
+        expected = "numbers in a tensor, an array or nested lists"
+    message = f"{who}: expected {expected}; received {described(value)}"
+    raise ValueError(message)
+
+
+def require_finite(who: str, **values: float) -> None:
+    """Refuse numbers that are NaN or infinite.
+
+    Raises:
+        ValueError: names the first of them; begins with `who`.
+    """
+    for name, value in values.items():
+        if not math.isfinite(value):
+            message = f"{who}: expected a finite {name}; received {value}"
+            raise ValueError(message)
 
 
 def described(value: object) -> str:
-    """Return the type of a value for a message, and its shape if it has one."""
-    shape = getattr(value, "shape", None)
-    return type(value).__name__ + ("" if shape is None else f" {tuple(shape)}")
+    """Return the type of a value for a message, the dtype if it is complex, and the shape if it has one."""
+    shape, dtype = getattr(value, "shape", None), str(getattr(value, "dtype", ""))
+    kind = f"{type(value).__name__} of {dtype}" if "complex" in dtype else type(value).__name__
+    return kind + ("" if shape is None else f" {tuple(shape)}")

@@ -22,7 +22,9 @@ import torch
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from torch import Tensor
 
-from ahnn_plugins.ukf import SQUARE_ROOT, STANDARD, Form, Position, every, initial_belief, unscented_filter
+from ahnn.estimation import initial_belief
+from ahnn.measurements import Position, every
+from ahnn_plugins.ukf import SQUARE_ROOT, STANDARD, Form, unscented_filter
 
 BATCH, SIZE, POINTS, CADENCE = 125, 6, 13, 60
 AXES = torch.tensor((1.0, 1.0, 3.0), dtype=torch.float64)

@@ -1,1 +1,32 @@
-"""What every estimator shares: beliefs, covariances, consistency."""
+"""What every estimator shares: beliefs, the state it carries, its gate, scenarios, and its consistency."""
+
+from __future__ import annotations
+
+from ahnn.estimation.belief import Belief, Status
+from ahnn.estimation.consistency import band, coverage, independent_count, nees
+from ahnn.estimation.covariances import initial_belief
+from ahnn.estimation.gate import Gate
+from ahnn.estimation.recursive import Innovation, Recursive
+from ahnn.estimation.saving import load_state, save_state
+from ahnn.estimation.scenario import Problem, Setting, perturbed_arcs, simulated
+from ahnn.estimation.state import FilterState
+
+__all__ = [
+    "Belief",
+    "FilterState",
+    "Gate",
+    "Innovation",
+    "Problem",
+    "Recursive",
+    "Setting",
+    "Status",
+    "band",
+    "coverage",
+    "independent_count",
+    "initial_belief",
+    "load_state",
+    "nees",
+    "perturbed_arcs",
+    "save_state",
+    "simulated",
+]

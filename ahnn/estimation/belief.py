@@ -1,10 +1,11 @@
-"""What every estimator speaks of: a Gaussian belief, what became of a member, and when to refuse a row."""
+"""What every estimator speaks of: a Gaussian belief, and what became of a member."""
 
 from __future__ import annotations
 
 from enum import IntEnum
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 
@@ -35,15 +36,13 @@ class Status(IntEnum):
     """A variance is not positive, or the innovation covariance is singular."""
     DIVERGED = 3
     """The gate rejected too many measurements in a row."""
+    IMPRECISE = 4
+    """Rounding may exceed a share of a standard deviation: differences that are too small for the numbers."""
 
 
-class Gate(NamedTuple):
-    """Chi-square gate on whole measurement rows.
-
-    Attributes:
-        probability: a row is rejected when its NIS exceeds this quantile of the chi-square law.
-        patience: this many rejections in a row end in `Status.DIVERGED`.
-    """
-
-    probability: float = 0.9999
-    patience: int = 5
+def choose(condition: Tensor, yes: Belief, no: Belief) -> Belief:
+    """Return beliefs picked member by member; condition (B,) bool."""
+    return Belief(
+        torch.where(condition[:, None], yes.mean, no.mean),
+        torch.where(condition[:, None, None], yes.chol, no.chol),
+    )

@@ -1,6 +1,8 @@
 """Does a filter know how wrong it is? NEES, NIS, coverage, and the bands in which they should lie.
 
-Definitions and bands: Bar-Shalom, Li & Kirubarajan 2001, section 5.4.
+Definitions and bands: Bar-Shalom, Li & Kirubarajan 2001, section 5.4. Innovations of a consistent filter
+are white: the NIS of all members and times are independent. Its errors are not: what pulls an estimate off
+now does so for a while, and the NEES of one member at many times count as few.
 """
 
 from __future__ import annotations
@@ -24,12 +26,60 @@ def nees(error: Tensor, chol: Tensor) -> Tensor:
     return white.square().sum(-1)
 
 
-def band(size: int, members: int, probability: float = 0.95) -> tuple[float, float]:
-    """Return where the mean over members of a chi-square variable with `size` degrees of freedom lies."""
-    members = max(members, 1)
+def band(degrees: float, count: float, probability: float = 0.95) -> tuple[float, float]:
+    """Return where the mean of `count` independent chi-square variables lies with a probability.
+
+    The sum of N variables with m degrees of freedom each is chi-square with N m (Bar-Shalom, Li &
+    Kirubarajan 2001, section 5.4.2).
+
+    Args:
+        degrees: of freedom of each: D for a NEES, M for a NIS; the mean of them where they differ.
+        count: N: members for the mean over members at one time; for means over members and times, all rows
+            for a NIS and `independent_count` for a NEES.
+        probability: of the band, which leaves out as much below as above.
+    """
+    count = max(count, 1)
     tail = (1 - probability) / 2
-    low, high = (float(chi2.ppf(p, members * size)) / members for p in (tail, 1 - tail))
+    low, high = (float(chi2.ppf(p, count * degrees)) / count for p in (tail, 1 - tail))
     return low, high
+
+
+def independent_count(values: Tensor) -> float:
+    """Return how many independent values (B, T) correlated ones are worth, for the variance of their mean.
+
+    N values of independent members with autocorrelations rho_k are worth N / (1 + 2 sum_k (1 - k/T) rho_k)
+    (Bayley & Hammersley 1946). The autocorrelations are estimated from all members, and summed up to the
+    first pair of lags whose sum is not positive (Geyer 1992, section 3.3: beyond it is noise). Never more
+    than N, nor less than one for each member.
+
+    Args:
+        values: (B, T), NaN where missing; row b of a member holds all that it depends on.
+    """
+    there = values.isfinite()
+    count = float(there.sum())
+    members = float(there.any(-1).sum())
+    steps = values.shape[1]
+    if count == 0.0 or steps < 2:
+        return members
+    centred = torch.where(there, values - values[there].mean(), 0.0)
+    products, pairs = (_lagged_sums(part) for part in (centred, there.to(values.dtype)))
+    # A lag that no member has twice counts nothing.
+    covariance = torch.where(pairs > 0.5, products / pairs.clamp(min=1.0), 0.0)
+    if not float(covariance[0]) > 0.0:
+        return members
+    weight = 1.0 - torch.arange(steps, dtype=values.dtype) / steps
+    rho = (covariance / covariance[0] * weight)[: steps // 2 * 2]
+    sums = rho.reshape(-1, 2).sum(-1)
+    positive = (sums > 0.0).to(values.dtype).cumprod(0)
+    time = 2.0 * float((sums * positive).sum()) - 1.0
+    return min(max(count / max(time, 1.0), members), count)
+
+
+def _lagged_sums(values: Tensor) -> Tensor:
+    """Return the sums over members and times of v_t v_{t+k}, (T,), for the lags k = 0, 1, ..., T - 1."""
+    steps = values.shape[1]
+    spectrum = torch.fft.rfft(values, n=2 * steps).abs().square().sum(0)
+    return torch.fft.irfft(spectrum, n=2 * steps)[:steps]
 
 
 def coverage(error: Tensor, deviation: Tensor) -> dict[int, float]:

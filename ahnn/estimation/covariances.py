@@ -21,12 +21,13 @@ def initial_belief(mean: Numbers, covariance: Numbers) -> Belief:
         covariance: (D, D) shared, or (B, D, D); symmetric and positive definite.
 
     Raises:
-        ValueError: if a mean is not finite, or the covariance is not a positive definite (D, D) matrix.
+        ValueError: if a mean is not finite or complex, or the covariance is not a positive definite (D, D)
+            matrix.
     """
     mean = as_float64(mean, "initial_belief: mean")
     if mean.ndim != 2 or 0 in mean.shape:
         shape = tuple(mean.shape)
-        message = f"initial_belief: expected a mean of shape (B, D) with B >= 1, got {shape}"
+        message = f"initial_belief: expected a mean of shape (B, D) with B >= 1; received {shape}"
         raise ValueError(message + ("; use mean[None]" if mean.ndim == 1 else ""))
     finite = torch.isfinite(mean).all(-1)
     if not bool(finite.all()):
@@ -39,6 +40,8 @@ def initial_belief(mean: Numbers, covariance: Numbers) -> Belief:
 
 def covariance_factor(matrix: Numbers, name: str, *, batch: int, size: int, definite: bool) -> Tensor:
     """Return the lower factor, (D, D) or (B, D, D), of a covariance matrix given by a user.
+
+    Gradients of a positive definite matrix flow through it.
 
     Args:
         matrix: (D, D) or (B, D, D).
@@ -54,14 +57,14 @@ def covariance_factor(matrix: Numbers, name: str, *, batch: int, size: int, defi
     matrix = as_float64(matrix, name)
     shape = tuple(matrix.shape)
     if shape not in {(size, size), (batch, size, size)}:
-        message = f"{name}: expected shape ({size}, {size}) or ({batch}, {size}, {size}), got {shape}"
+        message = f"{name}: expected shape ({size}, {size}) or ({batch}, {size}, {size}); received {shape}"
         raise ValueError(message)
     stacked = matrix.reshape(-1, size, size)
-    scale = _check_entries(stacked, name)
+    scale = _check_entries(stacked.detach(), name)
     chol, info = torch.linalg.cholesky_ex(stacked)
     failed = info != 0
     if bool(failed.any()):
-        _check_eigenvalues(stacked, scale, failed, name, definite)
+        _check_eigenvalues(stacked.detach(), scale, failed, name, definite)
         chol = torch.where(failed[:, None, None], _semidefinite_factor(stacked, scale), chol)
     return chol.reshape(shape)
 
@@ -72,14 +75,14 @@ def _check_entries(matrix: Tensor, name: str) -> Tensor:
     A component of zero variance, which is correlated with nothing, has scale 1.
     """
     if not bool(torch.isfinite(matrix).all()):
-        message = f"{name}: expected finite entries, got {matrix.tolist()}"
+        message = f"{name}: expected finite entries; received {matrix.tolist()}"
         raise ValueError(message)
     variance = torch.diagonal(matrix, dim1=-2, dim2=-1)
     if bool((variance < 0.0).any()):
         b, i = (int(n) for n in torch.nonzero(variance < 0.0)[0])
         where = f" of member {b}" if len(matrix) > 1 else ""
         message = (
-            f"{name}: expected no negative variance, got [{i}, {i}] = {float(variance[b, i]):.6g}{where}"
+            f"{name}: expected no negative variance; received [{i}, {i}] = {float(variance[b, i]):.6g}{where}"
         )
         raise ValueError(message)
     deviation = variance.sqrt()
@@ -88,7 +91,7 @@ def _check_entries(matrix: Tensor, name: str) -> Tensor:
     if bool((asymmetry > 0.0).any()):
         b, i, j = (int(n) for n in torch.nonzero(asymmetry == asymmetry.max())[0])
         message = (
-            f"{name}: expected a symmetric matrix, got [{i}, {j}] = {float(matrix[b, i, j])} "
+            f"{name}: expected a symmetric matrix; received [{i}, {j}] = {float(matrix[b, i, j])} "
             f"but [{j}, {i}] = {float(matrix[b, j, i])}; use (A + A.mT) / 2 if that is meant"
         )
         raise ValueError(message)
@@ -96,7 +99,7 @@ def _check_entries(matrix: Tensor, name: str) -> Tensor:
     if bool(impossible.any()):
         b, i, j = (int(n) for n in torch.nonzero(impossible)[0])
         message = (
-            f"{name}: expected zeros beside the zero variance [{i}, {i}], got "
+            f"{name}: expected zeros beside the zero variance [{i}, {i}]; received "
             f"[{i}, {j}] = {float(matrix[b, i, j]):.6g}; it is indefinite"
         )
         raise ValueError(message)
@@ -110,11 +113,13 @@ def _check_eigenvalues(matrix: Tensor, scale: Tensor, failed: Tensor, name: str,
         smallest = float(torch.linalg.eigvalsh(matrix[b])[0])
         where = f" of member {b}" if len(matrix) > 1 else ""
         if float(torch.linalg.eigvalsh(correlation[b])[0]) < -TOLERANCE:
-            message = f"{name}: expected no negative eigenvalue, got {smallest:.6g}{where}; it is indefinite"
+            message = (
+                f"{name}: expected no negative eigenvalue; received {smallest:.6g}{where}; it is indefinite"
+            )
             raise ValueError(message)
         if definite:
             message = (
-                f"{name}: expected a positive definite matrix, got eigenvalue {smallest:.6g}{where}; "
+                f"{name}: expected a positive definite matrix; received eigenvalue {smallest:.6g}{where}; "
                 f"add a small variance to its diagonal"
             )
             raise ValueError(message)

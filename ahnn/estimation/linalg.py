@@ -12,11 +12,14 @@ def tria(rows: Tensor) -> Tensor:
     """Return the lower L, shape (B, D, D) and diagonal >= 0, with L Lᵀ = rowsᵀ rows.
 
     By Householder QR, so that the Gram matrix, whose condition number is the square, is never formed.
+    Gradients flow through it where L has full rank.
 
     Args:
         rows: (B, N, D) with N >= D.
     """
-    upper = torch.linalg.qr(rows, mode="r").R
+    # Its derivative needs the orthogonal factor; the triangular one is the same.
+    mode = "reduced" if torch.is_grad_enabled() and rows.requires_grad else "r"
+    upper = torch.linalg.qr(rows, mode=mode).R
     diagonal = torch.diagonal(upper, dim1=-2, dim2=-1)
     # copysign and not sign: a zero on the diagonal must not wipe out its row.
     return (upper * torch.copysign(torch.ones_like(diagonal), diagonal).unsqueeze(-1)).mT

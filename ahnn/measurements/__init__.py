@@ -1,1 +1,27 @@
-"""What instruments give: measurement models, their residuals, and when they measure."""
+"""What instruments give: measurement models, what is out of their view, and when they measure.
+
+A model maps states to measurements and knows what a difference of two means. It is any object with the
+members of `Measurement`: one class, and one YAML file that names it.
+"""
+
+from __future__ import annotations
+
+from ahnn.measurements.base import Measurement, Sighted, observe, wrap
+from ahnn.measurements.gnss import GnssRange
+from ahnn.measurements.ground_station import GroundStation
+from ahnn.measurements.readings import Position, State
+from ahnn.measurements.schedule import Schedule, every, schedule
+
+__all__ = [
+    "GnssRange",
+    "GroundStation",
+    "Measurement",
+    "Position",
+    "Schedule",
+    "Sighted",
+    "State",
+    "every",
+    "observe",
+    "schedule",
+    "wrap",
+]

@@ -1,12 +1,9 @@
-"""What a measurement model is, and the two that read the state itself.
-
-A model is any object with the members of `Measurement`: one class, and one YAML file that names it.
-"""
+"""What a measurement model is, what it sees of a state, and angles that wrap."""
 
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -39,6 +36,32 @@ class Measurement(Protocol):
         ...
 
 
+@runtime_checkable
+class Sighted(Protocol):
+    """A measurement model that does not see every state."""
+
+    def in_view(self, x: Tensor, t: float) -> Tensor:
+        """Return which of the states x (..., D) are in view at time t, (...) bool."""
+        ...
+
+
+def observe(measurement: Measurement, x: Tensor, t: float) -> Tensor:
+    """Return what an instrument gives: its measurements (..., M), NaN of states that are out of its view.
+
+    The model itself, `measurement(x, t)`, has a value for every state: a filter needs it for sigma points
+    that lie behind the horizon while the satellite does not.
+
+    Args:
+        measurement: the model; one without `in_view` sees every state.
+        x: (..., D) states.
+        t: time.
+    """
+    y = measurement(x, t)
+    if isinstance(measurement, Sighted):
+        return torch.where(measurement.in_view(x, t).unsqueeze(-1), y, torch.nan)
+    return y
+
+
 def wrap(angle: Tensor) -> Tensor:
     """Return the angle in (-pi, pi]; an angle that is already there is returned as it is, bit for bit."""
     turned = angle - 2.0 * math.pi * torch.round(angle / (2.0 * math.pi))
@@ -47,43 +70,12 @@ def wrap(angle: Tensor) -> Tensor:
     return torch.where(turned <= -math.pi, turned + 2.0 * math.pi, turned)
 
 
-class Position:
-    """The first n of 2 n state components: the positions q, as in the paper.
+def check_state(x: Tensor, least: int, who: str) -> None:
+    """Refuse states with too few components.
 
-    Args:
-        degrees_of_freedom: n.
-        unit: of a position.
+    Raises:
+        ValueError: x has fewer than `least` components; begins with `who`.
     """
-
-    def __init__(self, degrees_of_freedom: int = 3, unit: str = "km") -> None:
-        self.names = tuple(f"q{i + 1}" for i in range(degrees_of_freedom))
-        self.units = (unit,) * degrees_of_freedom
-
-    def __call__(self, x: Tensor, t: float) -> Tensor:  # noqa: ARG002
-        """Return the positions (..., n) of the states x (..., 2n)."""
-        return x[..., : len(self.names)]
-
-    def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
-        """Return y - y_pred."""
-        return y - y_pred
-
-
-class State:
-    """The whole state, positions and momenta.
-
-    Args:
-        degrees_of_freedom: n.
-        units: of a position and of a momentum.
-    """
-
-    def __init__(self, degrees_of_freedom: int = 3, units: tuple[str, str] = ("km", "km/s")) -> None:
-        self.names = tuple(f"{kind}{i + 1}" for kind in "qp" for i in range(degrees_of_freedom))
-        self.units = (units[0],) * degrees_of_freedom + (units[1],) * degrees_of_freedom
-
-    def __call__(self, x: Tensor, t: float) -> Tensor:  # noqa: ARG002
-        """Return the states (..., 2n) themselves."""
-        return x
-
-    def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
-        """Return y - y_pred."""
-        return y - y_pred
+    if x.shape[-1] < least:
+        message = f"{who}: expected states of at least {least} components; received {tuple(x.shape)}"
+        raise ValueError(message)

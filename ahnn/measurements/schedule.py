@@ -20,7 +20,7 @@ def every(measurements: Numbers, k: int) -> Tensor:
     """
     # NaN has no remainder, so that it is refused too.
     if k < 1 or k % 1 != 0:
-        message = f"every: expected a cadence of a whole number of steps, at least 1, got {k}"
+        message = f"every: expected a cadence of a whole number of steps, at least 1; received {k}"
         raise ValueError(message)
     rows = _rows(measurements, "every")
     step = torch.arange(1, rows.shape[1] + 1, device=rows.device)
@@ -43,7 +43,7 @@ def schedule(times: Numbers, measurements: Numbers, max_step: float, start_time:
     """Return steps of at most max_step that hit each of the K measurement times.
 
     Each gap is cut into equal steps. A measurement at the start time itself needs a step of its own and is
-    refused: update the initial belief instead.
+    refused: update a recursive estimator with it before its first prediction.
 
     Args:
         times: (K,) increasing, later than the start.
@@ -58,15 +58,15 @@ def schedule(times: Numbers, measurements: Numbers, max_step: float, start_time:
     given, ends = _rows(measurements, "schedule"), as_float64(times, "schedule: times")
     if ends.ndim != 1 or len(ends) == 0 or given.shape[1] != len(ends):
         message = (
-            f"schedule: expected times (K,) with K >= 1 and measurements (B, K, M), got "
+            f"schedule: expected times (K,) with K >= 1 and measurements (B, K, M); received "
             f"{tuple(ends.shape)} and {tuple(given.shape)}"
         )
         raise ValueError(message)
     gaps = torch.diff(ends, prepend=ends.new_tensor([start_time]))
     if not bool(((gaps > 0.0) & gaps.isfinite()).all()) or not max_step > 0.0:
         message = (
-            f"schedule: expected times increasing from {start_time:g} and max_step > 0, got smallest gap "
-            f"{float(gaps.min()):g} and max_step {max_step:g}"
+            f"schedule: expected times increasing from {start_time:g} and max_step > 0; received "
+            f"smallest gap {float(gaps.min()):g} and max_step {max_step:g}"
         )
         raise ValueError(message)
     # A gap of 60.000000000000007 is one step of 60, not two of 30.
@@ -81,6 +81,6 @@ def _rows(measurements: Numbers, who: str) -> Tensor:
     """Return measurements (B, T, M) as float64."""
     rows = as_float64(measurements, f"{who}: measurements")
     if rows.ndim != 3:
-        message = f"{who}: expected measurements (B, T, M), got {tuple(rows.shape)}"
+        message = f"{who}: expected measurements (B, T, M); received {tuple(rows.shape)}"
         raise ValueError(message)
     return rows

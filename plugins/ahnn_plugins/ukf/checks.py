@@ -1,4 +1,7 @@
-"""Checks at the door of the filter, so that the loop can trust its inputs."""
+"""Checks at the door of the filter, so that its kernel can trust what it is given.
+
+Matrices come in as covariances and go on as factors; numbers of any kind go on as float64 tensors.
+"""
 
 from __future__ import annotations
 
@@ -9,142 +12,182 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.errors import UserError
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.covariances import covariance_factor
+from ahnn.estimation.gate import Gate, thresholds
+from ahnn.estimation.state import FilterState
 from ahnn.measurements.base import Measurement
 from ahnn.numbers import Numbers, as_float64, described
+from ahnn_plugins.ukf.kernel import Sensor
 from ahnn_plugins.ukf.types import Form, ProcessNoise
 
 
-class Inputs(NamedTuple):
-    """Inputs of the filter, checked.
+class Grid(NamedTuple):
+    """Steps in time: their lengths, and the times () at which they end."""
 
-    Attributes:
-        measurements: (B, T, M) float64, NaN where missing.
-        present: (B, T, M) bool.
-        is_measured: T entries, whether any member has anything in that row.
-        dt: T step lengths.
-        times: T times, at the end of each step.
-        chol_q: function of the step's length that returns the factor (B, D, D) of Q.
-        chol_r: (B, M, M) factor of R.
-    """
-
-    measurements: Tensor
-    present: Tensor
-    is_measured: list[bool]
-    dt: list[float]
-    times: list[float]
-    chol_q: Callable[[float], Tensor]
-    chol_r: Tensor
+    lengths: list[float]
+    times: list[Tensor]
 
 
-def checked_inputs(
-    belief: Belief,
-    measurements: Numbers,
-    measurement: Measurement,
-    process_noise: ProcessNoise,
-    measurement_noise: Numbers,
-    dt: Numbers,
-    form: Form,
-    start_time: float,
-) -> Inputs:
-    """Return the inputs in the form that the loop uses; arguments as in `unscented_filter`.
+def check_belief(belief: Belief) -> None:
+    """Refuse what is no float64 belief.
 
     Raises:
-        ValueError: as in `unscented_filter`.
+        ValueError: another type, dtype or shape.
     """
-    _check_parts(belief, measurement, form)
-    _check_belief(belief)
-    batch, size = belief.mean.shape
-    device = belief.mean.device
-    width = len(measurement.names)
-    rows = as_float64(measurements, "unscented_filter: measurements", device)
-    _check_measurements(rows, batch, width)
-    lengths, times = _grid(dt, rows.shape[1], start_time)
-    chol_r = covariance_factor(
-        measurement_noise, "R", batch=batch, size=width, definite=form.needs_definite_noise
-    ).to(device)
-    present = ~torch.isnan(rows)
-    return Inputs(
-        measurements=rows,
-        present=present,
-        is_measured=present.any(-1).any(0).tolist(),
-        dt=lengths,
-        times=times,
-        chol_q=_process_factor(process_noise, batch, size, device),
-        chol_r=chol_r.expand(batch, width, width),
-    )
-
-
-def _check_parts(belief: Belief, measurement: Measurement, form: Form) -> None:
-    """Refuse arguments that are something else than the loop calls."""
-    missing = [name for name in ("names", "residual", "__call__") if not hasattr(measurement, name)]
     if not isinstance(belief, Belief):
-        expected, received = "a Belief", f"{described(belief)}; use initial_belief"
-    elif missing:
-        expected = "a measurement model with names, residual and a call (x, t)"
-        received = f"{measurement!r} without {', '.join(missing)}; see Measurement"
-    elif not isinstance(form, Form):
-        expected, received = "a Form, SQUARE_ROOT or STANDARD", repr(form)
-    else:
-        return
-    message = f"unscented_filter: expected {expected}, got {received}"
-    raise ValueError(message)
-
-
-def _check_belief(belief: Belief) -> None:
+        message = f"belief: expected a Belief; received {described(belief)}; use initial_belief"
+        raise UserError(message)
     mean, chol = belief
     right = mean.ndim == 2 and len(mean) > 0 and chol.shape == (*mean.shape, mean.shape[1])
     if not right or mean.dtype != torch.float64 or chol.dtype != torch.float64:
         message = (
-            f"unscented_filter: expected a float64 belief with mean (B, D), B >= 1, and chol (B, D, D), got "
+            f"belief: expected a float64 belief with mean (B, D), B >= 1, and chol (B, D, D); received "
             f"{mean.dtype} {tuple(mean.shape)} and {chol.dtype} {tuple(chol.shape)}; use initial_belief"
         )
         raise ValueError(message)
 
 
-def _check_measurements(measurements: Tensor, batch: int, width: int) -> None:
-    shape = tuple(measurements.shape)
-    if measurements.ndim != 3 or shape[0] != batch or shape[2] != width or shape[1] == 0:
-        message = f"unscented_filter: expected measurements ({batch}, T, {width}) with T >= 1, got {shape}"
-        raise ValueError(message)
-    infinite = torch.isinf(measurements)
-    if bool(infinite.any()):
-        b, k, m = (int(n) for n in infinite.nonzero()[0])
+def check_state(state: FilterState) -> None:
+    """Refuse what is no state of the filter.
+
+    Raises:
+        ValueError: another type, or a belief that is none.
+    """
+    if not isinstance(state, FilterState):
+        message = f"state: expected a FilterState; received {described(state)}; use start"
+        raise UserError(message)
+    check_belief(state.belief)
+
+
+def check_form(form: Form) -> None:
+    """Refuse what is no form.
+
+    Raises:
+        ValueError: another type.
+    """
+    if not isinstance(form, Form):
+        message = f"form: expected a Form, SQUARE_ROOT or STANDARD; received {form!r}"
+        raise UserError(message)
+
+
+def checked_sensor(
+    measurement: Measurement, noise: Numbers, belief: Belief, form: Form, gate: Gate | None
+) -> Sensor:
+    """Return a measurement model with the factor of its noise R, (M, M) or (B, M, M).
+
+    Raises:
+        ValueError: no measurement model, or no covariance.
+    """
+    missing = [name for name in ("names", "residual", "__call__") if not hasattr(measurement, name)]
+    if missing:
         message = (
-            f"unscented_filter: expected finite measurements, got an infinite one at [{b}, {k}, {m}]; "
-            f"mark a missing component with NaN"
+            f"measurement: expected a measurement model with names, residual and a call (x, t); received "
+            f"{measurement!r} without {', '.join(missing)}; see Measurement"
+        )
+        raise ValueError(message)
+    batch, width, device = len(belief.mean), len(measurement.names), belief.mean.device
+    chol_r = covariance_factor(noise, "R", batch=batch, size=width, definite=form.needs_definite_noise)
+    chol_r = chol_r.to(device).expand(batch, width, width)
+    if gate is None:
+        return Sensor(measurement, chol_r, None, torch.inf)
+    return Sensor(measurement, chol_r, thresholds(gate, width, device), gate.patience)
+
+
+def checked_rows(measurements: Numbers, batch: int, width: int, device: torch.device) -> Tensor:
+    """Return measurements (B, T, M), T >= 1, as float64.
+
+    Raises:
+        ValueError: another shape, or infinite values.
+    """
+    rows = as_float64(measurements, "measurements", device)
+    shape = tuple(rows.shape)
+    if rows.ndim != 3 or shape[0] != batch or shape[2] != width or shape[1] == 0:
+        message = f"measurements: expected shape ({batch}, T, {width}) with T >= 1; received {shape}"
+        raise ValueError(message)
+    _check_infinite(rows, "measurements")
+    return rows
+
+
+def checked_row(y: Numbers, batch: int, width: int, device: torch.device) -> Tensor:
+    """Return one measurement row (B, M) as float64.
+
+    Raises:
+        ValueError: another shape, or infinite values.
+    """
+    row = as_float64(y, "y", device)
+    if tuple(row.shape) != (batch, width):
+        message = f"y: expected shape ({batch}, {width}); received {tuple(row.shape)}"
+        raise ValueError(message)
+    _check_infinite(row, "y")
+    return row
+
+
+def _check_infinite(values: Tensor, name: str) -> None:
+    infinite = torch.isinf(values)
+    if bool(infinite.any()):
+        where = infinite.nonzero()[0].tolist()
+        message = (
+            f"{name}: expected finite numbers; received an infinite one at {where}; mark a missing component "
+            f"with NaN"
         )
         raise ValueError(message)
 
 
-def _grid(dt: Numbers, steps: int, start_time: float) -> tuple[list[float], list[float]]:
-    """Return the lengths of the steps, and the times at which they end."""
-    if not math.isfinite(start_time):
-        message = f"unscented_filter: expected a finite start_time, got {start_time}"
+def checked_time(time: float, name: str) -> float:
+    """Return a time.
+
+    Raises:
+        ValueError: it is not finite.
+    """
+    if not math.isfinite(time):
+        message = f"{name}: expected a finite time; received {time}"
         raise ValueError(message)
-    lengths = as_float64(dt, "unscented_filter: dt")
-    if lengths.ndim > 0 and lengths.shape != (steps,):
-        message = f"unscented_filter: expected dt a number or of shape ({steps},), got {tuple(lengths.shape)}"
-        raise ValueError(message)
+    return time
+
+
+def checked_steps(dt: Numbers) -> Tensor:
+    """Return step lengths as float64.
+
+    Raises:
+        ValueError: one is not finite, or not positive.
+    """
+    lengths = as_float64(dt, "dt")
     wrong = lengths[~((lengths > 0.0) & lengths.isfinite())]
     if len(wrong) > 0:
-        message = f"unscented_filter: expected finite steps dt > 0, got {float(wrong[0])}"
+        message = f"dt: expected finite steps > 0; received {float(wrong[0])}"
+        raise ValueError(message)
+    return lengths
+
+
+def checked_grid(dt: Numbers, steps: int, start: Tensor) -> Grid:
+    """Return the lengths of T steps from a number or (T,) numbers, and the times at which they end.
+
+    Raises:
+        ValueError: another shape, or steps that are not positive.
+    """
+    lengths = checked_steps(dt)
+    if lengths.ndim > 0 and lengths.shape != (steps,):
+        message = f"dt: expected a number or shape ({steps},); received {tuple(lengths.shape)}"
         raise ValueError(message)
     if lengths.ndim == 0:
-        length = float(lengths)
-        return [length] * steps, [start_time + length * (k + 1) for k in range(steps)]
-    return lengths.tolist(), (start_time + lengths.cumsum(0)).tolist()
+        ends = start + lengths * torch.arange(1, steps + 1, device=start.device)
+        return Grid([float(lengths)] * steps, list(ends.unbind()))
+    return Grid(lengths.tolist(), list((start + lengths.cumsum(0).to(start.device)).unbind()))
 
 
-def _process_factor(
-    process_noise: ProcessNoise, batch: int, size: int, device: torch.device
-) -> Callable[[float], Tensor]:
-    """Return the factor of Q, (B, D, D), as a function of the step; each length is factored once."""
+def process_factor(process_noise: ProcessNoise, belief: Belief) -> Callable[[float], Tensor]:
+    """Return the factor of Q, (B, D, D), as a function of the step; each length is factored once.
+
+    Raises:
+        ValueError: no covariance; from the function for a noise that is one of the step.
+    """
+    batch, size = belief.mean.shape
 
     def factor(matrix: Numbers) -> Tensor:
         chol = covariance_factor(matrix, "Q", batch=batch, size=size, definite=False)
-        return chol.to(device).expand(batch, size, size)
+        return chol.to(belief.mean.device).expand(batch, size, size)
 
     if not callable(process_noise):
         constant = factor(process_noise)

@@ -10,12 +10,12 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from ahnn.estimation.consistency import band
+from ahnn.estimation.scenario import Setting
 from ahnn.evaluation import Case, style
 from ahnn.evaluation.case import Start
 from ahnn.evaluation.figures import SMOOTHING
 from ahnn_plugins.ukf.outcome import Outcome, name
 from ahnn_plugins.ukf.series import Sawtooth, blocks, rms_over_members, sawtooth, smoothed_rms
-from ahnn_plugins.ukf.setting import Setting
 
 Chosen = dict[tuple[Start, bool], Outcome]
 """The outcomes that are drawn, by start and by whether it is a floor."""

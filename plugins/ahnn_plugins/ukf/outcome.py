@@ -8,12 +8,19 @@ import torch
 from torch import Tensor
 
 from ahnn.estimation.belief import Status
-from ahnn.estimation.consistency import GAUSSIAN, band, coverage, deviations, nees, share_within
+from ahnn.estimation.consistency import (
+    GAUSSIAN,
+    band,
+    coverage,
+    deviations,
+    independent_count,
+    nees,
+    share_within,
+)
+from ahnn.estimation.scenario import Problem, Setting
 from ahnn.evaluation import Case, Row, Who
 from ahnn.evaluation.titles import title
 from ahnn.metrics import Scores
-from ahnn_plugins.ukf.scenario import Problem
-from ahnn_plugins.ukf.setting import Setting
 from ahnn_plugins.ukf.smoother import unscented_smoother
 from ahnn_plugins.ukf.types import FilterResult
 
@@ -65,7 +72,10 @@ def _outcome(
     means, chols = moments
     estimate = torch.cat((result.initial.mean[:, None], means), dim=1)
     chol = torch.cat((result.initial.chol[:, None], chols), dim=1)
-    return Outcome(who, estimate, chol, nees(estimate - problem.truth, chol), setting.first, result)
+    measured = (result.measured > 0).any(0).nonzero().flatten().tolist()
+    # What was due may have been out of view.
+    first = measured[0] + 1 if measured else setting.first
+    return Outcome(who, estimate, chol, nees(estimate - problem.truth, chol), first, result)
 
 
 def rows(outcome: Outcome, case: Case, without: Scores | None) -> list[Row]:
@@ -90,15 +100,17 @@ def name(outcome: Outcome, case: Case) -> str:
 
 
 def _remark(outcome: Outcome, whole: Scores, without: Scores | None) -> str:
-    """Say which members were lost, and why the filter is worse than none where it is."""
+    """Say which members were lost or saw nothing, and why the filter is worse than none where it is."""
     remarks = []
     if outcome.lost:
         codes = {Status(int(s)).name.lower().replace("_", " ") for s in outcome.result.status if int(s)}
         remarks.append(f"{outcome.lost} of {len(outcome.nees)} lost ({', '.join(sorted(codes))})")
+    unmeasured = int((outcome.result.measured == 0).all(-1).sum())
+    if unmeasured:
+        remarks.append(f"{unmeasured} of {len(outcome.nees)} without any measurement")
     worse = [] if without is None else _worse(whole, without)
     if worse:
-        low, high = _band(outcome)
-        mean = float(outcome.nees[:, outcome.first :].nanmean())
+        mean, (low, high) = _nees(outcome)
         if outcome.lost:
             reason = "lost members"
         elif outcome.who.start == "true" and mean <= high:
@@ -116,31 +128,48 @@ def _worse(scores: Scores, without: Scores) -> list[str]:
 
 
 def _consistency_remark(outcome: Outcome) -> str:
-    """Say how NEES and NIS lie to their bands, over times from the first update on."""
-    result = outcome.result
-    nis = result.nis.masked_fill(result.rejected, torch.nan)
-    limits = band(result.innovations.shape[-1], len(outcome.nees) - outcome.lost)
+    """Say how the means of NEES and NIS lie to their bands, over times from the first update on."""
+    if not bool((outcome.result.measured > 0).any()):
+        return "nothing was measured"
     if outcome.lost == len(outcome.nees):
         return ""
-    parts = (("NEES", outcome.nees[:, outcome.first :], _band(outcome)), ("NIS", nis, limits))
-    return ", ".join(_verdict(name, float(values.nanmean()), limits) for name, values, limits in parts)
+    parts = (("NEES", *_nees(outcome)), ("NIS", *_nis(outcome)))
+    return ", ".join(_verdict(name, mean, limits) for name, mean, limits in parts)
 
 
 def _verdict(name: str, mean: float, limits: tuple[float, float]) -> str:
     low, high = limits
-    return f"{name} {mean:.3g} {'in' if low <= mean <= high else 'not in'} {low:.1f} to {high:.1f}"
+    return f"{name} {mean:.3g} {'in' if low <= mean <= high else 'not in'} {low:.3g} to {high:.3g}"
 
 
-def _band(outcome: Outcome) -> tuple[float, float]:
-    """Return the 95 % band of the NEES averaged over the living members at one time."""
-    return band(outcome.estimate.shape[-1], len(outcome.nees) - outcome.lost)
+def _nees(outcome: Outcome) -> tuple[float, tuple[float, float]]:
+    """Return the mean NEES over members and times from the first update on, and its 95 % band.
+
+    The NEES is correlated in time: its values count as `independent_count` of them.
+    """
+    values = outcome.nees[:, outcome.first :]
+    return float(values.nanmean()), band(outcome.estimate.shape[-1], independent_count(values))
+
+
+def _nis(outcome: Outcome) -> tuple[float, tuple[float, float]]:
+    """Return the mean NIS over accepted rows of all members and times, and its 95 % band.
+
+    Innovations are white: the sum is chi-square with as many degrees of freedom as numbers were measured.
+    """
+    values = outcome.result.nis.masked_fill(outcome.result.rejected, torch.nan)
+    there = values.isfinite()
+    count = int(there.sum())
+    if count == 0:
+        return float("nan"), (float("nan"), float("nan"))
+    return float(values.nanmean()), band(float(outcome.result.measured[there].double().mean()), count)
 
 
 def numbers(outcome: Outcome, case: Case) -> dict[str, Any]:
     """Return everything that metrics.json says of an outcome, as plain values.
 
-    Means run over trajectories and over times from the first update on; bands are those of the mean over
-    trajectories at one time, and `in_band` is the share of times at which that mean lies in its band.
+    Means run over trajectories and over times from the first update on; `band_95` is where such a mean lies
+    for a consistent filter. `in_band` is the share of times at which the mean over trajectories alone lies in
+    its own band, `one_time_band_95`.
     """
     result, first = outcome.result, outcome.first
     error = outcome.estimate - case.test.states
@@ -148,12 +177,13 @@ def numbers(outcome: Outcome, case: Case) -> dict[str, Any]:
     members = len(outcome.nees) - outcome.lost
     width = result.innovations.shape[-1]
     kept = result.nis.masked_fill(result.rejected, torch.nan)
+    one_time = {"nees": band(error.shape[-1], members), "nis": band(width, members)}
     shares = coverage(error[:, after], deviations(outcome.chol[:, after]))
     return {
         "whole_arc": case.score(outcome.estimate)._asdict(),
         "from_first_update": case.score(outcome.estimate, first)._asdict(),
-        "nees": _series(outcome.nees[:, after], band(error.shape[-1], members)),
-        "nis": _series(kept, band(width, members)),
+        "nees": _series(outcome.nees[:, after], *_nees(outcome), one_time["nees"]),
+        "nis": _series(kept, *_nis(outcome), one_time["nis"]),
         "coverage": {f"{k}_sigma": {"share": shares[k], "gaussian": p} for k, p in GAUSSIAN.items()},
         "status": {status.name: int((result.status == status).sum()) for status in Status},
         "failed_steps": result.failed_step[result.failed_step >= 0].tolist(),
@@ -163,11 +193,13 @@ def numbers(outcome: Outcome, case: Case) -> dict[str, Any]:
     }
 
 
-def _series(values: Tensor, limits: tuple[float, float]) -> dict[str, Any]:
-    """Return mean, band and share of times in the band of values (B, T)."""
-    over_members = values.nanmean(0)
+def _series(
+    values: Tensor, mean: float, limits: tuple[float, float], one_time: tuple[float, float]
+) -> dict[str, Any]:
+    """Return mean, bands and share of times in the band of values (B, T)."""
     return {
-        "mean": float(values.nanmean()),
+        "mean": mean,
         "band_95": list(limits),
-        "in_band": share_within(over_members, limits),
+        "one_time_band_95": list(one_time),
+        "in_band": share_within(values.nanmean(0), one_time),
     }

@@ -11,21 +11,22 @@ from torch import Tensor
 
 from ahnn.arguments import check_arguments
 from ahnn.errors import UserError
-from ahnn.estimation.belief import Gate
+from ahnn.estimation.gate import Gate
+from ahnn.estimation.scenario import Problem, Setting, perturbed_arcs, simulated
 from ahnn.evaluation import Case, Findings, Who
 from ahnn.evaluation.case import Start
 from ahnn.evaluation.titles import MODEL, described
-from ahnn.measurements.base import Measurement
+from ahnn.measurements import Measurement
 from ahnn.rollouts import rollout
 from ahnn.systems import System
 from ahnn.systems.truth import exact_flow
 from ahnn.types import Space
+from ahnn_plugins.ukf.assimilation import Filter, assimilate, shown
 from ahnn_plugins.ukf.figures import ukf_figures
 from ahnn_plugins.ukf.outcome import Outcome, filtered, numbers, rows, smoothed
 from ahnn_plugins.ukf.process_noise import fitted_process_noise
-from ahnn_plugins.ukf.scenario import Filter, Problem, assimilate, shown, simulated, validation_problem
 from ahnn_plugins.ukf.series import moving_averages
-from ahnn_plugins.ukf.setting import Setting, make_setting
+from ahnn_plugins.ukf.setting import make_setting
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
 from ahnn_plugins.ukf.standard import STANDARD
 from ahnn_plugins.ukf.tuning import Tuning, tuned_once
@@ -85,6 +86,8 @@ class UKFEvaluation:
         _check_gate(gate, patience)
         self.seed, self.smoother, self.process_noise = seed, smoother, process_noise
         self.parameters = UnscentedParameters(alpha, beta, kappa)
+        self.form = {"square_root": SQUARE_ROOT, "standard": STANDARD}[form]
+        self.gate = None if gate is None else Gate(gate, patience)
         self.tuning = None
         if tuning is not None:
             check_arguments("plugins.ukf.tuning", Tuning, tuning)
@@ -96,8 +99,6 @@ class UKFEvaluation:
             start_sd=start_sd,
             cadence=cadence,
             times=times,
-            form={"square_root": SQUARE_ROOT, "standard": STANDARD}[form],
-            gate=None if gate is None else Gate(gate, patience),
         )
 
     def check(self, truth: System | None, space: Space, steps: int) -> None:
@@ -169,19 +170,20 @@ class UKFEvaluation:
         """Return the filters of the table: the model's, tuned if asked for, and the floor."""
         r, size = setting.measurement_noise, case.test.states.shape[-1]
         nothing = torch.zeros(size, size, dtype=torch.float64)
-        model = Filter(f"{case.label} + UKF", case.flow, nothing, r, self.parameters)
+        constants = r, self.parameters, self.form, self.gate
+        model = Filter(f"{case.label} + UKF", case.flow, nothing, *constants)
         model = model._replace(process_noise=self._process_noise(case, setting, model, findings))
         filters = [(Who(MODEL, "true", "ukf"), model)]
         if self.tuning is not None:
             options = self.tuning
             count = min(options.trajectories, len(case.validation.states))
-            arcs = validation_problem(setting, case.validation, count, options.steps, self.seed + 3)
+            arcs = self._arcs(case, setting, count, options.steps, self.seed + 3)
             tuned = tuned_once(model, setting, arcs, options, case.folder / "ukf_tuned.json")
             findings.numbers["tuning"] = tuned._asdict()
             filters.append((Who(MODEL, "true", "ukf_tuned"), tuned.apply(model)))
         if case.truth is not None:
             exact = exact_flow(case.truth)
-            floor = Filter("exact flow + UKF", exact, nothing, r, self.parameters, floor=True)
+            floor = Filter("exact flow + UKF", exact, nothing, *constants)
             filters.append((Who("exact flow", "true", "ukf", floor=True), floor))
         return filters
 
@@ -194,12 +196,16 @@ class UKFEvaluation:
             about: dict[str, Any] = {"from": "given"}
         else:
             count = min(FITTING, len(case.validation.states))
-            arcs = validation_problem(setting, case.validation, count, None, self.seed + 1)
+            arcs = self._arcs(case, setting, count, None, self.seed + 1)
             fitted = fitted_process_noise(model, setting, arcs, case.validation)
             q = fitted.covariance
             about = {"from": "fitted", "scale": fitted.scale, "nees_of_scales": list(fitted.nees)}
         findings.numbers["process_noise"] = {**about, "step_sd": q.diagonal().sqrt().tolist()}
         return q
+
+    def _arcs(self, case: Case, setting: Setting, count: int, steps: int | None, seed: int) -> Problem:
+        """Return arcs of validation trajectories, which no row of the results is computed on."""
+        return perturbed_arcs(setting, case.validation.states, case.dt, count, steps, seed)
 
     def _problems(self, case: Case, setting: Setting) -> dict[Start, Problem]:
         """Return the scenarios; both see the same measurements."""
@@ -214,7 +220,7 @@ class UKFEvaluation:
             "measured": list(setting.measurement.names),
             "measurement_sd": setting.measurement_sd.tolist(),
             "start_sd": setting.start_sd.tolist(),
-            "form": setting.form.name,
+            "form": self.form.name,
             "parameters": self.parameters._asdict(),
             "seed": self.seed,
         }
@@ -263,6 +269,6 @@ def _check_gate(probability: float | None, patience: int) -> None:
     if probability is not None and not 0 < probability < 1:
         message = f"plugins.ukf.gate: expected a probability in (0, 1); received {probability}"
         raise UserError(message)
-    if patience < 1:
+    if not 1 <= patience < math.inf:
         message = f"plugins.ukf.patience: expected at least 1 refusal; received {patience}"
         raise UserError(message)

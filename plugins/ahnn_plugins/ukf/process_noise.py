@@ -23,10 +23,10 @@ import torch
 from torch import Tensor
 
 from ahnn.estimation.consistency import nees
+from ahnn.estimation.scenario import Problem, Setting
 from ahnn.statistics import Statistics
 from ahnn.types import Flow, Trajectories
-from ahnn_plugins.ukf.scenario import Filter, Problem, assimilate, shown
-from ahnn_plugins.ukf.setting import Setting
+from ahnn_plugins.ukf.assimilation import Filter, assimilate, shown
 
 SCALES = tuple(10.0**k for k in range(-1, 5))
 """Candidates for c; measured optima lie between 20 and 100."""

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from ahnn.estimation.belief import Belief
-from ahnn_plugins.ukf.members import Members
+from ahnn.estimation.state import FilterState
 from ahnn_plugins.ukf.types import Backward, FilterResult, Updated
 
 
@@ -22,10 +22,13 @@ class Step(NamedTuple):
     backward: Backward | None
 
 
-def collected(steps: list[Step], members: Members, initial: Belief, measurements: Tensor) -> FilterResult:
-    """Return the result of all steps, NaN from the failed step of a member on."""
+def collected(
+    steps: list[Step], before: FilterState, after: FilterState, measurements: Tensor
+) -> FilterResult:
+    """Return the result of the steps between two states, NaN from the failed step of a member on."""
     present = ~torch.isnan(measurements)
-    valid = _valid(members, len(steps))
+    failed_step = torch.where(after.alive, -1, (after.failed_step - before.steps).clamp(min=0))
+    valid = _valid(after, failed_step, len(steps))
     innovations = measurements.new_full(measurements.shape, torch.nan, dtype=torch.float64)
     nis = innovations.new_full(measurements.shape[:2], torch.nan)
     rejected = torch.zeros_like(nis, dtype=torch.bool)
@@ -35,7 +38,7 @@ def collected(steps: list[Step], members: Members, initial: Belief, measurements
             nis[:, k] = step.updated.nis
             rejected[:, k] = step.rejected
     return FilterResult(
-        initial=initial,
+        initial=before.belief,
         means=_masked(torch.stack([s.posterior.mean for s in steps], dim=1), valid),
         chols=_masked(torch.stack([s.posterior.chol for s in steps], dim=1), valid),
         predicted_means=_masked(torch.stack([s.predicted.mean for s in steps], dim=1), valid),
@@ -44,20 +47,21 @@ def collected(steps: list[Step], members: Members, initial: Belief, measurements
         nis=_masked(torch.where(present.any(-1), nis, torch.nan), valid),
         measured=present.sum(-1),
         rejected=rejected,
-        log_likelihood=members.log_likelihood,
-        status=members.status,
-        failed_step=members.failed_step,
-        repairs=members.repairs,
+        log_likelihood=after.log_likelihood,
+        status=after.status,
+        failed_step=failed_step,
+        repairs=after.repairs,
         backward=_stacked([s.backward for s in steps if s.backward is not None]),
+        state=after,
     )
 
 
-def _valid(members: Members, steps: int) -> Tensor | None:
+def _valid(state: FilterState, failed_step: Tensor, steps: int) -> Tensor | None:
     """Return which steps of which members hold, (B, T) bool; None if all do."""
-    if members.all_ok:
+    if not bool(state.status.any()):
         return None
-    step = torch.arange(steps, device=members.status.device)
-    return members.alive[:, None] | (step < members.failed_step[:, None])
+    step = torch.arange(steps, device=state.status.device)
+    return state.alive[:, None] | (step < failed_step[:, None])
 
 
 def _masked(values: Tensor, valid: Tensor | None) -> Tensor:

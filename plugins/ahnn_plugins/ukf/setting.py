@@ -1,49 +1,18 @@
-"""How measurements are made and what a filter is told of them: what all models of an evaluation share."""
+"""From the options of the plugin and a system to the setting that all models of an evaluation share."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
 from ahnn.errors import UserError
-from ahnn.estimation.belief import Gate
-from ahnn.measurements.base import Measurement, Position, State
+from ahnn.estimation.scenario import Setting
+from ahnn.measurements import Measurement, Position, State
 from ahnn.systems import System
-from ahnn_plugins.ukf.types import Form
-
-
-class Setting(NamedTuple):
-    """How measurements are made and what a filter is told, the same for every model.
-
-    Attributes:
-        measurement: the model of the measurements.
-        measurement_sd: (M,) standard deviations, of the simulated noise and of R alike.
-        start_sd: (D,) standard deviations of the initial error; P0 is diagonal.
-        updates: numbers of the samples that are measured, increasing, from 1.
-        form: square-root or standard.
-        gate: refuses improbable measurements; None takes all.
-    """
-
-    measurement: Measurement
-    measurement_sd: Tensor
-    start_sd: Tensor
-    updates: tuple[int, ...]
-    form: Form
-    gate: Gate | None
-
-    @property
-    def measurement_noise(self) -> Tensor:
-        """R, (M, M)."""
-        return torch.diag(self.measurement_sd**2)
-
-    @property
-    def first(self) -> int:
-        """The first sample that is measured."""
-        return self.updates[0]
 
 
 def make_setting(
@@ -55,8 +24,6 @@ def make_setting(
     start_sd: Sequence[float] | None,
     cadence: int,
     times: Sequence[float] | None,
-    form: Form,
-    gate: Gate | None,
 ) -> Setting:
     """Return the setting of a system from the options of `UKFEvaluation`.
 
@@ -68,8 +35,6 @@ def make_setting(
         start_sd: of the initial positions and velocities; None takes the system's own.
         cadence: steps between two measurements.
         times: of the measurements, in place of a cadence.
-        form: as in `Setting`.
-        gate: as in `Setting`.
 
     Raises:
         UserError: no measurement falls within a trajectory, or an option does not fit the system.
@@ -79,7 +44,7 @@ def make_setting(
     default = system.noise.measurement if measurement == "position" else None
     sd = _deviations(model, default if measurement_sd is None else measurement_sd)
     _try(model, system, updates[0] * system.dt)
-    return Setting(model, sd, _start(system, start_sd), updates, form, gate)
+    return Setting(model, sd, _start(system, start_sd), updates)
 
 
 def named(measurement: str, system: System) -> Measurement:

@@ -9,6 +9,9 @@ from ahnn.estimation.belief import Belief
 from ahnn.numbers import as_float64
 from ahnn_plugins.ukf.types import UnscentedParameters, Weights
 
+CROWDED = 100.0
+"""Amplification of rounding, D / (D + lambda), beyond which it is watched: alpha < 0.1 for kappa = 0."""
+
 
 def unscented_weights(
     parameters: UnscentedParameters, size: int, device: torch.device | None = None, *, batch: int = 1
@@ -30,16 +33,10 @@ def unscented_weights(
     """
     alpha, beta, kappa = torch.broadcast_tensors(*_checked(parameters, device, batch))
     total = alpha**2 * (size + kappa)
-    if not bool((total > 0.0).all()):
-        b = int((~(total > 0.0)).flatten().nonzero()[0])
-        received = (float(value.flatten()[b]) for value in (total, alpha, kappa))
-        message = (
-            "unscented_weights: expected L + lambda = alpha² (L + kappa) > 0, got "
-            "{:g} with alpha = {:g}, kappa = {:g}, L = {}; choose alpha != 0 and kappa > -L"
-        ).format(*received, size)
-        raise ValueError(message)
+    _check_total(total, alpha, kappa, size)
     mean_centre = (total - size) / total
     outer_sum = size / total
+    crowded = outer_sum > CROWDED
     radicand = 1.0 + outer_sum * (beta - alpha**2)
     return Weights(
         radius=total.sqrt(),
@@ -48,6 +45,7 @@ def unscented_weights(
         covariance_centre=mean_centre + 1.0 - alpha**2 + beta,
         recentring=(1.0 - radicand.clamp(min=0.0).sqrt()) / outer_sum,
         downdate=(-radicand).clamp(min=0.0) / outer_sum if bool((radicand < 0.0).any()) else None,
+        crowding=torch.where(crowded, outer_sum, 0.0).detach() if bool(crowded.any()) else None,
     )
 
 
@@ -59,11 +57,22 @@ def _checked(parameters: UnscentedParameters, device: torch.device | None, batch
         if tuple(column.shape) not in {(), (1,), (batch,)} or not bool(column.isfinite().all()):
             message = (
                 f"unscented_weights: expected {name} to be one finite number or one for each of {batch} "
-                f"members, got {column.tolist()}"
+                f"members; received {column.tolist()}"
             )
             raise ValueError(message)
         columns.append(column.reshape(-1, 1, 1))
     return columns
+
+
+def _check_total(total: Tensor, alpha: Tensor, kappa: Tensor, size: int) -> None:
+    if not bool((total > 0.0).all()):
+        b = int((~(total > 0.0)).flatten().nonzero()[0])
+        received = (float(value.flatten()[b]) for value in (total, alpha, kappa))
+        message = (
+            "unscented_weights: expected L + lambda = alpha² (L + kappa) > 0; received "
+            "{:g} with alpha = {:g}, kappa = {:g}, L = {}; choose alpha != 0 and kappa > -L"
+        ).format(*received, size)
+        raise ValueError(message)
 
 
 def draw(belief: Belief, weights: Weights) -> Tensor:

@@ -44,8 +44,9 @@ def backward_kernel(
     gain = torch.linalg.solve_triangular(chol_next, cross, upper=False, left=False)
     singular = _singular(chol_next)
     if bool(singular.any()):
-        parts = chol_next[singular], cross[singular], chol_given[singular]
-        gain[singular], chol_given[singular] = _singular_law(*parts)
+        laws = _singular_law(chol_next[singular], cross[singular], chol_given[singular])
+        gain = gain.index_put((singular,), laws[0])
+        chol_given = chol_given.index_put((singular,), laws[1])
         repaired = singular if repaired is None else singular | repaired
     return Backward(gain, chol_given), repaired
 
@@ -90,7 +91,7 @@ def unscented_smoother(result: FilterResult) -> SmootherResult:
     """
     if result.backward is None:
         message = (
-            "unscented_smoother: expected backward kernels, got None; run the filter with smoothing=True"
+            "unscented_smoother: expected backward kernels; received None; run the filter with smoothing=True"
         )
         raise ValueError(message)
     steps = result.means.shape[1]

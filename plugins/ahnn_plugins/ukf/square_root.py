@@ -57,7 +57,8 @@ def update(
     outer = torch.where(column, residual(images[:, 1:], images[:, :1]), 0.0)
     shift = weights.outer * outer.sum(1, keepdim=True)
     y_pred = images[:, 0] + shift[:, 0]
-    innovation = torch.where(present, residual(y, y_pred), 0.0)
+    # What is missing is filled in: a residual may mix components, and NaN would spoil its gradient.
+    innovation = torch.where(present, residual(torch.where(present, y, y_pred), y_pred), 0.0)
     noise = torch.cat((torch.where(column, chol_r.mT, 0.0), torch.diag_embed((~present).to(y.dtype))), dim=1)
     joint, repaired = joint_factor(outer, shift, prior.chol, weights, noise)
     chol_y, cross, chol = joint[:, :size, :size], joint[:, size:, :size], joint[:, size:, size:]

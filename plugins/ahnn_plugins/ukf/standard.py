@@ -39,7 +39,8 @@ def update(
     present = ~torch.isnan(y)
     outer = torch.where(present.unsqueeze(1), residual(images[:, 1:], images[:, :1]), 0.0)
     y_pred, deviations = _centred(outer, images[:, 0], weights)
-    innovation = torch.where(present, residual(y, y_pred), 0.0)
+    # What is missing is filled in: a residual may mix components, and NaN would spoil its gradient.
+    innovation = torch.where(present, residual(torch.where(present, y, y_pred), y_pred), 0.0)
     pairs = present.unsqueeze(-1) & present.unsqueeze(-2)
     noise = torch.where(pairs, chol_r @ chol_r.mT, torch.diag_embed((~present).to(y.dtype)))
     chol_y, repaired_y = cholesky_repaired(

@@ -20,10 +20,10 @@ from torch import Tensor
 from ahnn.arguments import fits, nearest
 from ahnn.errors import UserError
 from ahnn.estimation.belief import Status
+from ahnn.estimation.scenario import Problem, Setting
 from ahnn.files import write_atomically
 from ahnn.metrics import errors, rmse_norm
-from ahnn_plugins.ukf.scenario import Filter, Problem, assimilate, shown
-from ahnn_plugins.ukf.setting import Setting
+from ahnn_plugins.ukf.assimilation import Filter, assimilate, shown
 from ahnn_plugins.ukf.types import UnscentedParameters
 
 if TYPE_CHECKING:
@@ -221,8 +221,8 @@ def _recipe(chosen: Filter, setting: Setting, problem: Problem, options: Tuning)
     return {
         "tuning": asdict(options),
         "arcs": hashlib.sha256(arcs).hexdigest(),
-        "form": setting.form.name,
-        "gate": None if setting.gate is None else list(setting.gate),
+        "form": chosen.form.name,
+        "gate": None if chosen.gate is None else list(chosen.gate),
         **{name: [f"{v:.5e}" for v in tensor.flatten().tolist()] for name, tensor in tensors.items()},
     }
 

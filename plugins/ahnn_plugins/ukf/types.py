@@ -8,6 +8,7 @@ from typing import NamedTuple, Protocol
 from torch import Tensor
 
 from ahnn.estimation.belief import Belief
+from ahnn.estimation.state import FilterState
 from ahnn.numbers import Numbers
 
 
@@ -41,6 +42,8 @@ class Weights(NamedTuple):
         covariance_centre: W_c0.
         recentring: share of the shift that the deviations lose.
         downdate: what is left to subtract; None if nothing is, for any member.
+        crowding: D / radius², by which the mean amplifies rounding, of members whose points lie so close that
+            it matters, 0 of the others; None if it matters for no member.
     """
 
     radius: Tensor
@@ -49,6 +52,7 @@ class Weights(NamedTuple):
     covariance_centre: Tensor
     recentring: Tensor
     downdate: Tensor | None
+    crowding: Tensor | None
 
 
 class Predicted(NamedTuple):
@@ -150,10 +154,13 @@ class FilterResult(NamedTuple):
         rejected: (B, T) bool, the gate refused the row.
         log_likelihood: (B,) of the accepted measurements.
         status: (B,) int64, see `Status`.
-        failed_step: (B,) int64, step at which the status was given; -1 where it is OK.
+        failed_step: (B,) int64, step of this run at which the status was given, 0 if before it; -1 where it
+            is OK.
         repairs: (B,) int64, covariances that had to be mended, and backward kernels of a covariance that
             was singular.
         backward: kernels for the smoother, where they were asked for.
+        state: after the last step, from which the next measurements go on. Log-likelihood, status and repairs
+            are its own: in a run that began with a state they count from where that state began.
     """
 
     initial: Belief
@@ -170,6 +177,7 @@ class FilterResult(NamedTuple):
     failed_step: Tensor
     repairs: Tensor
     backward: Backward | None
+    state: FilterState
 
     @property
     def covariances(self) -> Tensor:

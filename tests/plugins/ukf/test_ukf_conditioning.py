@@ -7,16 +7,10 @@ import math
 import pytest
 import torch
 
+from ahnn.estimation import Belief, initial_belief
 from ahnn.estimation.linalg import tria
-from ahnn_plugins.ukf import (
-    SQUARE_ROOT,
-    STANDARD,
-    Belief,
-    Position,
-    UnscentedParameters,
-    initial_belief,
-    unscented_filter,
-)
+from ahnn.measurements import Position
+from ahnn_plugins.ukf import SQUARE_ROOT, STANDARD, UnscentedParameters, unscented_filter
 
 F64 = torch.float64
 

@@ -10,21 +10,21 @@ from pathlib import Path
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
+from scipy.stats import chi2
 
 from ahnn.cli.build import build_all
 from ahnn.data.generate import generate
 from ahnn.errors import UserError
+from ahnn.estimation import Setting, simulated
 from ahnn.evaluation import Case, Findings, Who
 from ahnn.evaluation.case import perturbations
 from ahnn.evaluation.open_loop import exact_flow
 from ahnn.evaluation.results import plain
 from ahnn.integrators import INTEGRATORS
+from ahnn.measurements import Position
 from ahnn.paths import conf_dir
 from ahnn.systems import MassSpring, Molniya, System
 from ahnn.types import Flow
-from ahnn_plugins.ukf import SQUARE_ROOT, Position
-from ahnn_plugins.ukf.scenario import simulated
-from ahnn_plugins.ukf.setting import Setting
 
 RK4 = INTEGRATORS["rk4"]
 SPRING = MassSpring(name="spring", dt=0.01, steps=200)
@@ -81,7 +81,7 @@ def test_rows_numbers_arrays_and_figures(spring: Case) -> None:
     assert all(torch.tensor(row.scores[:5]).isfinite().all() for row in findings.rows)
     json.dumps(plain(findings.numbers), allow_nan=False)
     told = findings.numbers["filters"]["ukf"]["model"]["perturbed"]
-    assert told["status"] == {"OK": 6, "NOT_FINITE": 0, "COLLAPSED": 0, "DIVERGED": 0}
+    assert told["status"] == {"OK": 6, "NOT_FINITE": 0, "COLLAPSED": 0, "DIVERGED": 0, "IMPRECISE": 0}
     assert told["repairs"] == 0
     assert 0.5 < told["coverage"]["1_sigma"]["share"] <= 1.0
     assert findings.arrays["perturbed_start"].shape == spring.test.states.shape
@@ -137,6 +137,28 @@ def test_ground_station_from_yaml(make_case: Callable) -> None:
     assert findings.rows[3].scores.position < 3.0  # km; without measurements tens of km
 
 
+def test_a_filter_that_measured_nothing_says_so(make_case: Callable) -> None:
+    # Nothing of these orbits stands in the zenith of the pole.
+    case = make_case(ORBITS, exact_flow(ORBITS, RK4))
+    station = "{_target_:ahnn.measurements.GroundStation,latitude:-90,longitude:0,min_elevation:89}"
+    findings = run(case, "cadence=10", f"measurement={station}", "measurement_sd=1e-3")
+    for row in findings.rows:
+        text = "nothing was measured" if row.extra["from_first_update"] else "6 of 6 without any measurement"
+        assert text in row.note
+    json.dumps(plain(findings.numbers), allow_nan=False)
+
+
+def test_the_consistency_is_judged_by_the_band_of_what_is_averaged(spring: Case) -> None:
+    told = run(spring).numbers["filters"]["exact flow + UKF"]["perturbed"]
+    rows, degrees = 6 * 3, 1
+    low, high = (chi2.ppf(p, rows * degrees) / rows for p in (0.025, 0.975))
+    assert told["nis"]["band_95"] == pytest.approx([low, high])
+    # The error of a spring without process noise lasts: many times count little more than one.
+    narrow, wide = told["nees"]["band_95"], told["nees"]["one_time_band_95"]
+    assert wide[0] <= narrow[0] < narrow[1] <= wide[1]
+    assert narrow[1] - narrow[0] > 0.3 * (wide[1] - wide[0])
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -151,7 +173,7 @@ def test_ground_station_from_yaml(make_case: Callable) -> None:
         ("alpha=nan", "expected alpha other than 0, a finite beta"),
         ("patience=0", "patience: expected at least 1 refusal"),
         ("measurement=velocity", "measurement: expected .* position, state"),
-        ("measurement={_target_:ahnn_plugins.ukf.Gate}", "Gate has no names, units, residual"),
+        ("measurement={_target_:ahnn.estimation.Gate}", "Gate has no names, units, residual"),
         ("cadence=fast", "cadence: expected int; received 'fast'"),
         ("process_noise=[1.0]", "process_noise: expected `fitted` or two"),
         ("process_noise=guessed", "process_noise: expected one of fitted or a list of float"),
@@ -189,7 +211,7 @@ def test_satellites_and_whole_states_are_measured_from_yaml(make_case: Callable[
 
 
 def test_measurement_noise_is_not_the_initial_error(spring: Case) -> None:
-    setting = Setting(Position(1, "m"), torch.ones(1), SPRING.deviations(), (1, 2), SQUARE_ROOT, None)
+    setting = Setting(Position(1, "m"), torch.ones(1), SPRING.deviations(), (1, 2))
     truth = torch.zeros(6, 3, 2, dtype=torch.float64)
     noise = simulated(setting, truth, 0.01, seed=0).flatten()
     drawn = (spring.perturbation / SPRING.deviations()).flatten()

@@ -7,13 +7,8 @@ import pytest
 import torch
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from ahnn_plugins.ukf import (
-    SQUARE_ROOT,
-    STANDARD,
-    UnscentedParameters,
-    initial_belief,
-    unscented_filter,
-)
+from ahnn.estimation import initial_belief
+from ahnn_plugins.ukf import SQUARE_ROOT, STANDARD, UnscentedParameters, unscented_filter
 from ahnn_plugins.ukf.sigma_points import draw, unscented_weights
 
 FORMS = [SQUARE_ROOT, STANDARD]

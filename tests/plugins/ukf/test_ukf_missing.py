@@ -7,7 +7,9 @@ import math
 import pytest
 import torch
 
-from ahnn_plugins.ukf import SQUARE_ROOT, STANDARD, Belief, Position, initial_belief, unscented_filter
+from ahnn.estimation import Belief, initial_belief
+from ahnn.measurements import Position
+from ahnn_plugins.ukf import SQUARE_ROOT, STANDARD, unscented_filter
 
 FORMS = [SQUARE_ROOT, STANDARD]
 F64 = torch.float64

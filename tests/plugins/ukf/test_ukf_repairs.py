@@ -5,16 +5,9 @@ from __future__ import annotations
 import pytest
 import torch
 
-from ahnn_plugins.ukf import (
-    SQUARE_ROOT,
-    STANDARD,
-    Belief,
-    Position,
-    Status,
-    UnscentedParameters,
-    initial_belief,
-    unscented_filter,
-)
+from ahnn.estimation import Belief, Status, initial_belief
+from ahnn.measurements import Position
+from ahnn_plugins.ukf import SQUARE_ROOT, STANDARD, UnscentedParameters, unscented_filter
 from ahnn_plugins.ukf.sigma_points import unscented_weights
 
 FORMS = [SQUARE_ROOT, STANDARD]

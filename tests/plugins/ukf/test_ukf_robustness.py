@@ -7,17 +7,9 @@ import math
 import pytest
 import torch
 
-from ahnn_plugins.ukf import (
-    SQUARE_ROOT,
-    STANDARD,
-    Gate,
-    Position,
-    Status,
-    UnscentedParameters,
-    initial_belief,
-    unscented_filter,
-    unscented_smoother,
-)
+from ahnn.estimation import Gate, Status, initial_belief
+from ahnn.measurements import GroundStation, Position
+from ahnn_plugins.ukf import SQUARE_ROOT, STANDARD, UnscentedParameters, unscented_filter, unscented_smoother
 
 FORMS = [SQUARE_ROOT, STANDARD]
 F64 = torch.float64
@@ -205,3 +197,20 @@ def test_runs_under_inference_mode_and_keeps_no_graph():
     with torch.inference_mode():
         _, _, again = duffing_run(parameters=UnscentedParameters())
     assert torch.equal(result.means, again.means)
+
+
+def test_a_pass_through_south_does_not_upset_the_filter():
+    # The satellite stands due south: its sigma points straddle the cut of the azimuth.
+    station = GroundStation(math.degrees(0.7), 0.0, rotation_rate=0.0)
+    north, up = ((-math.sin(0.7), 0.0, math.cos(0.7)), (math.cos(0.7), 0.0, math.sin(0.7)))
+    site = torch.tensor([station.equatorial, 0.0, station.polar], dtype=F64)
+    q = site + 800.0 * (torch.tensor(up, dtype=F64) - torch.tensor(north, dtype=F64))
+    x = torch.cat((q, torch.zeros(3, dtype=F64)))[None]
+    rows = station(x, 0.0)[:, None].repeat(1, 5, 1)
+    rows[:, 1::2, 1] *= -1.0
+    r = torch.diag(torch.tensor([1e-2, 1e-8, 1e-8], dtype=F64))
+    p0 = torch.diag(torch.tensor([1.0] * 3 + [1e-6] * 3, dtype=F64))
+    belief = initial_belief(x + 0.3, p0)
+    result = unscented_filter(lambda x, _: x * 1.0, belief, rows, station, 1e-9 * torch.eye(6), r, 1.0)
+    assert float((result.means[0, -1, :3] - x[0, :3]).norm()) < 0.5
+    assert bool((result.innovations[..., 1].abs() < 0.01).all())

@@ -7,15 +7,9 @@ import pytest
 import torch
 from scipy.stats import chi2
 
-from ahnn_plugins.ukf import (
-    SQUARE_ROOT,
-    STANDARD,
-    Position,
-    UnscentedParameters,
-    initial_belief,
-    unscented_filter,
-    unscented_smoother,
-)
+from ahnn.estimation import initial_belief
+from ahnn.measurements import Position
+from ahnn_plugins.ukf import SQUARE_ROOT, STANDARD, UnscentedParameters, unscented_filter, unscented_smoother
 
 
 def kalman_smoother(problem):

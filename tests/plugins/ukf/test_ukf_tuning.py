@@ -9,12 +9,13 @@ import torch
 
 from ahnn.data.generate import generate
 from ahnn.errors import UserError
+from ahnn.estimation import Problem, Setting, perturbed_arcs
 from ahnn.evaluation.open_loop import exact_flow
 from ahnn.integrators import INTEGRATORS
+from ahnn.measurements import Position
 from ahnn.systems import MassSpring
-from ahnn_plugins.ukf import SQUARE_ROOT, Position, UnscentedParameters, tuning
-from ahnn_plugins.ukf.scenario import Filter, Problem, validation_problem
-from ahnn_plugins.ukf.setting import Setting
+from ahnn_plugins.ukf import UnscentedParameters, tuning
+from ahnn_plugins.ukf.assimilation import Filter
 from ahnn_plugins.ukf.tuning import LOST, Tuning, objectives, tune, tuned_once
 
 SYSTEM = MassSpring(name="spring", dt=0.01, steps=200)
@@ -33,8 +34,8 @@ OPTIONS = Tuning(ranges=RANGES, trials=25, trajectories=4, steps=100, batch=8, s
 def search() -> tuple[Filter, Setting, Problem]:
     updates = tuple(range(20, 101, 20))
     sd = torch.full((1,), 3e-4)
-    setting = Setting(Position(1, "m"), sd, SYSTEM.deviations(), updates, SQUARE_ROOT, None)
-    arcs = validation_problem(setting, generate(SYSTEM, 4, seed=0), 4, 100, seed=0)
+    setting = Setting(Position(1, "m"), sd, SYSTEM.deviations(), updates)
+    arcs = perturbed_arcs(setting, generate(SYSTEM, 4, seed=0).states, SYSTEM.dt, 4, 100, seed=0)
     q = 1e-9 * torch.eye(2, dtype=torch.float64)  # far too little for a wrong spring
     flow = exact_flow(WRONG, INTEGRATORS["rk4"])
     return Filter("wrong", flow, q, setting.measurement_noise, UnscentedParameters()), setting, arcs

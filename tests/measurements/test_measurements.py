@@ -10,16 +10,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ahnn.measurements.stations import EARTH_RATE
-from ahnn_plugins.ukf import (
-    GnssRange,
-    GroundStation,
-    Position,
-    State,
-    initial_belief,
-    unscented_filter,
-    wrap,
-)
+from ahnn.measurements import GnssRange, GroundStation, Position, State, observe, wrap
+from ahnn.measurements.ground_station import EARTH_RATE
 
 F64 = torch.float64
 
@@ -144,41 +136,6 @@ def test_residual_of_azimuths_on_both_sides_of_south():
     assert torch.allclose(station.residual(y, y_pred), expected, rtol=1e-12)
 
 
-def test_a_pass_through_south_does_not_upset_the_filter():
-    # The satellite stands due south: its sigma points straddle the cut of the azimuth.
-    latitude, longitude = 40.0, 0.0
-    station = GroundStation(latitude, longitude, rotation_rate=0.0)
-    x = neighbour(latitude, longitude, north=-800.0, up=800.0)[None]
-    rows = station(x, 0.0)[:, None].repeat(1, 5, 1)
-    rows[:, 1::2, 1] *= -1.0
-    r = torch.diag(torch.tensor([1e-2, 1e-8, 1e-8], dtype=F64))
-    p0 = torch.diag(torch.tensor([1.0] * 3 + [1e-6] * 3, dtype=F64))
-    belief = initial_belief(x + 0.3, p0)
-    result = unscented_filter(lambda x, _: x * 1.0, belief, rows, station, 1e-9 * torch.eye(6), r, 1.0)
-    assert float((result.means[0, -1, :3] - x[0, :3]).norm()) < 0.5
-    assert bool((result.innovations[..., 1].abs() < 0.01).all())
-
-
-def test_gnss_ranges_constant_and_tabulated():
-    satellites = torch.tensor([[20000.0, 0.0, 0.0], [0.0, 20000.0, 0.0]], dtype=F64)
-    x = torch.tensor([[7000.0, 0.0, 0.0, 0.0, 7.5, 0.0]], dtype=F64)
-    expected = torch.tensor([[13000.0, math.hypot(7000.0, 20000.0)]], dtype=F64)
-    assert torch.allclose(GnssRange(satellites)(x, 0.0), expected, rtol=1e-15)
-    table = GnssRange(torch.stack((satellites, 2.0 * satellites)), times=[60.0, 120.0])
-    assert torch.allclose(table(x, 60.0), expected, rtol=1e-15)
-    assert float(table(x, 120.0 * (1.0 + 1e-15))[0, 0]) == pytest.approx(33000.0)
-    with pytest.raises(ValueError, match="60 to 120, got 90"):
-        table(x, 90.0)
-    with pytest.raises(ValueError, match="expected positions"):
-        GnssRange(table.positions)
-
-
-def test_gnss_clock_is_a_component_of_the_state():
-    x = torch.tensor([[7000.0, 0.0, 0.0, 0.0, 7.5, 0.0, 0.3]], dtype=F64)
-    satellites = torch.tensor([[20000.0, 0.0, 0.0]], dtype=F64)
-    assert float(GnssRange(satellites, clock=6)(x, 0.0)) == pytest.approx(13000.3, rel=1e-15)
-
-
 def test_position_and_state_read_the_state():
     x = torch.arange(6.0, dtype=F64)
     assert Position(3)(x, 0.0).tolist() == [0.0, 1.0, 2.0]
@@ -188,7 +145,7 @@ def test_position_and_state_read_the_state():
 
 
 def test_a_station_at_an_impossible_latitude():
-    with pytest.raises(ValueError, match="got 91"):
+    with pytest.raises(ValueError, match="received 91"):
         GroundStation(91.0, 0.0)
 
 
@@ -198,7 +155,7 @@ def test_the_range_rate_is_that_of_the_velocity_whatever_the_mass():
     light = GroundStation(47.0, 11.0, range_rate=True)
     heavy = GroundStation(47.0, 11.0, range_rate=True, mass=2.5)
     assert torch.allclose(heavy(momenta, 7.0), light(x, 7.0), rtol=1e-14, atol=0.0)
-    with pytest.raises(ValueError, match="expected a mass > 0 kg, got 0"):
+    with pytest.raises(ValueError, match="expected a mass > 0 kg; received 0"):
         GroundStation(47.0, 11.0, mass=0.0)
 
 
@@ -214,5 +171,49 @@ def test_the_range_rate_is_that_of_the_velocity_whatever_the_mass():
 )
 def test_states_that_are_too_short_for_a_model(model, size, least):
     who = type(model).__name__
-    with pytest.raises(ValueError, match=rf"{who}: expected states of at least {least} .* got \(5, {size}\)"):
+    with pytest.raises(
+        ValueError, match=rf"{who}: expected states of at least {least} .* received \(5, {size}\)"
+    ):
         model(torch.ones(5, size, dtype=F64), 0.0)
+
+
+@pytest.mark.parametrize("least", [-90.0, 0.0, 10.0])
+def test_what_stands_lower_than_the_least_elevation_is_not_observed(least):
+    latitude, longitude, t = 47.0, 11.0, 500.0
+    station = GroundStation(latitude, longitude, min_elevation=least)
+    angles = torch.tensor([-60.0, -1.0, 1.0, 9.0, 11.0, 89.0]).deg2rad().tolist()
+    x = torch.stack([neighbour(latitude, longitude, north=math.cos(a), up=math.sin(a), t=t) for a in angles])
+    seen = torch.tensor([math.degrees(a) > least for a in angles])
+    y = observe(station, x, t)
+    assert torch.equal(station.in_view(x, t), seen)
+    assert torch.equal(y[seen], station(x, t)[seen])
+    assert bool(y[~seen].isnan().all())
+    assert bool(station(x, t).isfinite().all())
+
+
+def test_a_model_without_a_view_observes_every_state():
+    x = torch.arange(6.0, dtype=F64)
+    assert observe(Position(3), x, 0.0).tolist() == [0.0, 1.0, 2.0]
+
+
+NUMBERS = ("height", "earth_angle", "rotation_rate", "radius", "flattening", "mass", "min_elevation")
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("name", ["latitude", "longitude", *NUMBERS])
+def test_a_number_that_is_not_finite_is_refused(name, value):
+    with pytest.raises(ValueError, match=f"GroundStation: expected a finite {name}; received {value}"):
+        GroundStation(**({"latitude": 1.0, "longitude": 2.0} | {name: value}))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"min_elevation": 91.0}, r"a min_elevation in \[-90, 90\] degrees; received 91.0"),
+        ({"radius": 0.0}, "a radius > 0 km; received 0.0"),
+        ({"flattening": 1.0}, r"a flattening in \[0, 1\); received 1.0"),
+    ],
+)
+def test_impossible_stations(options, message):
+    with pytest.raises(ValueError, match=message):
+        GroundStation(0.0, 0.0, **options)

@@ -1,0 +1,56 @@
+"""When a measurement is too improbable to be taken."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import NamedTuple
+
+import torch
+from scipy.stats import chi2
+from torch import Tensor
+
+
+class Gate(NamedTuple):
+    """Chi-square gate on whole measurement rows.
+
+    Attributes:
+        probability: a row is rejected when its NIS exceeds this quantile of the chi-square law.
+        patience: this many rejections in a row end in `Status.DIVERGED`.
+    """
+
+    probability: float = 0.9999
+    patience: int = 5
+
+
+def check_gate(gate: Gate | None, who: str) -> None:
+    """Refuse what is no gate; None is none and passes.
+
+    Raises:
+        ValueError: the probability is not in (0, 1), or the patience not a whole number of at least 1; begins
+            with `who`.
+    """
+    if gate is None:
+        return
+    fits = isinstance(gate, Gate) and 0.0 < gate.probability < 1.0 and 1.0 <= gate.patience < torch.inf
+    if not fits or gate.patience % 1 != 0:
+        message = (
+            f"{who}: expected a Gate(probability in (0, 1), patience a whole number >= 1); received {gate!r}"
+        )
+        raise ValueError(message)
+
+
+def thresholds(gate: Gate, width: int, device: torch.device | None = None) -> Tensor:
+    """Return the largest NIS that is taken, (M + 1,), by the number of components that are there.
+
+    Args:
+        gate: of whole rows.
+        width: M.
+        device: of the result.
+    """
+    values = [0.0, *(_quantile(gate.probability, n) for n in range(1, width + 1))]
+    return torch.tensor(values, dtype=torch.float64, device=device)
+
+
+@cache
+def _quantile(probability: float, degrees: int) -> float:
+    return float(chi2.ppf(probability, degrees))

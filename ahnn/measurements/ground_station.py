@@ -1,0 +1,129 @@
+"""A ground station that sees a satellite, whose state is [position, momentum] in an inertial frame.
+
+Light time, refraction and polar motion are not modelled.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from ahnn.measurements.base import check_state, wrap
+from ahnn.numbers import require_finite
+
+EARTH_RATE = 7.2921150e-5
+"""Rotation rate of the Earth in rad/s (IERS Conventions 2010, table 1.2, nominal value)."""
+
+EARTH_RADIUS = 6378.137
+"""Equatorial radius of the WGS 84 ellipsoid in km (NIMA TR8350.2)."""
+
+EARTH_FLATTENING = 1.0 / 298.257223563
+"""Flattening of the WGS 84 ellipsoid (NIMA TR8350.2)."""
+
+
+class GroundStation:
+    """Range, azimuth, elevation and, if asked for, range-rate seen from a point on a rotating Earth.
+
+    Azimuth counts from north through east, in (-pi, pi]; elevation from the plane normal to the ellipsoid's
+    normal, in [-pi/2, pi/2]. Conversions: Vallado 2013, algorithms 27 (range, azimuth, elevation) and 51
+    (geodetic site coordinates).
+
+    Args:
+        latitude: geodetic, degrees.
+        longitude: degrees, positive east.
+        height: above the ellipsoid, km.
+        range_rate: also measure the range-rate.
+        earth_angle: angle of the Greenwich meridian from the inertial x axis at t = 0, rad.
+        rotation_rate: of the Earth, rad/s.
+        radius: equatorial, km.
+        flattening: of the ellipsoid; 0 for a sphere.
+        mass: of the satellite in kg; the range-rate is that of the velocity p / mass.
+        min_elevation: degrees; what stands lower is out of view. 0 is the horizon, -90 sees everything.
+
+    Raises:
+        ValueError: if a number is not finite, the latitude or the least elevation is not in [-90, 90], the
+            mass or the radius is not positive, the flattening is not in [0, 1), or a state is too short.
+    """
+
+    def __init__(
+        self,
+        latitude: float,
+        longitude: float,
+        height: float = 0.0,
+        *,
+        range_rate: bool = False,
+        earth_angle: float = 0.0,
+        rotation_rate: float = EARTH_RATE,
+        radius: float = EARTH_RADIUS,
+        flattening: float = EARTH_FLATTENING,
+        mass: float = 1.0,
+        min_elevation: float = 0.0,
+    ) -> None:
+        numbers = {"latitude": latitude, "longitude": longitude, "height": height, "mass": mass}
+        numbers |= {"earth_angle": earth_angle, "rotation_rate": rotation_rate, "radius": radius}
+        require_finite("GroundStation", **numbers, flattening=flattening, min_elevation=min_elevation)
+        _require(-90.0 <= latitude <= 90.0, "a latitude in [-90, 90] degrees", latitude)
+        _require(-90.0 <= min_elevation <= 90.0, "a min_elevation in [-90, 90] degrees", min_elevation)
+        _require(mass > 0.0, "a mass > 0 kg", mass)
+        _require(radius > 0.0, "a radius > 0 km", radius)
+        _require(0.0 <= flattening < 1.0, "a flattening in [0, 1)", flattening)
+        self.mass = mass
+        self.min_elevation = math.radians(min_elevation)
+        self.names = ("range", "azimuth", "elevation", *(("range_rate",) if range_rate else ()))
+        self.units = ("km", "rad", "rad", *(("km/s",) if range_rate else ()))
+        self.latitude = math.radians(latitude)
+        self.longitude = math.radians(longitude)
+        self.earth_angle = earth_angle
+        self.rotation_rate = rotation_rate
+        sine = math.sin(self.latitude)
+        squared_eccentricity = flattening * (2.0 - flattening)
+        normal = radius / math.sqrt(1.0 - squared_eccentricity * sine**2)
+        self.equatorial = (normal + height) * math.cos(self.latitude)
+        self.polar = (normal * (1.0 - squared_eccentricity) + height) * sine
+
+    def __call__(self, x: Tensor, t: float) -> Tensor:
+        """Return [range km, azimuth rad, elevation rad(, range-rate km/s)], (..., M), of x (..., 6).
+
+        Of states behind the horizon too: see `in_view`.
+        """
+        check_state(x, 6 if len(self.names) == 4 else 3, "GroundStation")
+        angle = self.longitude + self.earth_angle + self.rotation_rate * t
+        cosine, sine = math.cos(angle), math.sin(angle)
+        site = x.new_tensor((self.equatorial * cosine, self.equatorial * sine, self.polar))
+        line = x[..., :3] - site
+        east, north, up = (line @ x.new_tensor(self._axes(cosine, sine))).unbind(-1)
+        distance = line.square().sum(-1).sqrt()
+        elevation = torch.atan2(up, torch.hypot(east, north))
+        parts = [distance, wrap(torch.atan2(east, north)), elevation]
+        if len(self.names) == 4:
+            spin = self.rotation_rate * self.equatorial
+            relative = x[..., 3:6] / self.mass - x.new_tensor((-spin * sine, spin * cosine, 0.0))
+            parts.append((line * relative).sum(-1) / distance)
+        return torch.stack(parts, dim=-1)
+
+    def in_view(self, x: Tensor, t: float) -> Tensor:
+        """Return which of the states x (..., D) stand at the least elevation or higher, (...) bool."""
+        return self(x, t)[..., 2] >= self.min_elevation
+
+    def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
+        """Return y - y_pred, the azimuth wrapped to (-pi, pi]."""
+        difference = y - y_pred
+        azimuth = wrap(difference[..., 1:2])
+        return torch.cat((difference[..., :1], azimuth, difference[..., 2:]), dim=-1)
+
+    def _axes(self, cosine: float, sine: float) -> tuple[tuple[float, ...], ...]:
+        """Return the 3 x 3 matrix whose columns are east, north and up in the inertial frame."""
+        cos_lat, sin_lat = math.cos(self.latitude), math.sin(self.latitude)
+        return (
+            (-sine, -sin_lat * cosine, cos_lat * cosine),
+            (cosine, -sin_lat * sine, cos_lat * sine),
+            (0.0, cos_lat, sin_lat),
+        )
+
+
+def _require(fulfilled: bool, expected: str, received: float) -> None:
+    if not fulfilled:
+        message = f"GroundStation: expected {expected}; received {received}"
+        raise ValueError(message)

@@ -1,0 +1,47 @@
+"""The two models that read the state itself."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+
+class Position:
+    """The first n of 2 n state components: the positions q, as in the paper.
+
+    Args:
+        degrees_of_freedom: n.
+        unit: of a position.
+    """
+
+    def __init__(self, degrees_of_freedom: int = 3, unit: str = "km") -> None:
+        self.names = tuple(f"q{i + 1}" for i in range(degrees_of_freedom))
+        self.units = (unit,) * degrees_of_freedom
+
+    def __call__(self, x: Tensor, t: float) -> Tensor:  # noqa: ARG002
+        """Return the positions (..., n) of the states x (..., 2n)."""
+        return x[..., : len(self.names)]
+
+    def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
+        """Return y - y_pred."""
+        return y - y_pred
+
+
+class State:
+    """The whole state, positions and momenta.
+
+    Args:
+        degrees_of_freedom: n.
+        units: of a position and of a momentum.
+    """
+
+    def __init__(self, degrees_of_freedom: int = 3, units: tuple[str, str] = ("km", "km/s")) -> None:
+        self.names = tuple(f"{kind}{i + 1}" for kind in "qp" for i in range(degrees_of_freedom))
+        self.units = (units[0],) * degrees_of_freedom + (units[1],) * degrees_of_freedom
+
+    def __call__(self, x: Tensor, t: float) -> Tensor:  # noqa: ARG002
+        """Return the states (..., 2n) themselves."""
+        return x
+
+    def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
+        """Return y - y_pred."""
+        return y - y_pred

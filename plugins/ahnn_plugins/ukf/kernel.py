@@ -1,0 +1,160 @@
+"""One prediction and one update of the filter: pure functions of a state, with checked arguments.
+
+What fails gives its member a status and freezes it, see `ahnn.estimation.state`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ahnn.estimation.belief import Status, choose
+from ahnn.estimation.state import FilterState, add_repairs, fail, frozen
+from ahnn.measurements.base import Measurement
+from ahnn.numbers import described
+from ahnn.types import Flow
+from ahnn_plugins.ukf.rounding import images_lost_in_rounding, lost_in_rounding
+from ahnn_plugins.ukf.sigma_points import draw
+from ahnn_plugins.ukf.types import Form, Updated, Weights
+
+
+class Sensor(NamedTuple):
+    """A measurement model and what is believed of it.
+
+    Attributes:
+        measurement: the model.
+        chol_r: (B, M, M) factor of R.
+        thresholds: (M + 1,) largest NIS that is taken, by the number of components that are there; None takes
+            all.
+        patience: rejections in a row that end a member.
+    """
+
+    measurement: Measurement
+    chol_r: Tensor
+    thresholds: Tensor | None
+    patience: float
+
+
+class Propagated(NamedTuple):
+    """What a smoother needs of a prediction: points after the flow, and which members were repaired."""
+
+    points: Tensor
+    repaired: Tensor | None
+
+
+def predict(
+    state: FilterState, flow: Flow, dt: float, time: Tensor, chol_q: Tensor, weights: Weights, form: Form
+) -> tuple[FilterState, Propagated]:
+    """Return the state after a step of the flow that ends at `time`."""
+    points = _propagate(flow, draw(state.belief, weights), dt)
+    predicted, repaired = form.predict(points, weights, chol_q)
+    after = FilterState(predicted, time, state.steps + 1, *state[3:])
+    after = _checked_prediction(add_repairs(after, repaired))
+    if weights.crowding is not None:
+        after = fail(after, lost_in_rounding(state.belief, predicted, weights), Status.IMPRECISE)
+    return frozen(after, state.belief), Propagated(points, repaired)
+
+
+def update(
+    state: FilterState, y: Tensor, sensor: Sensor, weights: Weights, form: Form
+) -> tuple[FilterState, Updated, Tensor]:
+    """Return the state given the row y (B, M), the update itself, and which rows the gate rejected."""
+    prior = state.belief
+    images = _measured(sensor.measurement, draw(prior, weights), float(state.time))
+    updated = form.update(prior, images, y, _CheckedResidual(sensor.measurement), weights, sensor.chol_r)
+    after, rejected = _decide(state, updated, ~torch.isnan(y), images, sensor, weights)
+    return after, updated, rejected
+
+
+def _propagate(flow: Flow, points: Tensor, dt: float) -> Tensor:
+    """Return the points (B, S, D) after the flow, in one call on all of them."""
+    flat = points.reshape(-1, points.shape[-1])
+    propagated = flow(flat, dt)
+    if not _is_real(propagated, flat.shape):
+        message = (
+            f"flow: expected flow(x, dt) to return a real tensor of the shape of x, {tuple(flat.shape)}; "
+            f"received {described(propagated)}"
+        )
+        raise ValueError(message)
+    return propagated.to(points.dtype).reshape(points.shape)
+
+
+def _measured(measurement: Measurement, points: Tensor, t: float) -> Tensor:
+    """Return the measurements (B, S, M) of the points (B, S, D) at time t."""
+    images = measurement(points, t)
+    expected = torch.Size((*points.shape[:-1], len(measurement.names)))
+    if not _is_real(images, expected):
+        message = (
+            f"measurement: expected measurement(x, t) to return a real tensor {tuple(expected)} for x "
+            f"{tuple(points.shape)} and the names {measurement.names}; received {described(images)}"
+        )
+        raise ValueError(message)
+    return images.to(points.dtype)
+
+
+class _CheckedResidual(NamedTuple):
+    """A model's difference of two measurements, which must not be broadcast to another shape."""
+
+    model: Measurement
+
+    def __call__(self, y: Tensor, y_pred: Tensor) -> Tensor:
+        """Return y - y_pred, (..., M)."""
+        difference = self.model.residual(y, y_pred)
+        if not _is_real(difference, y.shape):
+            message = (
+                f"measurement: expected residual(y, y_pred) to return a real tensor {tuple(y.shape)} for y "
+                f"of that shape and y_pred {tuple(y_pred.shape)}; received {described(difference)}"
+            )
+            raise ValueError(message)
+        return difference
+
+
+def _is_real(value: object, shape: torch.Size) -> bool:
+    return isinstance(value, Tensor) and value.shape == shape and not value.is_complex()
+
+
+def _checked_prediction(state: FilterState) -> FilterState:
+    """Give a status to members whose prediction is not finite, or has a variance of zero."""
+    mean, chol = state.belief
+    variance = chol.detach().square().sum(-1)
+    smallest, largest = torch.aminmax(variance)
+    # NaN is in both and fails both comparisons.
+    if float(smallest) > 0.0 and float(largest) < torch.inf:
+        return state
+    finite = torch.isfinite(variance).all(-1) & torch.isfinite(mean).all(-1)
+    state = fail(state, ~finite, Status.NOT_FINITE)
+    return fail(state, (variance == 0.0).any(-1), Status.COLLAPSED)
+
+
+def _decide(
+    state: FilterState, updated: Updated, present: Tensor, images: Tensor, sensor: Sensor, weights: Weights
+) -> tuple[FilterState, Tensor]:
+    """Take or refuse the update, member by member; return also which rows the gate rejected, (B,) bool."""
+    has_row = present.any(-1)
+    finite = torch.isfinite(updated.belief.chol.square().sum((-2, -1)))
+    finite = finite & torch.isfinite(updated.belief.mean).all(-1) & torch.isfinite(updated.nis)
+    if bool((has_row & (updated.singular | ~finite)).any()):
+        state = fail(state, has_row & updated.singular, Status.COLLAPSED)
+        state = fail(state, has_row & ~finite, Status.NOT_FINITE)
+    accepted = has_row & state.alive
+    rejected = torch.zeros_like(accepted)
+    if sensor.thresholds is not None:
+        rejected = accepted & (updated.nis > sensor.thresholds[present.sum(-1)])
+        accepted = accepted & ~rejected
+    if weights.crowding is not None:
+        lost = lost_in_rounding(state.belief, updated.belief, weights)
+        lost = lost | images_lost_in_rounding(images, present, sensor.chol_r, weights)
+        state = fail(state, accepted & lost, Status.IMPRECISE)
+        accepted = accepted & state.alive
+    repairs = None if updated.repairs is None else updated.repairs * accepted
+    state = add_repairs(state, repairs)
+    state = state._replace(
+        belief=choose(accepted, updated.belief, state.belief),
+        rejections=torch.where(accepted, 0, state.rejections + rejected),
+        log_likelihood=state.log_likelihood + torch.where(accepted, updated.log_likelihood, 0.0),
+    )
+    if sensor.thresholds is not None:
+        state = fail(state, rejected & (state.rejections >= sensor.patience), Status.DIVERGED)
+    return state, rejected

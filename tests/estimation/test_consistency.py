@@ -1,0 +1,89 @@
+"""NEES, bands and coverage against their definitions and laws."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from ahnn.estimation.consistency import band, coverage, independent_count, nees, share_within
+
+F64 = torch.float64
+
+
+def test_nees_is_the_quadratic_form() -> None:
+    generator = torch.Generator().manual_seed(0)
+    chol = torch.randn(2, 3, 4, 4, generator=generator, dtype=torch.float64).tril() + 3 * torch.eye(4)
+    error = torch.randn(2, 3, 4, generator=generator, dtype=torch.float64)
+    expected = torch.einsum("bti,btij,btj->bt", error, torch.linalg.inv(chol @ chol.mT), error)
+    torch.testing.assert_close(nees(error, chol), expected, rtol=1e-12, atol=0)
+
+
+def test_band_holds_95_percent_of_gaussian_means() -> None:
+    generator = torch.Generator().manual_seed(0)
+    means = torch.randn(20_000, 10, 6, generator=generator).square().sum(-1).mean(-1)
+    assert share_within(means, band(6, 10)) == pytest.approx(0.95, abs=0.006)
+
+
+def test_coverage_of_gaussian_errors_leaves_out_what_is_missing() -> None:
+    error = 2 * torch.randn(1, 100_000, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    error[:, :50_000, 0] = torch.nan
+    shares = coverage(error, torch.full_like(error, 2.0))
+    assert [shares[k] for k in (1, 2, 3)] == pytest.approx([0.6827, 0.9545, 0.9973], abs=0.004)
+
+
+def correlated(members, steps, phi, seed):
+    """NEES of errors with two components that follow an autoregression of order one."""
+    generator = torch.Generator().manual_seed(seed)
+    error = torch.randn(members, 2, generator=generator, dtype=F64)
+    values = []
+    for _ in range(steps):
+        values.append(error.square().sum(-1))
+        noise = torch.randn(members, 2, generator=generator, dtype=F64)
+        error = phi * error + (1.0 - phi**2) ** 0.5 * noise
+    return torch.stack(values, 1)
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.5, 0.9, 0.98])
+def test_independent_count_of_a_known_autocorrelation(phi):
+    # The squares of such errors have the autocorrelation phi^2k, with the sum 1 + 2 sum = (1 + a)/(1 - a).
+    members, steps = 400, 500
+    count = independent_count(correlated(members, steps, phi, seed=1))
+    exact = members * steps * (1.0 - phi**2) / (1.0 + phi**2)
+    assert count == pytest.approx(exact, rel=0.15)
+
+
+def test_missing_values_count_nothing():
+    values = correlated(300, 400, 0.8, seed=2)
+    padded = torch.cat((values, torch.full((300, 700), torch.nan, dtype=F64)), dim=1)
+    assert independent_count(padded) == pytest.approx(independent_count(values), rel=0.02)
+    assert independent_count(torch.full((3, 5), torch.nan, dtype=F64)) == 0.0
+    assert independent_count(values[:, :1]) == 300.0
+
+
+def test_a_constant_of_each_member_is_worth_one_value_each():
+    values = correlated(50, 1, 0.0, seed=3).expand(50, 200)
+    assert independent_count(values) == pytest.approx(50.0, rel=0.05)
+
+
+def test_the_band_of_the_mean_nees_holds_and_that_of_one_time_is_too_wide():
+    runs, members, steps = 300, 8, 400
+    inside, lenient = 0, 0
+    for seed in range(runs):
+        values = correlated(members, steps, 0.8, seed)
+        low, high = band(2, independent_count(values))
+        inside += low <= float(values.mean()) <= high
+        low, high = band(2, members)
+        lenient += low <= float(values.mean()) <= high
+    # 300 runs know a share of 0.95 to 0.013.
+    assert inside / runs == pytest.approx(0.95, abs=0.04)
+    assert lenient == runs
+
+
+def test_the_band_of_rows_with_different_numbers_of_components():
+    generator = torch.Generator().manual_seed(0)
+    sizes = torch.tensor([1, 3, 3, 2, 4])
+    squares = torch.randn(20_000, int(sizes.sum()), generator=generator).square()
+    means = squares.sum(-1) / len(sizes)
+    assert share_within(means, band(float(sizes.double().mean()), len(sizes))) == pytest.approx(
+        0.95, abs=0.006
+    )

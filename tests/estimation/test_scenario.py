@@ -1,0 +1,40 @@
+"""Simulated measurements and arcs of trajectories."""
+
+from __future__ import annotations
+
+import torch
+
+from ahnn.data.generate import generate
+from ahnn.estimation import Setting, perturbed_arcs, simulated
+from ahnn.measurements import GroundStation, Position
+from ahnn.systems import Molniya
+
+
+def test_validation_arcs_spread_over_their_trajectories() -> None:
+    system = Molniya(name="orbits", dt=60.0, steps=40)
+    data = generate(system, 3, seed=0)
+    setting = Setting(Position(), torch.ones(3).double(), system.deviations(), tuple(range(5, 61, 5)))
+    arcs = perturbed_arcs(setting, data.states, data.dt, 3, steps=10, seed=0)
+    for b, begin in enumerate((0, 15, 30)):
+        assert torch.equal(arcs.truth[b], data.states[b, begin : begin + 11])
+    measured = arcs.measurements.isfinite().all(-1)
+    assert measured[:, [4, 9]].all()
+    assert int(measured.sum()) == 6
+
+
+def test_what_is_out_of_view_is_not_measured_and_the_noise_does_not_depend_on_it():
+    system = Molniya(name="orbits", dt=600.0, steps=72)
+    truth = generate(system, 5, seed=3).states
+    sd = torch.tensor([0.05, 1e-4, 1e-4], dtype=torch.float64)
+    rows = []
+    for least in (0.0, -90.0):
+        station = GroundStation(60.0, 30.0, min_elevation=least)
+        setting = Setting(station, sd, system.deviations(), tuple(range(2, 73, 2)))
+        rows.append(simulated(setting, truth, 600.0, seed=0))
+    masked, every = rows
+    elevation = torch.stack([station(truth[:, k], 600.0 * k)[:, 2] for k in range(1, 73)], dim=1)
+    due = torch.arange(1, 73) % 2 == 0
+    assert torch.equal(masked.isfinite().all(-1), due & (elevation >= 0.0))
+    assert torch.equal(every.isfinite().all(-1), due.expand(5, -1))
+    assert torch.equal(masked[masked.isfinite()], every[masked.isfinite()])
+    assert 0.02 < float((elevation[:, due] < 0.0).double().mean()) < 0.5
