@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ahnn.evaluation import Case, Results, Row, Who
 from ahnn.evaluation.case import perturbations
-from ahnn.evaluation.open_loop import exact_flow
+from ahnn.evaluation.open_loop import integrated
 from ahnn.integrators import INTEGRATORS
 from ahnn.metrics import Scores
 from ahnn.rollouts import rollout
@@ -30,7 +30,7 @@ MODEL = Who("model", "true")
 def trajectories(system: System, count: int, seed: int) -> Trajectories:
     """Exact trajectories of the system's own steps, on one grid of times."""
     x = system.initial_states(count, torch.Generator().manual_seed(seed))
-    flow = exact_flow(system, INTEGRATORS[system.integrator])
+    flow = integrated(system, INTEGRATORS[system.integrator])
     states = rollout(flow, x, system.dt, system.steps + 1)
     times = system.dt * torch.arange(system.steps + 1, dtype=torch.float64)
     return Trajectories(states, times.expand(count, -1))
@@ -44,7 +44,7 @@ def make_case(folder: Path, system: System = SPRING, wrong: System | None = STIF
         assumes="all but the stiffness",
         space=system.space,
         truth=system,
-        flow=exact_flow(learned, RK4),
+        flow=integrated(learned, RK4),
         energy=learned.energy,
         integrator=RK4,
         dt=system.dt,
