@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from ahnn.estimation import Status, initial_belief
+from ahnn.measurements import State
 from ahnn_plugins.ukf import SQUARE_ROOT, STANDARD, UnscentedParameters, unscented_filter
 
 FORMS = [SQUARE_ROOT, STANDARD]
@@ -108,3 +109,35 @@ def test_rounding_of_a_precise_measurement_gets_a_status():
             parameters=UnscentedParameters(alpha),
         )
         assert result.status.tolist() == [status]
+
+
+@pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
+def test_predictions_alone_are_watched_and_only_those_of_crowded_points(form):
+    # Both members are so far away that float64 resolves little; only for the first are its points to blame.
+    parameters = UnscentedParameters(torch.tensor([1e-3, 1.0], dtype=torch.float64))
+    result = unscented_filter(
+        lambda x, _: 1.0 * x,
+        initial_belief(torch.full((2, 2), 1e13), torch.eye(2)),
+        torch.full((2, 3, 2), torch.nan),
+        State(1),
+        0.01 * torch.eye(2),
+        torch.eye(2),
+        1.0,
+        parameters=parameters,
+        form=form,
+    )
+    assert result.status[0] in (Status.IMPRECISE, Status.COLLAPSED)
+    assert result.status[1] == Status.OK
+    near = unscented_filter(
+        lambda x, _: 1.0 * x,
+        initial_belief(torch.full((1, 2), 1e5), torch.eye(2)),
+        torch.full((1, 3, 2), torch.nan),
+        State(1),
+        0.01 * torch.eye(2),
+        torch.eye(2),
+        1.0,
+        parameters=UnscentedParameters(1e-5),
+        form=form,
+    )
+    assert near.status.tolist() == [Status.IMPRECISE]
+    assert near.failed_step.tolist() == [0]
