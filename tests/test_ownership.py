@@ -163,3 +163,13 @@ def test_options_of_ones_own_are_found_anywhere(tmp_path):
     )
     cfg = composed("experiment=mine", f"hydra.searchpath=[file://{tmp_path}]")
     assert (cfg.system.name, cfg.label) == ("quartic", "mine")
+
+
+def test_a_search_is_written_where_the_same_command_finds_it_again():
+    folder = "multirun/${hydra.sweeper.study_name}"
+    assert select_text(composed("sweep=quick", "model=hnn")) == folder
+    assert select_text(composed()).startswith("runs/sweeps/${now:")
+
+
+def select_text(cfg) -> str:
+    return plain(cfg)["hydra"]["sweep"]["dir"]

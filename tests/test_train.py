@@ -43,7 +43,7 @@ def test_metrics_have_models_and_floors_from_both_starts(run):
     assert [(start, floor) for _, start, floor in rows[2:4]] == [("true", True), ("perturbed", True)]
     assert all("UKF" in name for name, *_ in rows[4:])
     assert len(rows) == 12
-    assert metrics["optimiser_steps"] == 20
+    assert metrics["optimiser_steps"] == 50
     assert metrics["seed"] == 7
     assert metrics["assumes"] == "generic Hamiltonian, cartesian inputs"
     assert metrics["units"]["position"] == "m"

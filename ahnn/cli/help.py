@@ -36,10 +36,10 @@ recipe, model, system, sweep and experiment choose options of other groups as
 well; what the command line names holds.
 
   --help GROUP=OPTION   the keys of an option with their comments
-  --cfg job             all keys and values of a command; --resolve fills them in
-  -m                    several jobs: every combination of KEY=A,B, or a sweep=
+  --cfg job             keys and values of a command; --resolve computes them
+  -m                    several jobs: all combinations of KEY=A,B, or a sweep=
   --config-dir DIR      options of your own: DIR/system/mine.yaml
-  -sc install=bash      completion: eval "$(python -m ahnn.train -sc install=bash)"
+  -sc install=bash      completion: eval "$(ahnn-train -sc install=bash)"
   --hydra-help          what else Hydra offers
 """
 COMPLETION = """\
