@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 import torch
 
+from ahnn.arguments import Count, Seed, checked
 from ahnn.data import store
 from ahnn.data.generate import generate
 from ahnn.data.given import check_trajectories
@@ -40,6 +41,7 @@ class Source(Protocol):
         ...
 
 
+@checked
 class Simulated:
     """Trajectories of a system with known equations, generated once and cached.
 
@@ -50,7 +52,7 @@ class Simulated:
         cache: folder of generated data.
     """
 
-    def __init__(self, system: System, *, trajectories: int, seed: int, cache: str) -> None:
+    def __init__(self, system: System, *, trajectories: Count, seed: Seed, cache: str) -> None:
         self.truth, self.count, self.seed = system, trajectories, seed
         self.cache = Path(cache).expanduser()
 
