@@ -62,7 +62,7 @@ class Run:
             raise UserError(message)
         return cast(HasEnergy, self.dynamics).energy(self._states(x, "x"))
 
-    def rollout(self, start: Numbers, steps: int, dt: TimeStep | None = None) -> Tensor:
+    def rollout(self, start: Numbers, steps: int, dt: float | None = None) -> Tensor:
         """Return predicted trajectories, shape (B, steps + 1, 2n), start included.
 
         Args:

@@ -33,7 +33,7 @@ def announce(trainer: Trainer, data: WindowDataModule, model: AbstractModel, lab
     epochs = int(trainer.max_epochs or 1)
     per_epoch = len(data.train_dataloader())
     seconds = sum(seconds_left(trainer, data, model, per_epoch, range(done, epochs)))
-    duration = f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
+    duration = f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.1f} min"
     log.info(
         "training %s on %s: %s optimiser steps of %d windows in %d epochs, about %s on this machine",
         label,
