@@ -51,7 +51,7 @@ def seconds_left(
     """Return the expected time of each epoch that is left: steps, validation, callbacks that say theirs."""
     model = copy.deepcopy(model)
     known: dict[int, float] = {}
-    validation = _seconds(lambda: _validate(model, data))
+    validation = _validation_seconds(model, data)
     times = []
     for epoch in epochs:
         objective = model.curriculum.at(epoch, epochs.stop)
@@ -66,10 +66,12 @@ def _timed(trainer: Trainer) -> list[Any]:
     return [c for c in trainer.callbacks if hasattr(c, "seconds")]  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def _validate(model: AbstractModel, data: WindowDataModule) -> None:
+def _validation_seconds(model: AbstractModel, data: WindowDataModule) -> float:
+    """Return the time of a validation, from that of its first batch."""
+    batches = data.val_dataloader()
+    first = next(iter(batches))
     with torch.no_grad():
-        for batch in data.val_dataloader():
-            model.recursive.residuals(model.dynamics, batch)
+        return len(batches) * _seconds(lambda: model.recursive.residuals(model.dynamics, first))
 
 
 def _step_seconds(model: AbstractModel, data: WindowDataModule, objective: Objective) -> float:
@@ -89,7 +91,7 @@ def _step_seconds(model: AbstractModel, data: WindowDataModule, objective: Objec
             loss.backward()
             optimizer.step()
 
-    return _seconds(step, repeats=5)
+    return _seconds(step, repeats=3)
 
 
 def _seconds(work: Any, repeats: int = 1) -> float:
