@@ -11,6 +11,11 @@ KEY=VALUE           of system, data, evaluation, measurement and plugins: on oth
 
 from __future__ import annotations
 
+if __name__ == "__main__":  # until `guard` listens, Ctrl-C ends this process without a traceback
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 import logging
 import sys
 from typing import Any

@@ -84,7 +84,7 @@ def _step_seconds(model: AbstractModel, data: WindowDataModule, objective: Objec
     draw = torch.Generator().manual_seed(0)
 
     def step() -> None:
-        index = torch.randint(len(windows), (data.batch_size,), generator=draw)
+        index = torch.randint(len(windows), (min(data.batch_size, len(windows)),), generator=draw)
         loss = stepper.step(objective, model.loss, dynamics, windows.gather(index), optimizer)
         if stepper.automatic:
             optimizer.zero_grad()

@@ -31,7 +31,9 @@ def build_source(cfg: DictConfig) -> Source:
         return built
     options = {name: cfg.data[name] for name in SIMULATION}
     check_arguments("data", Simulated, options)
-    return Simulated(built, **options)
+    source = Simulated(built, **options)
+    source.check()
+    return source
 
 
 def build_splits(cfg: DictConfig, source: Source) -> SplitData:

@@ -21,6 +21,8 @@ class Settings:
     window: int
     label: str
     ckpt: str | None
+    weights: str | None
+    folder: str
     seeds: list[Seed] | None = None
 
 
@@ -30,6 +32,7 @@ class Training:
 
     max_epochs: Count
     accumulate_grad_batches: Count = 1
+    check_val_every_n_epoch: Count = 1
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,6 +11,7 @@ from ahnn.arguments import Count, Seed, checked
 from ahnn.data import store
 from ahnn.data.generate import generate
 from ahnn.data.given import check_trajectories
+from ahnn.memory import require_memory
 from ahnn.systems import System
 from ahnn.types import Space, Trajectories
 
@@ -60,6 +61,11 @@ class Simulated:
     def space(self) -> Space:
         """What the numbers of the system mean."""
         return self.truth.space
+
+    def check(self) -> None:
+        """Raise UserError for more trajectories than the memory holds."""
+        size = 8.0 * self.count * (self.steps() + 1) * len(self.space.components)
+        require_memory("data.trajectories, system.steps", "trajectories", size)
 
     def recipe(self) -> dict[str, Any]:
         """Return system, count and seed."""
