@@ -46,6 +46,6 @@ def test_the_flow_is_called_once_for_each_sample_after_the_first(description):
 
 def test_a_rollout_keeps_the_type_and_asks_for_no_gradients():
     start = START.float().requires_grad_()
-    got = rollout(lambda x, dt: 2 * x, start, 0.1, 3)
+    got = rollout(lambda x, _: 2 * x, start, 0.1, 3)
     assert got.dtype == torch.float32
     assert not got.requires_grad

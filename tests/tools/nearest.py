@@ -81,7 +81,7 @@ class Reach:
         if not stale:
             return
         result = self.store.with_suffix(".part")
-        forked(lambda: _measured(self.tree, stale, sources, result), self.tree, 3000)
+        forked(lambda: _measured(self.tree, stale, result), self.tree, 3000)
         lines, seconds = json.loads(result.read_text())
         self.seconds = {t: s for t, s in self.seconds.items() if t.split("::")[0] not in stale} | seconds
         self.lines = {t: x for t, x in self.lines.items() if t.split("::")[0] not in stale} | lines
@@ -160,8 +160,10 @@ def _run(arguments: list[str], plugins: list[Any]) -> int:
     return int(pytest.main([*QUIET, *arguments], plugins=plugins))
 
 
-def _measured(tree: Path, files: list[str], sources: list[str], result: Path) -> int:
-    traced = coverage.Coverage(data_file=None, config_file=False, source=[str(tree / s) for s in sources])
+def _measured(tree: Path, files: list[str], result: Path) -> int:
+    traced = coverage.Coverage(
+        data_file=None, config_file=False, source=[str(tree / "ahnn"), str(tree / "plugins")]
+    )
     recorder = Recorder(traced)
     traced.start()
     code = _run(files, [recorder])

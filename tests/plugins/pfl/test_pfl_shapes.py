@@ -24,7 +24,7 @@ POSITIVE = st.lists(st.floats(0.01, 100.0), min_size=3, max_size=30)
         ([9.0, 8.0, 7.0, 6.0, 7.0], 8, 7.0 + 0.5 * 1.0 * 4),
         # Four losses: epochs 1, 2 and 3; nothing drops first.
         ([5.0, 4.0, 4.0, 2.0], 5, 2.0 - 0.5 * 2.0 * 2),
-        # A line, drops of equal size between epochs 1, 3 and 4: -1 a epoch, not shrinking over 2 and 1 epochs.
+        # Drops of 1 over epochs 1 to 3 and over 3 to 4 do not shrink; at the last epoch nothing is added.
         ([5.0, 4.0, 5.0, 3.0, 2.0], 4, 2.0),
     ],
 )

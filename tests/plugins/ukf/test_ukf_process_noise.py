@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import pytest
 import torch
@@ -45,7 +46,7 @@ def second_moment(data: Trajectories, model=flow):
     """Sum over all pairs that are there, one after the other."""
     total, pairs = torch.zeros(2, 2, dtype=F64), 0
     for states in data.states:
-        for before, after in zip(states[:-1], states[1:], strict=True):
+        for before, after in pairwise(states):
             residual = model(before, DT) - after
             if bool(residual.isfinite().all()):
                 total, pairs = total + torch.outer(residual, residual), pairs + 1
@@ -77,7 +78,7 @@ def test_predictions_that_are_not_finite_are_left_out(lost):
     got = one_step_covariance(broken, data)
     assert bool(got.isfinite().all())
     torch.testing.assert_close(got, second_moment(data, broken), rtol=1e-12, atol=0)
-    assert torch.equal(one_step_covariance(lambda x, dt: x * lost, data), torch.zeros(2, 2, dtype=F64))
+    assert torch.equal(one_step_covariance(lambda x, _: x * lost, data), torch.zeros(2, 2, dtype=F64))
 
 
 def test_of_many_pairs_an_even_choice_is_taken():
@@ -117,7 +118,7 @@ def problem(members: int = 40, samples: int = 60):
     setting = setting._replace(updates=tuple(range(5, samples)))
     measured = simulated(setting, truth, DT, seed=1)
     arcs = Problem(truth, truth[:, 0] + 0.5, measured, DT)
-    still = Filter("still", lambda x, dt: x, torch.eye(2), setting.measurement_noise, UnscentedParameters())
+    still = Filter("still", lambda x, _: x, torch.eye(2), setting.measurement_noise, UnscentedParameters())
     return still, setting, arcs, Trajectories(truth, times.expand(members, -1))
 
 
@@ -128,7 +129,7 @@ def test_independent_residuals_need_no_factor():
     assert fitted.scale == pytest.approx(1.0, rel=0.15)
     assert torch.equal(fitted.covariance, fitted.scale * fitted.one_step)
     assert len(fitted.nees) == len(SCALES) == 6
-    assert SCALES == pytest.approx([0.1, 1.0, 10.0, 100.0, 1e3, 1e4])
+    assert list(SCALES) == pytest.approx([0.1, 1.0, 10.0, 100.0, 1e3, 1e4])
     assert fitted.nees[0] > 2.0 > fitted.nees[2]
     assert fitted.nees[1] == pytest.approx(2.0, rel=0.1)
 
@@ -136,7 +137,7 @@ def test_independent_residuals_need_no_factor():
 def test_lost_members_make_a_scale_infinitely_bad():
     still, setting, arcs, data = problem(members=3)
 
-    def fragile(x, dt):
+    def fragile(x, _):
         return torch.where((x.abs() > 40).any(-1, keepdim=True), torch.inf, x)
 
     fitted = fitted_process_noise(still._replace(flow=fragile), setting, arcs, data)
