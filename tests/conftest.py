@@ -1,4 +1,4 @@
-"""One thread, a cache of its own for every test session, and no trace of Hydra between tests."""
+"""One thread, a cache of its own for every test session, and examples that depend on neither clock nor luck."""
 
 from __future__ import annotations
 
@@ -6,8 +6,11 @@ from collections.abc import Iterator
 
 import pytest
 import torch
+from hypothesis import settings
 
 torch.set_num_threads(1)
+settings.register_profile("same", deadline=None, derandomize=True, database=None)
+settings.load_profile("same")
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -24,8 +24,8 @@ HEAVY = ("torch", "lightning", "hydra", "scipy.stats", "hypothesis", "optuna", "
 """What is imported once; no mutant changes it."""
 
 QUIET = ("-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning")
-LIMIT_TESTS, LIMIT_SECONDS = 80, 30.0
-"""Most tests of one mutant, and about how long they take, the quick ones first."""
+LIMIT_TESTS, LIMIT_SECONDS, SLOW = 120, 30.0, 1.0
+"""Most tests of one mutant, about how long they take, and what comes last, in seconds."""
 
 
 class Recorder:
@@ -101,11 +101,12 @@ class Reach:
         for seconds, name in sorted((self.seconds.get(t, 0.0), t) for t in chosen):
             function = name.split("[")[0]
             seen[function] = seen.get(function, -1) + 1
-            order.append((min(seen[function], 3), seconds, name))  # three cases of each function come first
+            order.append((seconds > SLOW, min(seen[function], 3), seconds, name))  # three cases of each first
         names, left = [], LIMIT_SECONDS
-        for _, seconds, name in sorted(order)[:LIMIT_TESTS]:
-            if (left := left - seconds) >= 0 or not names:
+        for _, _, seconds, name in sorted(order)[:LIMIT_TESTS]:
+            if seconds <= left or not names:
                 names.append(name)
+                left -= seconds
         return names
 
 
@@ -153,10 +154,6 @@ def forked(work: Callable[[], int], tree: Path, timeout: float) -> int:
 
 
 def _run(arguments: list[str], plugins: list[Any]) -> int:
-    from hypothesis import settings
-
-    settings.register_profile("mutants", deadline=None, derandomize=True, database=None)
-    settings.load_profile("mutants")
     return int(pytest.main([*QUIET, *arguments], plugins=plugins))
 
 
