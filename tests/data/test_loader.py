@@ -96,3 +96,13 @@ def test_a_fresh_loader_begins_with_the_first_batch_of_epoch_zero():
     assert fresh.state_dict() == {"epoch": 0, "position": 0}
     assert [window.start[:, 0].long().tolist() for window in fresh] == epoch(loader(), 0)
     assert fresh.state_dict() == {"epoch": 0, "position": 0}
+
+
+def test_a_pass_that_is_given_up_leaves_no_trace_in_the_next():
+    source = loader()
+    for number in (0, 3):
+        source.set_epoch(number)
+        begun = iter(source)
+        next(begun)
+        begun.close()
+        assert epoch(source, number) == epoch(loader(), number)
