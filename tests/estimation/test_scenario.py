@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
+from scipy.stats import chi2
 
 from ahnn.data.generate import generate
-from ahnn.estimation import Setting, perturbed_arcs, simulated
+from ahnn.estimation import Gate, Setting, perturbed_arcs, simulated
+from ahnn.estimation.gate import check_gate, thresholds
 from ahnn.measurements import GroundStation, Position
 from ahnn.systems import Molniya
 
@@ -38,3 +41,14 @@ def test_what_is_out_of_view_is_not_measured_and_the_noise_does_not_depend_on_it
     assert torch.equal(every.isfinite().all(-1), due.expand(5, -1))
     assert torch.equal(masked[masked.isfinite()], every[masked.isfinite()])
     assert 0.02 < float((elevation[:, due] < 0.0).double().mean()) < 0.5
+
+
+def test_a_gate_takes_what_lies_within_the_quantile_of_the_components_that_are_there():
+    limits = thresholds(Gate(0.99, 3), 4)
+    assert limits.tolist() == pytest.approx([0.0, *(chi2.ppf(0.99, n) for n in range(1, 5))], rel=1e-12)
+    assert thresholds(Gate(0.5), 1).tolist() == pytest.approx([0.0, chi2.ppf(0.5, 1)], rel=1e-12)
+    for gate in (None, Gate(1e-9, 1), Gate(1.0 - 1e-9, 1e6)):
+        check_gate(gate, "gate")
+    for wrong in (Gate(0.0), Gate(1.0), Gate(0.9, 0), Gate(0.9, 1.5), Gate(0.9, float("inf")), 0.9):
+        with pytest.raises(ValueError, match="gate: expected a Gate"):
+            check_gate(wrong, "gate")

@@ -242,5 +242,5 @@ def test_a_station_of_which_only_the_place_is_said_stands_on_the_ellipsoid_at_th
     assert plain.min_elevation == 0.0
     for limit in (-90.0, 90.0):
         assert GroundStation(limit, 0.0, min_elevation=limit).min_elevation == math.radians(limit)
-    with pytest.raises(ValueError, match="received -90.5"):
+    with pytest.raises(ValueError, match=r"received -90\.5"):
         GroundStation(-90.5, 0.0)
