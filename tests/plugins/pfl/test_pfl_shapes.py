@@ -9,8 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ahnn_plugins.pfl.callback import PFLCallback
 from ahnn_plugins.pfl.decision import Settings, checked, decide
 from ahnn_plugins.pfl.predictor import log_linear, power_law, shifted_exponential
+from ahnn_plugins.pfl.pruner import PFLPruner
 
 POSITIVE = st.lists(st.floats(0.01, 100.0), min_size=3, max_size=30)
 
@@ -125,3 +127,10 @@ def test_counts_that_leave_nothing_to_forecast_are_refused(fit_epochs, target, f
         return
     with pytest.raises(Exception, match="4 <= fit_epochs <= target_epoch"):
         checked(settings)
+
+
+def test_the_defaults_are_the_papers_everywhere(tmp_path):
+    paper = Settings("log_linear", "first", 10, 50, 10)
+    assert Settings() == paper
+    assert PFLPruner(60).settings == paper
+    assert PFLCallback(str(tmp_path)).settings == paper
