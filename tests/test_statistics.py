@@ -92,11 +92,12 @@ def test_the_sampling_interval_is_one_number_up_to_rounding():
     assert interval([0.0, 0.5, 1.0 + 1e-10]) == 0.5
     grid = 1e9 + 0.1 * torch.arange(50, dtype=torch.float64)  # times resolve 1e-7 there
     assert isinstance(interval(grid.tolist()), float)
+    assert interval([0.0, 1e6, 2e6 + 1e-4]) == 1e6
     assert interval([0.0, 0.5, math.nan]) == 0.5
     assert interval([math.nan, math.nan]) == interval([3.0]) == 0.0
 
 
 def test_steps_that_differ_are_all_returned():
-    for times in ([0.0, 0.5, 1.0 + 1e-8], [0.0, 1.0, 3.0], [0.0, 2.0, 3.0]):
+    for times in ([0.0, 0.5, 1.0 + 1e-8], [0.0, 1.0, 3.0], [0.0, 2.0, 3.0], [0.0, 1e-6, 2.01e-6]):
         steps = interval(times)
         assert torch.equal(steps, torch.tensor([times], dtype=torch.float64).diff(dim=1))

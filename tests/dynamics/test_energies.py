@@ -8,7 +8,7 @@ from helpers import TINY, close, generator
 
 from ahnn.dynamics.energies import CentralBody, NetworkEnergy, Quadratic, energy_units
 from ahnn.dynamics.hamiltonians import make_hamiltonian
-from ahnn.dynamics.inputs import Cartesian
+from ahnn.dynamics.inputs import Cartesian, Isotropic
 from ahnn.errors import UserError
 from ahnn.statistics import Statistics
 
@@ -96,3 +96,16 @@ def test_the_kinetic_energy_of_a_known_mass():
     p = torch.tensor([[3.0, 4.0], [0.0, 2.0]], dtype=torch.float64)
     close(Quadratic(2.5)(p), torch.tensor([5.0, 0.8], dtype=torch.float64), 1e-15)
     close(Quadratic(2.5).gradient(p), p / 2.5, 1e-15)
+
+
+@pytest.mark.parametrize("low", [0.01, 0.5, 3.0])
+def test_isotropic_inputs_are_fitted_at_any_distance_from_the_centre(low):
+    radius = torch.tensor([low, 4 * low], dtype=torch.float64)
+    inputs = Isotropic(DOF).double()
+    inputs.fit(statistics()._replace(radius=radius))
+    direction = torch.tensor([[0.6, 0.0, -0.8]], dtype=torch.float64)
+    got = inputs(torch.cat((low * direction, 2 * low * direction, 4 * low * direction)))
+    close(got[:, 3], torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64), 1e-12)
+    for wrong in ([0.0, 1.0], [2.0, 2.0]):
+        with pytest.raises(UserError, match="expected distances 0 < low < high"):
+            Isotropic(DOF).fit(statistics()._replace(radius=torch.tensor(wrong)))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 
-from ahnn.estimation.consistency import band, coverage, independent_count, nees, share_within
+from ahnn.estimation.consistency import GAUSSIAN, band, coverage, independent_count, nees, share_within
 
 F64 = torch.float64
 
@@ -127,3 +129,10 @@ def test_independent_count_equals_a_loop_over_all_lags(steps, seed):
     for case in (values, gapped):
         assert independent_count(case) == pytest.approx(naive_count(case), rel=1e-9)
     assert independent_count(values) > 6
+
+
+def test_the_probabilities_of_a_gaussian_and_what_lies_on_an_edge():
+    assert {k: math.erf(k / math.sqrt(2)) for k in (1, 2, 3)} == pytest.approx(GAUSSIAN, rel=1e-14)
+    error = torch.tensor([[[1.0, -2.0, 3.0, 4.0]]], dtype=F64)
+    assert coverage(error, torch.ones_like(error)) == {1: 0.25, 2: 0.5, 3: 0.75}
+    assert share_within(torch.tensor([1.0, 2.0, 3.0, 4.0]), (1.0, 3.0)) == 0.75

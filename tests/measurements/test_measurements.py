@@ -244,3 +244,9 @@ def test_a_station_of_which_only_the_place_is_said_stands_on_the_ellipsoid_at_th
         assert GroundStation(limit, 0.0, min_elevation=limit).min_elevation == math.radians(limit)
     with pytest.raises(ValueError, match=r"received -90\.5"):
         GroundStation(-90.5, 0.0)
+
+
+@pytest.mark.parametrize("model", [Position(2), State(1), GnssRange([[2e4, 0.0, 0.0], [0.0, 2e4, 0.0]])])
+def test_residuals_without_angles_are_differences(model):
+    y, y_pred = torch.tensor([3.0, -1.0], dtype=F64), torch.tensor([0.5, 4.0], dtype=F64)
+    assert model.residual(y, y_pred).tolist() == [2.5, -5.0]

@@ -152,3 +152,12 @@ def test_a_flow_without_residuals_needs_no_noise():
     fitted = fitted_process_noise(still, setting, arcs, constant)
     assert (fitted.scale, fitted.nees) == (1.0, ())
     assert torch.equal(fitted.covariance, torch.zeros(2, 2, dtype=F64))
+
+
+def test_a_single_pair_is_its_own_moment():
+    data = walks(5, count=1, samples=2)
+    torch.testing.assert_close(one_step_covariance(flow, data), second_moment(data), rtol=1e-12, atol=0)
+
+
+def test_sigma_points_are_by_default_those_of_the_unscaled_transformation():
+    assert tuple(UnscentedParameters()) == (1.0, 2.0, 0.0)

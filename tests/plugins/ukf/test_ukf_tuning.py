@@ -148,3 +148,11 @@ def test_the_objective_is_in_initial_deviations_from_the_first_update_on(search)
         parameters=chosen.parameters._replace(alpha=0.5),
     )
     assert doubled == pytest.approx(objectives(other, setting, arcs, [{}])[0], rel=1e-9)
+
+
+def test_the_smallest_search_is_one_trial_of_one_step():
+    one = Tuning({}, trials=1, trajectories=1, steps=1, batch=1, seed=0)
+    assert one.space() == {}
+    for name in ("trials", "trajectories", "steps", "batch"):
+        with pytest.raises(UserError, match=f"{name}: expected at least 1; received -1"):
+            Tuning(**{**vars(one), name: -1})
