@@ -8,7 +8,7 @@ from helpers import TINY, close, generator
 
 from ahnn.dynamics.energies import CentralBody, NetworkEnergy, Quadratic, energy_units
 from ahnn.dynamics.hamiltonians import make_hamiltonian
-from ahnn.dynamics.inputs import Cartesian, Isotropic
+from ahnn.dynamics.inputs import Cartesian, Isotropic, position_inputs
 from ahnn.errors import UserError
 from ahnn.statistics import Statistics
 
@@ -109,3 +109,10 @@ def test_isotropic_inputs_are_fitted_at_any_distance_from_the_centre(low):
     for wrong in ([0.0, 1.0], [2.0, 2.0]):
         with pytest.raises(UserError, match="expected distances 0 < low < high"):
             Isotropic(DOF).fit(statistics()._replace(radius=torch.tensor(wrong)))
+
+
+def test_isotropic_inputs_need_two_dimensions():
+    for dof in (2, 3):
+        assert isinstance(position_inputs("isotropic", dof, "block"), Isotropic)
+    with pytest.raises(UserError, match="at least 2 degrees of freedom; received 1"):
+        position_inputs("isotropic", 1, "block")
