@@ -250,3 +250,9 @@ def test_a_station_of_which_only_the_place_is_said_stands_on_the_ellipsoid_at_th
 def test_residuals_without_angles_are_differences(model):
     y, y_pred = torch.tensor([3.0, -1.0], dtype=F64), torch.tensor([0.5, 4.0], dtype=F64)
     assert model.residual(y, y_pred).tolist() == [2.5, -5.0]
+
+
+def test_positions_and_states_are_by_default_those_of_three_dimensions():
+    assert (Position().names, Position().units) == (("q1", "q2", "q3"), ("km",) * 3)
+    assert State().names == ("q1", "q2", "q3", "p1", "p2", "p3")
+    assert State().units == ("km",) * 3 + ("km/s",) * 3

@@ -69,3 +69,8 @@ def test_mistakes_of_a_schedule(times, max_step, start_time, message):
 def test_steps_of_no_length_are_refused(max_step):
     with pytest.raises(ValueError, match=f"max_step > 0; received smallest gap 1 and max_step {max_step:g}"):
         schedule([1.0, 2.0], torch.zeros(1, 2, 1), max_step)
+
+
+def test_a_cadence_of_one_keeps_every_row():
+    assert torch.equal(every(ROWS, 1), ROWS)
+    assert bool(every(ROWS, 5).isnan().all())
