@@ -11,6 +11,11 @@ KEY=VALUE           of system, data, evaluation, measurement and plugins: on oth
 
 from __future__ import annotations
 
+if __name__ == "__main__":  # until `guard` listens, Ctrl-C ends this process without a traceback
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 import logging
 import sys
 from typing import Any
@@ -30,6 +35,7 @@ def evaluate(arguments: list[str]) -> None:
     """
     from ahnn.cli.again import Request, provenance_note, run_config
     from ahnn.cli.parts import build_plugins, build_source, build_splits, report_options
+    from ahnn.cli.settings import check_again
     from ahnn.evaluation import evaluation_folder, load_results, report
     from ahnn.evaluation.prepare import make_case
     from ahnn.evaluation.sinks import TensorBoardSink
@@ -41,6 +47,7 @@ def evaluate(arguments: list[str]) -> None:
     request = Request.of(arguments, USAGE)
     run = load(request.source, request.ckpt)
     cfg = run_config(run.folder, request)
+    check_again(cfg)
     set_threads(cfg.threads)
     splits = build_splits(cfg, build_source(cfg))
     plugins = build_plugins(cfg, splits)

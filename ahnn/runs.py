@@ -62,7 +62,7 @@ class Run:
             raise UserError(message)
         return cast(HasEnergy, self.dynamics).energy(self._states(x, "x"))
 
-    def rollout(self, start: Numbers, steps: int, dt: TimeStep | None = None) -> Tensor:
+    def rollout(self, start: Numbers, steps: int, dt: float | None = None) -> Tensor:
         """Return predicted trajectories, shape (B, steps + 1, 2n), start included.
 
         Args:
@@ -143,6 +143,9 @@ def made(weights: Weights, folder: Path) -> Run:
         reason = " ".join(str(error).split())
         message = f"run {folder}: expected the weights of its model; received others ({reason})"
         raise UserError(message) from error
+    if not all(bool(tensor.isfinite().all()) for tensor in weights.state.values()):
+        message = f"run {folder}: expected finite weights; received nan or inf. Take another checkpoint"
+        raise UserError(message)
     space = about["space"]
     units = Units(*space["units"])
     known = Space(space["name"], tuple(space["components"]), units, space["inertia"])

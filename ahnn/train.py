@@ -6,6 +6,11 @@ takes plain values. Heavy imports wait until a job runs, so that `--help` and a 
 
 from __future__ import annotations
 
+if __name__ == "__main__":  # until `guard` listens, Ctrl-C ends this process without a traceback
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 import logging
 import math
 import os
@@ -110,8 +115,11 @@ def fit(
     from ahnn.files import write_atomically
 
     folder = Path(cfg.folder)
-    model.calibrate(data.statistics())
-    model.about["dt"] = data.statistics().dt
+    statistics = data.statistics()
+    model.calibrate(statistics)
+    model.about["dt"] = statistics.dt
+    if cfg.weights is not None and checkpoint is None:
+        begin_at(model, cfg.weights)
     if trainer.is_global_zero:
         write_atomically(folder / "config.yaml", stored(cfg))
         done = 0 if checkpoint is None else read_checkpoint(checkpoint)["epoch"]
@@ -120,6 +128,20 @@ def fit(
     with interruptible(trainer, lambda: go_on(cfg)):
         trainer.fit(model, data, ckpt_path=checkpoint)
     return time.monotonic() - started
+
+
+def begin_at(model: AbstractModel, run: str) -> None:
+    """Give a model the weights of a run, or of a shipped model, to train on with a schedule of its own.
+
+    Raises:
+        UserError: they belong to other dynamics.
+    """
+    from ahnn.checkpoints import require_same
+    from ahnn.runs import load
+
+    trained = load(run).dynamics
+    require_same(f"weights {run}", {"dynamics": model.dynamics.spec}, {"dynamics": trained.spec})
+    model.dynamics.load_state_dict(trained.state_dict())
 
 
 def stored(cfg: DictConfig) -> bytes:
@@ -146,7 +168,7 @@ def judge(
 
     folder = Path(cfg.folder)
     run = load(folder)
-    loss = float(run.about["val_loss"])
+    loss = math.nan if run.about["val_loss"] is None else float(run.about["val_loss"])
     case = make_case(run.dynamics, data.splits, label=cfg.label, seed=cfg.evaluation.seed, folder=folder)
     boards = [logger for logger in trainer.loggers if isinstance(logger, TensorBoardLogger)]
     sinks = [TensorBoardSink(board, searched_settings(cfg)) for board in boards]

@@ -20,11 +20,11 @@ from hydra import compose, initialize_config_dir
 from torch.utils.data import DataLoader, TensorDataset
 
 from ahnn.cli.build import OmegaConf  # registers the resolvers of conf/
+from ahnn.cli.parts import build_data, build_model, build_source
 from ahnn.integrators import INTEGRATORS
 from ahnn.metrics import errors, rmse_norm
 from ahnn.paths import conf_dir
 from ahnn.rollouts import rollout
-from ahnn.train import build_parts
 from ahnn.types import Window
 
 TASKS = {
@@ -61,15 +61,16 @@ def position_error(flow, truth: torch.Tensor, dt: float, dof: int) -> float:
 
 def ours(data, model, target: float) -> float:
     """Return the seconds of Levenberg-Marquardt on derivatives until the target is met."""
-    optimizer = model.optimisation.optimizer(model.parameters())
-    truth, dof = data.trajectories("val").states[:25], data.system.dof
+    optimizer = model.optimisation.optimizer(model.dynamics.parameters())
+    truth, space = data.trajectories("val").states[:25], data.source.space
+    dt = data.statistics().dt
     stream, spent = batches(data), 0.0
     while True:
         begin = time.perf_counter()
         for batch in itertools.islice(stream, STRIDE):
-            optimizer.step(lambda batch=batch: model.problems(batch))
+            model.stepper.step(model.objective, model.loss, model.dynamics, batch, optimizer)
         spent += time.perf_counter() - begin
-        error = position_error(model.flow(), truth, data.system.dt, dof)
+        error = position_error(model.flow(), truth, dt, space.dof)
         print(f"  laptop budget {spent:7.1f} s  {error:.3g}", flush=True)
         if error <= target:
             return spent
@@ -86,12 +87,12 @@ def batches(data) -> Iterator[Window]:
 def plain(data, model, target: float, limit: float) -> float | None:
     """Return the seconds of the plain way until the target is met, None beyond the limit."""
     model = model.float()
-    field, rk4, dt = PlainField(model.learner), INTEGRATORS["rk4"], data.system.dt
+    field, rk4, dt = PlainField(model.dynamics.field), INTEGRATORS["rk4"], data.statistics().dt
     states = data.trajectories("train").states
     pairs = TensorDataset(states[:, :-1].flatten(0, 1).float(), states[:, 1:].flatten(0, 1).float())
     optimizer = torch.optim.AdamW(model.parameters(), lr=1e-3)
     scale = (states.flatten(0, 1).amax(0) - states.flatten(0, 1).amin(0)).float() / 2
-    truth, dof = data.trajectories("val").states[:25], data.system.dof
+    truth, dof = data.trajectories("val").states[:25], data.source.space.dof
     spent, due = 0.0, limit / CHECKS
     while True:
         begin = time.perf_counter()
@@ -119,10 +120,11 @@ def main() -> None:
             cfg = compose("train", [*overrides, "folder=."])
         OmegaConf.resolve(cfg)
         torch.manual_seed(cfg.seed)
-        data, model = build_parts(cfg)
-        model.calibrate(data.statistics())
-        _, rival = build_parts(cfg)
-        rival.calibrate(data.statistics())
+        data = build_data(cfg, build_source(cfg))
+        model, rival = build_model(cfg, data), build_model(cfg, data)
+        for either in (model, rival):
+            either.calibrate(data.statistics())
+        model.configure_optimizers()  # which says how steps are taken
         fast = ours(data, model, target)
         slow = plain(data, rival, target, cap * fast)
         print(f"  ratio {'>' if slow is None else ''} {(slow or cap * fast) / fast:.1f}", flush=True)

@@ -20,10 +20,10 @@ import torch
 from hydra import compose, initialize_config_dir
 from lightning import Callback
 
+from ahnn.cli.before import quiet
 from ahnn.cli.build import OmegaConf  # registers the resolvers of conf/
-from ahnn.cli.setup import quiet
+from ahnn.cli.parts import build_data, build_model, build_source, build_trainer
 from ahnn.paths import conf_dir
-from ahnn.train import build_parts, build_trainer
 
 MODELS = ("mlp", "node", "hnn", "ahnn", "hnn_derivative")
 
@@ -41,10 +41,18 @@ class Stopwatch(Callback):
         self.ended = time.perf_counter()
 
 
+def calibrated(cfg) -> tuple:
+    """Return the data and the model of a configuration, ready to train."""
+    data = build_data(cfg, build_source(cfg))
+    model = build_model(cfg, data)
+    model.calibrate(data.statistics())
+    model.about["dt"] = data.statistics().dt
+    return data, model
+
+
 def through_library(cfg, steps: int) -> float:
     """Return seconds per step of a fit with the default callbacks and TensorBoard."""
-    data, model = build_parts(cfg)
-    model.calibrate(data.statistics())
+    data, model = calibrated(cfg)
     trainer = build_trainer(cfg)
     watch = Stopwatch()
     trainer.callbacks.append(watch)
@@ -54,14 +62,13 @@ def through_library(cfg, steps: int) -> float:
 
 def bare(cfg, steps: int, optimizer_class=None) -> float:
     """Return seconds per step of a plain loop over the same batches."""
-    data, model = build_parts(cfg)
-    model.calibrate(data.statistics())
+    data, model = calibrated(cfg)
     model = copy.deepcopy(model)
-    optimizer = (optimizer_class or model.optimisation.optimizer)(model.parameters())
+    optimizer = (optimizer_class or model.optimisation.optimizer)(model.dynamics.parameters())
     begin = 0.0
     for k, batch in enumerate(data.train_dataloader()):
         optimizer.zero_grad()
-        model.loss(model.residuals(batch)).backward()
+        model.loss(model.objective.residuals(model.dynamics, batch)).backward()
         optimizer.step()
         begin = begin or time.perf_counter() if k == 0 else begin
     return (time.perf_counter() - begin) / (steps - 1)
@@ -83,13 +90,11 @@ def main() -> None:
             ):
                 overrides = [
                     f"model={name}",
-                    "optimizer=adamw",
-                    "scheduler=exp_hyperbolic",
+                    "recipe=first_order",
                     "trainer.max_epochs=1",
                     "data.precision=32",
                     "model.network.width=128",
                     "model.network.depth=3",
-                    "loss.derivative=0",
                     "plugins=none",
                     "data.batch_size=256",
                     f"data.windows_per_epoch={256 * steps}",

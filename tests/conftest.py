@@ -1,13 +1,18 @@
-"""One thread, a cache of its own for every test session, and no trace of Hydra between tests."""
+"""Threads as OMP_NUM_THREADS says or one, a cache for every session, examples without clock and luck."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 
 import pytest
 import torch
+from hypothesis import settings
 
-torch.set_num_threads(1)
+THREADS = os.environ.get("OMP_NUM_THREADS", "1")
+torch.set_num_threads(int(THREADS))
+settings.register_profile("same", deadline=None, derandomize=True, database=None)
+settings.load_profile("same")
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -16,5 +21,5 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     folder = str(tmp_path_factory.mktemp("cache"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("AHNN_CACHE", folder)
-        patch.setenv("OMP_NUM_THREADS", "1")
+        patch.setenv("OMP_NUM_THREADS", THREADS)
         yield folder

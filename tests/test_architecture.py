@@ -13,7 +13,7 @@ PLUGINS = sorted((ROOT / "plugins").rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
 
 # Each room of the library and the rooms that it may import; the open ones serve all.
-OPEN = {"errors", "arguments", "files", "numbers", "progress", "types", "paths"}
+OPEN = {"errors", "arguments", "files", "memory", "numbers", "progress", "types", "paths"}
 GROUND = OPEN | {"integrators", "measurements", "metrics", "rollouts", "statistics", "checkpoints"}
 MAY_IMPORT = {
     "errors": set(),
@@ -22,6 +22,7 @@ MAY_IMPORT = {
     "numbers": set(),
     "progress": set(),
     "files": {"errors"},
+    "memory": {"errors"},
     "arguments": {"errors"},
     "metrics": OPEN,
     "rollouts": OPEN,

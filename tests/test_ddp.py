@@ -53,8 +53,8 @@ def assert_two_equal_one(folder: Path, *overrides: str) -> None:
     for name in ("last", "best"):
         assert difference(two, one, name) < 1e-6
     metrics = [json.loads((d / "metrics.json").read_text()) for d in (two, one)]
-    assert metrics[0]["optimiser_steps"] == metrics[1]["optimiser_steps"] == 30
-    assert metrics[0]["val_loss"] == pytest.approx(metrics[1]["val_loss"], rel=1e-6)
+    assert metrics[0]["training"]["steps"] == metrics[1]["training"]["steps"] == 30
+    assert metrics[0]["training"]["val_loss"] == pytest.approx(metrics[1]["training"]["val_loss"], rel=1e-6)
     files = [{str(f.relative_to(d)) for f in d.rglob("*")} for d in (two, one)]
     assert files[0] == files[1]
     assert {path.name for path in folder.iterdir()} == {"one", "two"}
@@ -124,8 +124,8 @@ def test_the_parts_of_a_batch_are_the_batch_and_their_mean_is_its_mean(world, ca
     data = data_module(SPRING, cache, batch_size=7, windows_per_epoch=30)  # the last batch has 2 windows
     (whole,) = loaders(data, 1)
     for batch, *parts in zip(whole, *loaders(data, world), strict=True):
-        assert batch.share == 1
-        kept = torch.cat([part.start for part in parts if part.share])
+        assert batch.weight == 1
+        kept = torch.cat([part.start for part in parts if part.weight])
         assert torch.equal(kept, batch.start)
-        mean = sum(part.share * part.increments.mean() for part in parts) / world
+        mean = sum(part.weight * part.increments.mean() for part in parts) / world
         assert float(mean) == pytest.approx(float(batch.increments.mean()), rel=1e-12)

@@ -80,7 +80,7 @@ MADE = "expected a key that acts on a finished run; received one that made its t
         ("data.batch_size=3", rf"data\.batch_size: {MADE}"),
         ("system=molniya", r"system: expected a single key, system\.KEY=VALUE; received 'molniya'"),
         ("data=null", r"data: expected a single key, data\.KEY=VALUE; received None"),
-        ("label=[a", r"override 'label=\[a': expected key=value"),
+        ("label=[a", r"'label=\[a': special characters in a value need quotes"),
         ("seed=1,2", r"'seed=1,2': expected key=value with one value"),
         ("~plugins", "usage"),
         ("+label=a", r"'\+label=a': expected key=value with one value"),

@@ -35,7 +35,7 @@ MISTAKES = {
     "model.loss.derivative=1": "did you mean 'loss.derivative'?",
     "model=mlp hamiltonian=generic": "model=mlp. Leave out hamiltonian=generic",
     "model=mlp experiment=molniya_mechanical": "these options do not go together; In 'experiment/",
-    "model=mlp loss.derivative=1": "a map has no field; expected loss.derivative=0, received 1",
+    "model=mlp loss.derivative=1": "model mlp: expected loss.derivative=0, since a map has no field",
     "model=hnn_derivative loss.derivative=0": "loss.derivative: expected 1.0 with model hnn_derivative",
     "hydra/launcher=nope": "hydra/launcher: unknown option 'nope'; it takes ahnn_process, basic",
     "seed=1,2": "'seed=1,2': expected one value; received several. Add -m to run them all",
@@ -123,7 +123,7 @@ def test_a_key_like_no_other_lists_the_top_level_alone(tmp_path, capfd, monkeypa
 @pytest.fixture
 def no_evaluation(monkeypatch):
     """The evaluation after a training has tests of its own."""
-    monkeypatch.setattr("ahnn.evaluation.report.finish", lambda *_, **__: 0.0)
+    monkeypatch.setattr("ahnn.train.judge", lambda *_, **__: 0.0)
 
 
 @pytest.mark.usefixtures("no_evaluation")

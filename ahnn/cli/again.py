@@ -86,7 +86,7 @@ def run_config(folder: Path, request: Request) -> DictConfig:
         raise UserError(message)
     content["data"] = {key: content["data"].get(key) for key in DATA}
     if not request.trust:
-        require_trusted(path, content, NODES)
+        require_trusted(path, content, (*NODES, *KEYS))
     cfg = OmegaConf.create({key: content[key] for key in (*NODES, *KEYS)})
     pairs = [parsed(text) for text in request.overrides]
     groups = [f"{key}={chosen(key, value)}" for key, value in pairs if key in GROUPS]

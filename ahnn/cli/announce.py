@@ -33,7 +33,7 @@ def announce(trainer: Trainer, data: WindowDataModule, model: AbstractModel, lab
     epochs = int(trainer.max_epochs or 1)
     per_epoch = len(data.train_dataloader())
     seconds = sum(seconds_left(trainer, data, model, per_epoch, range(done, epochs)))
-    duration = f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
+    duration = f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.1f} min"
     log.info(
         "training %s on %s: %s optimiser steps of %d windows in %d epochs, about %s on this machine",
         label,
@@ -51,7 +51,7 @@ def seconds_left(
     """Return the expected time of each epoch that is left: steps, validation, callbacks that say theirs."""
     model = copy.deepcopy(model)
     known: dict[int, float] = {}
-    validation = _seconds(lambda: _validate(model, data))
+    validation = _validation_seconds(model, data)
     times = []
     for epoch in epochs:
         objective = model.curriculum.at(epoch, epochs.stop)
@@ -66,10 +66,12 @@ def _timed(trainer: Trainer) -> list[Any]:
     return [c for c in trainer.callbacks if hasattr(c, "seconds")]  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def _validate(model: AbstractModel, data: WindowDataModule) -> None:
+def _validation_seconds(model: AbstractModel, data: WindowDataModule) -> float:
+    """Return the time of a validation, from that of its first batch."""
+    batches = data.val_dataloader()
+    first = next(iter(batches))
     with torch.no_grad():
-        for batch in data.val_dataloader():
-            model.recursive.residuals(model.dynamics, batch)
+        return len(batches) * _seconds(lambda: model.recursive.residuals(model.dynamics, first))
 
 
 def _step_seconds(model: AbstractModel, data: WindowDataModule, objective: Objective) -> float:
@@ -82,14 +84,14 @@ def _step_seconds(model: AbstractModel, data: WindowDataModule, objective: Objec
     draw = torch.Generator().manual_seed(0)
 
     def step() -> None:
-        index = torch.randint(len(windows), (data.batch_size,), generator=draw)
+        index = torch.randint(len(windows), (min(data.batch_size, len(windows)),), generator=draw)
         loss = stepper.step(objective, model.loss, dynamics, windows.gather(index), optimizer)
         if stepper.automatic:
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
 
-    return _seconds(step, repeats=5)
+    return _seconds(step, repeats=3)
 
 
 def _seconds(work: Any, repeats: int = 1) -> float:

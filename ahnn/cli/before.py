@@ -7,7 +7,10 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import torch
+
 from ahnn.errors import UserError
+from ahnn.integrators import GaussLegendre4
 
 if TYPE_CHECKING:
     from lightning import Trainer
@@ -112,8 +115,24 @@ def _check_optimisation(model: AbstractModel) -> None:
 
 def _check_steps(trainer: Trainer, model: AbstractModel) -> None:
     """Refuse what only gradients can do where an optimiser takes its own steps."""
+    if trainer.fast_dev_run:  # pyright: ignore[reportAttributeAccessIssue]
+        message = "trainer.fast_dev_run: expected false, since it keeps no weights to judge; use budget=smoke"
+        raise UserError(message)
     if model.automatic_optimization:
         return
+    if next(model.dynamics.parameters()).dtype != torch.float64:
+        message = (
+            "data.precision: expected 64 with levenberg_marquardt, whose steps need the digits; received 32. "
+            "Set data.precision=64, or choose recipe=first_order"
+        )
+        raise UserError(message)
+    method = getattr(model.dynamics, "integrator", None)
+    if isinstance(method, GaussLegendre4):
+        message = (
+            "integrator gl4: expected an explicit method with levenberg_marquardt, which differentiates "
+            "through no iteration. Choose integrator=rk4, or recipe=first_order"
+        )
+        raise UserError(message)
     for name, neutral in (("gradient_clip_val", 0), ("accumulate_grad_batches", 1)):
         if (value := getattr(trainer, name)) not in (neutral, None):
             message = (
@@ -125,6 +144,13 @@ def _check_steps(trainer: Trainer, model: AbstractModel) -> None:
 
 def _check_devices(trainer: Trainer, model: AbstractModel, *, multirun: bool) -> None:
     """Refuse second-order steps on several devices, and several devices inside the process of a sweep."""
+    from lightning.pytorch.strategies import DDPStrategy
+
+    if isinstance(trainer.strategy, DDPStrategy) and not trainer.strategy._ddp_kwargs:
+        message = (
+            "trainer.strategy: expected one that allows unused parameters; received ddp. Use trainer=ddp"
+        )
+        raise UserError(message)
     if trainer.world_size == 1:
         return
     received = f"received {trainer.world_size} devices"

@@ -5,7 +5,10 @@ from __future__ import annotations
 import contextlib
 import functools
 import inspect
+import itertools
+import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 from hydra.errors import HydraException, InstantiationException
@@ -37,6 +40,7 @@ def build(node: Any, who: str, kind: type = object, **offered: Any) -> Any:
         raise UserError(message)
     try:
         function = get_object(target)
+        inspect.signature(function)
     except Exception as error:
         reason = " ".join(str(error).split())
         message = f"{who}: expected _target_ to name a class or function; received {target!r} ({reason})"
@@ -76,7 +80,15 @@ def blaming(who: str) -> Iterator[None]:
         cause = error.__cause__ if isinstance(error, InstantiationException) and error.__cause__ else error
         if isinstance(cause, UserError | TrainingError):
             raise cause from None
-        refusals = (TypeError, ValueError, LookupError, AttributeError, ArithmeticError, ImportError)
+        refusals = (
+            TypeError,
+            ValueError,
+            LookupError,
+            AttributeError,
+            ArithmeticError,
+            ImportError,
+            RuntimeError,
+        )
         if not isinstance(cause, (*refusals, HydraException, MisconfigurationException)):
             raise
         said = " ".join(str(cause).split()) or type(cause).__name__
@@ -107,4 +119,17 @@ def stencil(loss: DictConfig) -> int:
     return int(loss.order) if loss.derivative else 1
 
 
+def new_folder(path: str) -> str:
+    """Make a folder of this name, or with a number behind it, that no other process has; resolver of YAML."""
+    if {"--cfg", "-c"} & {*sys.argv}:  # which only looks
+        return path
+    for number in itertools.count(1):
+        folder = Path(path if number == 1 else f"{path}_{number}")
+        with contextlib.suppress(FileExistsError):
+            folder.mkdir(parents=True)
+            return str(folder)
+    raise AssertionError
+
+
 OmegaConf.register_new_resolver("stencil", stencil, replace=True)
+OmegaConf.register_new_resolver("new_folder", new_folder, replace=True, use_cache=True)

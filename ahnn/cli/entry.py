@@ -11,7 +11,7 @@ import functools
 import os
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,21 +45,32 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
     if args.shell_completion and show_completion(args):
         return None
     commandline.check(args, config_name)
+    own = named_folder(args.overrides)
+    is_new = own is None or not own.exists()
+    if not is_new:  # what lies in it is somebody's: Hydra must not write there before we have looked
+        sys.argv.append("hydra.output_subdir=null")
 
     @functools.wraps(task)
     def tidy(cfg: DictConfig) -> Any:
         if HydraConfig.get().mode is RunMode.MULTIRUN or cfg.get("trial") is not None:
             return task(cfg)  # who runs several jobs has to see how each of them ended
         if code := guard(lambda: task(cfg)):
-            forget(Path(cfg.folder))
+            if is_new:
+                forget(Path(HydraConfig.get().runtime.output_dir))
             sys.exit(code)  # past Hydra, which would say that there was an error
         return None
 
     return hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name=config_name)(tidy)()
 
 
+def named_folder(overrides: Sequence[str]) -> Path | None:
+    """Return the run folder that a command line names; None takes a new one."""
+    named = [text.partition("=")[2] for text in overrides if text.startswith(("run=", "hydra.run.dir="))]
+    return Path(named[-1].strip("'\"")) if named else None
+
+
 def forget(folder: Path) -> None:
-    """Remove what Hydra wrote for a run that never began, with none of its seeds."""
+    """Remove the folder that this process made for a run that never began, with none of its seeds."""
     if not any((f / "config.yaml").exists() for f in (folder, *folder.glob("seed_*"))):
         shutil.rmtree(folder / ".hydra", ignore_errors=True)
         with contextlib.suppress(OSError):
@@ -89,7 +100,8 @@ def guard(entry: Callable[[], Any]) -> int:
         key = error.full_key if isinstance(error, OmegaConfBaseException) else None
         return report(f"configuration: {commandline.first_line(error)}{f' ({key})' if key else ''}", 2)
     except OSError as error:
-        return report(f"file {error.filename}: {error.strerror or error}", 2)
+        place = f"file {error.filename}" if error.filename else "files"
+        return report(f"{place}: {error.strerror or error}", 2)
     return 0
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from ahnn.arguments import check_arguments
 from ahnn.checkpoints import FORMAT
 from ahnn.cli.build import build, build_all, plain_config
 from ahnn.data import Simulated, Source, SplitData
@@ -28,7 +29,11 @@ def build_source(cfg: DictConfig) -> Source:
     built = build(cfg.system, "system")
     if not isinstance(built, System):
         return built
-    return Simulated(built, **{name: cfg.data[name] for name in SIMULATION})
+    options = {name: cfg.data[name] for name in SIMULATION}
+    check_arguments("data", Simulated, options)
+    source = Simulated(built, **options)
+    source.check()
+    return source
 
 
 def build_splits(cfg: DictConfig, source: Source) -> SplitData:
@@ -57,11 +62,9 @@ def build_model(cfg: DictConfig, data: WindowDataModule) -> AbstractModel:
 
 def settings_of(cfg: DictConfig) -> dict[str, Any]:
     """Return all that determines a training besides its data: what a resumed one must share."""
-    plain = plain_config(cfg)
-    parts = {name: plain[name] for name in ("model", "loss", "optimizer", "scheduler", "seed")}
-    kept = {key: value for key, value in plain["data"].items() if key not in SIMULATION}
-    epochs = plain["trainer"]["max_epochs"]
-    return {**parts, "data": kept, "trainer": {"max_epochs": epochs}}
+    parts = {name: plain_config(cfg[name]) for name in ("model", "loss", "optimizer", "scheduler", "data")}
+    parts["data"] = {key: value for key, value in parts["data"].items() if key not in SIMULATION}
+    return {**parts, "seed": cfg.seed, "trainer": {"max_epochs": cfg.trainer.max_epochs}}
 
 
 def build_plugins(cfg: DictConfig, splits: SplitData) -> dict[str, EvaluationPlugin]:

@@ -21,6 +21,8 @@ class Settings:
     window: int
     label: str
     ckpt: str | None
+    weights: str | None
+    folder: str
     seeds: list[Seed] | None = None
 
 
@@ -30,6 +32,7 @@ class Training:
 
     max_epochs: Count
     accumulate_grad_batches: Count = 1
+    check_val_every_n_epoch: Count = 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,13 +45,33 @@ class Evaluation:
     detail: bool = False
 
 
+@dataclass(frozen=True, kw_only=True)
+class Again:
+    """What a finished run takes besides its groups."""
+
+    label: str
+    threads: Annotated[int, Within(1, 1024)]
+
+
+def check_again(cfg: DictConfig) -> None:
+    """Check what an evaluation of a finished run is given; raises UserError for a wrong type or value."""
+    _check({"": Again, "evaluation": Evaluation}, cfg)
+
+
 def check_settings(cfg: DictConfig) -> None:
     """Check what belongs to no object, before anything is built.
 
     Raises:
         UserError: a wrong type, an impossible value, or one that the chosen model does not stand for.
     """
-    schemas = {"": Settings, "trainer": Training, "evaluation": Evaluation}
+    _check({"": Settings, "trainer": Training, "evaluation": Evaluation}, cfg)
+    if cfg.get("seeds") and len({*cfg.seeds}) < len(cfg.seeds):
+        message = f"seeds: expected different ones; received {list(cfg.seeds)}"
+        raise UserError(message)
+    _check_required(cfg, plain_config(cfg.get("required") or OmegaConf.create()))
+
+
+def _check(schemas: dict[str, type], cfg: DictConfig) -> None:
     for who, schema in schemas.items():
         node = cfg[who] if who else cfg
         if not isinstance(node, DictConfig):
@@ -58,10 +81,6 @@ def check_settings(cfg: DictConfig) -> None:
         values = plain_config(OmegaConf.create({str(key): node[key] for key in keys if key in node}))
         check_names(who, schema, values)
         check_arguments(who, schema, values)
-    if cfg.get("seeds") and len({*cfg.seeds}) < len(cfg.seeds):
-        message = f"seeds: expected different ones; received {list(cfg.seeds)}"
-        raise UserError(message)
-    _check_required(cfg, plain_config(cfg.get("required") or OmegaConf.create()))
 
 
 def _check_required(cfg: DictConfig, required: dict[str, Any], prefix: str = "") -> None:

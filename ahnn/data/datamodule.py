@@ -12,6 +12,7 @@ from ahnn.data.loader import WindowLoader
 from ahnn.data.sources import Source
 from ahnn.data.splits import Split, SplitData
 from ahnn.data.windows import Windows
+from ahnn.memory import require_memory
 from ahnn.statistics import Statistics
 from ahnn.types import Trajectories
 
@@ -27,8 +28,8 @@ class WindowDataModule(LightningDataModule):
         stencil: steps that a training window spans at least; derivatives need more than W.
         batch_size: windows of an optimiser step.
         windows_per_epoch: windows drawn anew in each epoch; None takes all.
-        emphasis: 0 draws training windows alike; above, in proportion to this power of the speed at which
-            their momenta change. On eccentric orbits most samples lie where little happens.
+        emphasis: 0 draws training windows alike; above, up to 4, in proportion to this power of the speed at
+            which their momenta change. On eccentric orbits most samples lie where little happens.
         val_windows: evenly spread windows of a validation; None takes all.
         precision: 32 or 64, bits of the batches.
         order_seed: of the order of the batches.
@@ -43,7 +44,7 @@ class WindowDataModule(LightningDataModule):
         stencil: Count,
         batch_size: Count,
         windows_per_epoch: Count | None,
-        emphasis: Annotated[float, Within(0)],
+        emphasis: Annotated[float, Within(0, 4)],
         val_windows: Count | None,
         precision: Literal[32, 64],
         order_seed: Seed,
@@ -82,6 +83,8 @@ class WindowDataModule(LightningDataModule):
         self, split: Split, span: int, limit: int | None, seed: int | None, emphasis: float = 0.0
     ) -> WindowLoader:
         windows = Windows(self.trajectories(split), span, self.dtype)
+        size = 16.0 * min(self.batch_size, len(windows)) * (span + 1) * windows.flat.shape[-1]
+        require_memory("data.batch_size", "the windows of a batch", size)
         if self.trainer is None:
             return WindowLoader(windows, self.batch_size, limit, seed, emphasis)
         windows.to(self.trainer.strategy.root_device)

@@ -45,7 +45,12 @@ def check_trajectories(given: Trajectories, space: Space) -> Trajectories:
         pair = trajectories.times[b, k : k + 2].tolist()
         message = f"times: expected increasing ones; received {pair} from sample {k} of trajectory {b}"
         raise UserError(message)
-    if not bool(trajectories.present.any()):
-        message = "states: expected samples; received NaN alone"
+    unknown = trajectories.times.isnan()
+    if bool((unknown[:, :-1] & ~unknown[:, 1:]).any()):
+        message = "times: expected one for each sample, NaN only after the last; received NaN before another"
+        raise UserError(message)
+    if not bool((begins := trajectories.present[:, 0]).all()):
+        b = int((~begins).nonzero()[0])
+        message = f"states: expected the first sample of each trajectory; received NaN in that of {b}. Cut it"
         raise UserError(message)
     return trajectories._replace(states=torch.where(trajectories.present.unsqueeze(-1), states, torch.nan))

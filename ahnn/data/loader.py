@@ -42,7 +42,7 @@ class WindowLoader:
         self._cumulative = windows.speeds().pow(emphasis).cumsum(0).cpu() if emphasis else None
         self.epoch = 0
         self.position = 0
-        self.resume_epoch = 0
+        self.resume_epoch: int | None = None
 
     @property
     def sampler(self) -> WindowLoader:

@@ -7,9 +7,11 @@ from typing import Any, Protocol
 
 import torch
 
+from ahnn.arguments import Count, Seed, checked
 from ahnn.data import store
 from ahnn.data.generate import generate
 from ahnn.data.given import check_trajectories
+from ahnn.memory import require_memory
 from ahnn.systems import System
 from ahnn.types import Space, Trajectories
 
@@ -40,6 +42,7 @@ class Source(Protocol):
         ...
 
 
+@checked
 class Simulated:
     """Trajectories of a system with known equations, generated once and cached.
 
@@ -50,7 +53,7 @@ class Simulated:
         cache: folder of generated data.
     """
 
-    def __init__(self, system: System, *, trajectories: int, seed: int, cache: str) -> None:
+    def __init__(self, system: System, *, trajectories: Count, seed: Seed, cache: str) -> None:
         self.truth, self.count, self.seed = system, trajectories, seed
         self.cache = Path(cache).expanduser()
 
@@ -58,6 +61,11 @@ class Simulated:
     def space(self) -> Space:
         """What the numbers of the system mean."""
         return self.truth.space
+
+    def check(self) -> None:
+        """Raise UserError for more trajectories than the memory holds."""
+        size = 8.0 * self.count * (self.steps() + 1) * len(self.space.components)
+        require_memory("data.trajectories, system.steps", "trajectories", size)
 
     def recipe(self) -> dict[str, Any]:
         """Return system, count and seed."""

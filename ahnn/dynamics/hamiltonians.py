@@ -133,6 +133,9 @@ def make_hamiltonian(
     if mu is not None and not 0 < mu < math.inf:
         message = f"model.mu: expected a positive number, or null to learn it; received {mu}"
         raise UserError(message)
+    if structure == "central_body" and dof < 2:
+        message = "hamiltonian central_body: expected at least 2 degrees of freedom; received 1"
+        raise UserError(message)
     if structure == "generic":
         return GenericHamiltonian(dof, inputs=inputs, scaling=scaling, network=network)
     learned = NetworkEnergy(position_inputs(inputs, dof, scaling), network, 0)

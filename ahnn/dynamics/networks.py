@@ -17,6 +17,7 @@ from torch.nn import functional as F
 
 from ahnn.arguments import check_arguments
 from ahnn.errors import UserError
+from ahnn.memory import require_memory
 
 ActivationName = Literal["gelu", "tanh", "silu", "sine"]
 
@@ -78,6 +79,7 @@ class MLP(nn.Module):
         if width < 1 or depth < 1:
             message = f"network: expected width >= 1 and depth >= 1; received width={width}, depth={depth}"
             raise UserError(message)
+        require_memory("network: width and depth", "weights", 8.0 * width * (inputs + width * (depth - 1)))
         self.activation = ACTIVATIONS[activation]
         self.hidden = nn.ModuleList(nn.Linear(inputs if i == 0 else width, width) for i in range(depth))
         self.output = nn.Linear(width, outputs)

@@ -14,7 +14,7 @@ from torch import Tensor
 from ahnn.integrators import Integrator
 from ahnn.metrics import Scores, score
 from ahnn.systems import System
-from ahnn.types import Flow, Space, Trajectories
+from ahnn.types import Flow, Space, TimeStep, Trajectories
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,7 +35,7 @@ class Case:
         flow: the learned flow.
         energy: the learned Hamiltonian, (..., D) -> (...), or None for a model without one.
         integrator: one-step method of the model, and of the floor beside it; None for a map.
-        dt: sampling interval of the test trajectories.
+        dt: sampling interval of the test trajectories, or all of their steps, (B, T - 1), where they differ.
         test, validation, train: whole trajectories of the splits.
         perturbation: (B, D) initial errors of the perturbed start, the same for every model; None where no
             P0 is known.
@@ -49,7 +49,7 @@ class Case:
     flow: Flow
     energy: Callable[[Tensor], Tensor] | None
     integrator: Integrator | None
-    dt: float
+    dt: TimeStep
     test: Trajectories
     validation: Trajectories
     train: Trajectories

@@ -64,7 +64,8 @@ def open_loop(case: Case) -> Findings:
     # All starts in one batch: a step of a small model costs the same for twice as many states.
     together = torch.cat(list(starts.values()))
     text = described(Who(MODEL, "true"), case.label)
-    predictions = rollout(case.flow, together, case.dt, samples, text).chunk(len(starts))
+    dt = case.dt.repeat(len(starts), 1) if isinstance(case.dt, Tensor) else case.dt
+    predictions = rollout(case.flow, together, dt, samples, text).chunk(len(starts))
     for start, prediction in zip(starts, predictions, strict=True):
         who = Who(MODEL, start)
         findings.arrays[f"{start}_start"] = prediction

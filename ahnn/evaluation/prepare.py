@@ -6,7 +6,6 @@ from pathlib import Path
 
 from ahnn.data import SplitData
 from ahnn.dynamics import Dynamics, HasEnergy
-from ahnn.errors import UserError
 from ahnn.evaluation.case import Case, perturbations
 from ahnn.statistics import sampling_interval
 
@@ -20,15 +19,8 @@ def make_case(dynamics: Dynamics, data: SplitData, *, label: str, seed: int, fol
         label: name in tables.
         seed: of the initial errors.
         folder: where the results are written.
-
-    Raises:
-        UserError: test trajectories with steps that differ.
     """
     source, test = data.source, data["test"]
-    dt = sampling_interval(test)
-    if not isinstance(dt, float):
-        message = "evaluation: expected test trajectories with equal steps; received steps that differ"
-        raise UserError(message)
     truth = source.truth
     return Case(
         label=label,
@@ -38,7 +30,7 @@ def make_case(dynamics: Dynamics, data: SplitData, *, label: str, seed: int, fol
         flow=dynamics,
         energy=dynamics.energy if isinstance(dynamics, HasEnergy) else None,
         integrator=getattr(dynamics, "integrator", None),
-        dt=dt,
+        dt=sampling_interval(test),
         test=test,
         validation=data["val"],
         train=data["train"],

@@ -52,7 +52,8 @@ def time_axis(case: Case) -> Axis:
     """
     times = case.test.times
     elapsed = (times - times[:, :1]).nanmean(0)
-    regular = case.dt * torch.arange(len(elapsed), dtype=torch.float64)
+    typical = case.dt.nanmean() if isinstance(case.dt, Tensor) else case.dt
+    regular = typical * torch.arange(len(elapsed), dtype=torch.float64)
     time = torch.where(elapsed.isnan(), regular, elapsed)
     unit = case.space.units.time
     return Axis(time / 3600, "h") if unit == "s" and float(time[-1]) > 7200 else Axis(time, unit)

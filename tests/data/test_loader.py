@@ -89,3 +89,20 @@ def test_a_subsample_is_drawn_anew_in_each_epoch():
 def test_validation_windows_are_evenly_spread_and_always_the_same():
     source = loader(count=100, batch=8, per_epoch=10, seed=None)
     assert flat(epoch(source, 0)) == list(range(0, 100, 10)) == flat(epoch(source, 1))
+
+
+def test_a_fresh_loader_begins_with_the_first_batch_of_epoch_zero():
+    fresh = loader()
+    assert fresh.state_dict() == {"epoch": 0, "position": 0}
+    assert [window.start[:, 0].long().tolist() for window in fresh] == epoch(loader(), 0)
+    assert fresh.state_dict() == {"epoch": 0, "position": 0}
+
+
+def test_a_pass_that_is_given_up_leaves_no_trace_in_the_next():
+    source = loader()
+    for number in (0, 3):
+        source.set_epoch(number)
+        begun = iter(source)
+        next(begun)
+        begun.close()
+        assert epoch(source, number) == epoch(loader(), number)

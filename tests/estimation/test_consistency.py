@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 
-from ahnn.estimation.consistency import band, coverage, independent_count, nees, share_within
+from ahnn.estimation.consistency import GAUSSIAN, band, coverage, independent_count, nees, share_within
 
 F64 = torch.float64
 
@@ -87,3 +89,50 @@ def test_the_band_of_rows_with_different_numbers_of_components():
     assert share_within(means, band(float(sizes.double().mean()), len(sizes))) == pytest.approx(
         0.95, abs=0.006
     )
+
+
+def naive_count(values):
+    """Loops over lags, members and times, as the docstring of `independent_count` has it."""
+    rows = [[float(v) for v in row] for row in values]
+    known = [v for row in rows for v in row if v == v]
+    members = sum(any(v == v for v in row) for row in rows)
+    mean, steps = sum(known) / len(known), values.shape[1]
+    covariances = []
+    for lag in range(steps):
+        products = [
+            (row[k] - mean) * (row[k + lag] - mean)
+            for row in rows
+            for k in range(steps - lag)
+            if row[k] == row[k] and row[k + lag] == row[k + lag]
+        ]
+        covariances.append(sum(products) / len(products) if products else 0.0)
+    time = -1.0
+    for lag in range(0, steps - 1, 2):
+        pair = sum(covariances[i] / covariances[0] * (1 - i / steps) for i in (lag, lag + 1))
+        if pair <= 0:
+            break
+        time += 2 * pair
+    return min(max(len(known) / max(time, 1.0), members), len(known))
+
+
+@pytest.mark.parametrize("steps", [2, 3, 9, 20])
+@pytest.mark.parametrize("seed", range(4))
+def test_independent_count_equals_a_loop_over_all_lags(steps, seed):
+    values = correlated(6, steps, 0.9, seed)
+    generator = torch.Generator().manual_seed(seed)
+    gaps = torch.rand(values.shape, generator=generator) < 0.3
+    gaps[:, 0] = False
+    gapped = values.masked_fill(gaps, torch.nan)
+    if steps > 3:
+        gapped[:, steps // 2 :] = torch.nan  # no member has the long lags twice
+        gapped[0, steps - 1] = 9.0
+    for case in (values, gapped):
+        assert independent_count(case) == pytest.approx(naive_count(case), rel=1e-9)
+    assert independent_count(values) > 6
+
+
+def test_the_probabilities_of_a_gaussian_and_what_lies_on_an_edge():
+    assert {k: math.erf(k / math.sqrt(2)) for k in (1, 2, 3)} == pytest.approx(GAUSSIAN, rel=1e-14)
+    error = torch.tensor([[[1.0, -2.0, 3.0, 4.0]]], dtype=F64)
+    assert coverage(error, torch.ones_like(error)) == {1: 0.25, 2: 0.5, 3: 0.75}
+    assert share_within(torch.tensor([1.0, 2.0, 3.0, 4.0]), (1.0, 3.0)) == 0.75

@@ -74,13 +74,13 @@ def test_composition_weights_are_a_palindrome_of_sum_one(name):
 
 @pytest.mark.parametrize("name", COMPOSED)
 def test_a_composition_refuses_a_field_that_is_not_separable_by_name(name):
-    field = build_model("generic", SPRING).learner
+    field = build_model("generic", SPRING).dynamics.field
     with pytest.raises(UserError, match=rf"{name}.*GenericHamiltonian.*rk4 or gl4"):
         INTEGRATORS[name].step(field, torch.zeros(1, 2), 0.1)
 
 
 def test_a_composition_takes_a_learned_separable_hamiltonian():
-    field = build_model("separable", SPRING).learner
+    field = build_model("separable", SPRING).dynamics.field
     assert INTEGRATORS["leapfrog"].step(field, torch.ones(1, 2), 0.1).shape == (1, 2)
 
 

@@ -97,7 +97,7 @@ def test_range_rate_is_the_derivative_of_the_range():
 
 def test_station_works_on_batches_of_sigma_points():
     station = GroundStation(47.0, 11.0, range_rate=True)
-    x = 7000.0 * torch.randn(4, 13, 6, dtype=F64)
+    x = 7000.0 * torch.randn(4, 13, 6, generator=torch.Generator().manual_seed(0), dtype=F64)
     y = station(x, 3.0)
     assert y.shape == (4, 13, 4) == (4, 13, len(station.names))
     assert torch.allclose(y[2, 5], station(x[2, 5], 3.0), rtol=1e-13)
@@ -116,6 +116,8 @@ def test_no_angle_wraps_to_just_outside():
     near = [math.nextafter(edge, side) for edge in edges for side in (-math.inf, math.inf)]
     wrapped = wrap(torch.tensor(near + edges, dtype=F64))
     assert bool(((wrapped > -pi) & (wrapped <= pi)).all())
+    # All of them point backwards.
+    assert float((wrapped.abs() - pi).abs().max()) < 1e-13
     inside = torch.tensor([math.nextafter(-pi, 0.0), math.nextafter(pi, 0.0), pi, 1.0, 5e-324], dtype=F64)
     assert torch.equal(wrap(inside), inside)
 
@@ -217,3 +219,40 @@ def test_a_number_that_is_not_finite_is_refused(name, value):
 def test_impossible_stations(options, message):
     with pytest.raises(ValueError, match=message):
         GroundStation(0.0, 0.0, **options)
+
+
+def test_a_station_of_which_only_the_place_is_said_stands_on_the_ellipsoid_at_the_meridian():
+    plain = GroundStation(40.0, 20.0)
+    spelled = GroundStation(
+        40.0,
+        20.0,
+        0.0,
+        range_rate=False,
+        earth_angle=0.0,
+        rotation_rate=7.2921150e-5,
+        radius=6378.137,
+        flattening=1.0 / 298.257223563,
+        mass=1.0,
+        min_elevation=0.0,
+    )
+    x = torch.tensor([[5000.0, 3000.0, 6000.0], [-5000.0, 100.0, -4000.0]], dtype=F64)
+    assert plain.names == ("range", "azimuth", "elevation")
+    assert torch.equal(plain(x, 900.0), spelled(x, 900.0))
+    assert plain.in_view(x, 900.0).tolist() == spelled.in_view(x, 900.0).tolist() == [True, False]
+    assert plain.min_elevation == 0.0
+    for limit in (-90.0, 90.0):
+        assert GroundStation(limit, 0.0, min_elevation=limit).min_elevation == math.radians(limit)
+    with pytest.raises(ValueError, match=r"received -90\.5"):
+        GroundStation(-90.5, 0.0)
+
+
+@pytest.mark.parametrize("model", [Position(2), State(1), GnssRange([[2e4, 0.0, 0.0], [0.0, 2e4, 0.0]])])
+def test_residuals_without_angles_are_differences(model):
+    y, y_pred = torch.tensor([3.0, -1.0], dtype=F64), torch.tensor([0.5, 4.0], dtype=F64)
+    assert model.residual(y, y_pred).tolist() == [2.5, -5.0]
+
+
+def test_positions_and_states_are_by_default_those_of_three_dimensions():
+    assert (Position().names, Position().units) == (("q1", "q2", "q3"), ("km",) * 3)
+    assert State().names == ("q1", "q2", "q3", "p1", "p2", "p3")
+    assert State().units == ("km",) * 3 + ("km/s",) * 3

@@ -63,3 +63,14 @@ def test_a_schedule_of_lists():
 def test_mistakes_of_a_schedule(times, max_step, start_time, message):
     with pytest.raises(ValueError, match=message):
         schedule(times, ROWS[:, :2], max_step, start_time)
+
+
+@pytest.mark.parametrize("max_step", [0.0, -1.0, float("nan")])
+def test_steps_of_no_length_are_refused(max_step):
+    with pytest.raises(ValueError, match=f"max_step > 0; received smallest gap 1 and max_step {max_step:g}"):
+        schedule([1.0, 2.0], torch.zeros(1, 2, 1), max_step)
+
+
+def test_a_cadence_of_one_keeps_every_row():
+    assert torch.equal(every(ROWS, 1), ROWS)
+    assert bool(every(ROWS, 5).isnan().all())

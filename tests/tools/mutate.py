@@ -1,40 +1,53 @@
 """Mutation of the numerical kernels: single changes of operators and constants, and whether a test notices.
 
-    python tests/tools/mutate.py --seed 0 --count 64 [--only PART]
+    python tests/tools/mutate.py --seed 0 --count 64 [--only PART] [--each]
 
-Each mutant is one change in a copy of the tree; the tests nearest to its file run against it. What survives
-is printed with its place, to be tested or to be explained. A mutant that runs out of time counts as noticed.
+Each mutant is one change in a copy of the tree; the tests that execute its line run against it
+(`nearest.py`). What survives is printed with its place, to be tested or to be explained. A mutant that runs
+out of time counts as noticed.
+
+Left out is what changes nothing by construction: annotations and messages; the sign of an axis or an index,
+whose number is changed instead; tolerances and cuts far from every size that occurs.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
-import os
 import random
 import shutil
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from nearest import Reach, noticed
+
 ROOT = Path(__file__).parents[2]
 UKF, PFL = "plugins/ahnn_plugins/ukf", "plugins/ahnn_plugins/pfl"
-KERNELS: dict[str, list[str]] = {
-    "ahnn/integrators": ["tests/integrators"],
-    "ahnn/dynamics": ["tests/dynamics", "tests/models"],
-    "ahnn/training": ["tests/training", "tests/models"],
-    "ahnn/data": ["tests/data"],
-    "ahnn/statistics.py": ["tests/data", "tests/dynamics"],
-    "ahnn/rollouts.py": ["tests/test_rollouts.py", "tests/evaluation"],
-    "ahnn/metrics.py": ["tests/test_metrics.py"],
-    "ahnn/measurements": ["tests/measurements", "tests/plugins/ukf"],
-    "ahnn/estimation": ["tests/estimation", "tests/plugins/ukf"],
-    UKF: ["tests/plugins/ukf", "tests/estimation"],
-    PFL: ["tests/plugins/pfl"],
-}
-"""Kernels and the tests nearest to them."""
+KERNELS = (
+    "ahnn/integrators",
+    "ahnn/dynamics",
+    "ahnn/training",
+    "ahnn/data",
+    "ahnn/statistics.py",
+    "ahnn/rollouts.py",
+    "ahnn/metrics.py",
+    "ahnn/measurements",
+    "ahnn/estimation",
+    UKF,
+    PFL,
+)
+TESTS = (
+    *(f"tests/{name}" for name in ("integrators", "dynamics", "models", "training", "data", "systems")),
+    *(f"tests/{name}" for name in ("measurements", "estimation", "plugins/ukf", "plugins/pfl")),
+    *(f"tests/{name}" for name in ("test_metrics.py", "test_statistics.py", "test_rollouts.py")),
+    "tests/evaluation/test_open_loop.py",
+)
+"""Where the tests of the kernels are."""
+
+NEGLIGIBLE, HUGE = 1e-8, 1e200
+"""Constants beyond these are tolerances and cuts."""
 
 SHELLS = (
     "__init__.py",
@@ -73,27 +86,48 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--count", type=int, default=64)
+    parser.add_argument("--each", action="store_true", help="so many of each kernel")
     parser.add_argument("--only", default="", help="part of a path")
-    parser.add_argument("--timeout", type=float, default=300, help="seconds for the tests of one mutant")
+    parser.add_argument("--timeout", type=float, default=90, help="seconds for the tests of one mutant")
+    parser.add_argument(
+        "--store",
+        type=Path,
+        default=Path(tempfile.gettempdir()) / "ahnn_reach.json",
+        help="of what tests reach",
+    )
     options = parser.parse_args()
-    drawn = [m for m in mutants() if options.only in str(m[0])]
-    random.Random(options.seed).shuffle(drawn)
-    drawn = drawn[: options.count]
-    survivors = 0
     with tempfile.TemporaryDirectory() as folder:
         tree = Path(folder) / "tree"
         ignored = shutil.ignore_patterns(".git", ".venv", "__pycache__", "runs", "multirun", ".*_cache")
         shutil.copytree(ROOT, tree, ignore=ignored)
-        for number, (path, index) in enumerate(drawn, 1):
-            changed, what = mutated(path, index)
-            noticed = is_noticed(tree, path, changed, options.timeout)
-            survivors += not noticed
-            if not noticed:
-                say(f"SURVIVED {path.relative_to(ROOT)}:{what}")
-            elif number % 8 == 0:
-                say(f"{number} of {len(drawn)}, {survivors} survived")
-    share = 100 * (1 - survivors / max(1, len(drawn)))
-    say(f"seed {options.seed}: {len(drawn) - survivors} of {len(drawn)} noticed, {share:.1f} %")
+        reach = Reach(tree, options.store)
+        reach.measure(TESTS, list(KERNELS))
+        shares: dict[str, list[bool]] = {}
+        for path, index in drawn(options.seed, options.count, options.each, options.only):
+            caught = judge(reach, path, index, options.timeout)
+            shares.setdefault(kernel_of(path), []).append(caught)
+    for kernel, caught in shares.items():
+        say(f"{kernel}: {sum(caught)} of {len(caught)} noticed")
+    caught = [c for some in shares.values() for c in some]
+    share = 100 * sum(caught) / max(1, len(caught))
+    say(f"seed {options.seed}: {sum(caught)} of {len(caught)} noticed, {share:.1f} %")
+
+
+def drawn(seed: int, count: int, each: bool, only: str) -> list[tuple[Path, int]]:
+    """Return the mutants of a seed, those of a kernel one after the other."""
+    known = [m for m in mutants() if only in str(m[0])]
+    random.Random(seed).shuffle(known)
+    by_kernel = {k: [m for m in known if kernel_of(m[0]) == k] for k in KERNELS}
+    if each:
+        return [m for some in by_kernel.values() for m in some[:count]]
+    chosen = set(known[:count])
+    return [m for some in by_kernel.values() for m in some if m in chosen]
+
+
+def kernel_of(path: Path) -> str:
+    """Return the kernel that a file is part of."""
+    inner = str(path.relative_to(ROOT))
+    return max((k for k in KERNELS if inner.startswith(k)), key=len)
 
 
 def mutants() -> Iterator[tuple[Path, int]]:
@@ -118,6 +152,8 @@ def places(tree: ast.Module) -> list[ast.AST]:
             hidden = [node.returns, *(a.annotation for a in (*node.args.args, *node.args.kwonlyargs))]
         elif isinstance(node, ast.AnnAssign):
             hidden = [node.annotation]
+        elif isinstance(node, ast.UnaryOp) and ast.unparse(node) in ("-1", "-2", "-3"):
+            left_out.add(id(node))
         elif (
             isinstance(node, ast.Raise | ast.JoinedStr)
             or (isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) in ("message", "__all__"))
@@ -139,7 +175,9 @@ def can_change(node: ast.AST) -> bool:
         return True
     if isinstance(node, ast.UnaryOp):
         return isinstance(node.op, ast.USub | ast.Not)
-    return isinstance(node, ast.Constant) and type(node.value) in (int, float)
+    if not isinstance(node, ast.Constant) or type(node.value) not in (int, float):
+        return False
+    return node.value == 0 or NEGLIGIBLE < node.value < HUGE
 
 
 def _is_type(node: ast.BinOp) -> bool:
@@ -149,10 +187,11 @@ def _is_type(node: ast.BinOp) -> bool:
     )
 
 
-def mutated(path: Path, index: int) -> tuple[str, str]:
-    """Return the source with one change, and the change in words."""
+def mutated(path: Path, index: int) -> tuple[str, int, int, str]:
+    """Return the source with one change, its first and last line, and the change in words."""
     tree = ast.parse(path.read_text())
     node = places(tree)[index]
+    first, last = lines_of(tree, node)
     before = ast.unparse(node)
     if isinstance(node, ast.BinOp | ast.BoolOp):
         node.op = SWAPS[type(node.op)]()
@@ -167,25 +206,35 @@ def mutated(path: Path, index: int) -> tuple[str, str]:
         assert isinstance(value, int | float)
         node.value = value + 1 if isinstance(value, int) else (value * 1.5 if value else 1.0)
     after = ast.unparse(node)
-    return ast.unparse(tree), f"{getattr(node, 'lineno', 0)}: {before}  ->  {after}"
+    return ast.unparse(tree), first, last, f"{getattr(node, 'lineno', 0)}: {before}  ->  {after}"
 
 
-def is_noticed(tree: Path, path: Path, changed: str, timeout: float) -> bool:
-    """Return whether the nearest tests fail on a change."""
-    inner = path.relative_to(ROOT)
-    kernel = max((k for k in KERNELS if str(inner).startswith(k)), key=len)
-    tests = [t for t in KERNELS[kernel] if (tree / t).exists()]
-    original = (tree / inner).read_text()
-    (tree / inner).write_text(changed)
-    env = os.environ | {"PYTHONPATH": f"{tree}{os.pathsep}{tree / 'plugins'}", "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *tests]
+def lines_of(tree: ast.Module, node: ast.AST) -> tuple[int, int]:
+    """Return the lines of the innermost statement around a node; of a compound one, the node's."""
+    statements = [s for s in ast.walk(tree) if isinstance(s, ast.stmt) and node in ast.walk(s)]
+    inner = min(statements, key=lambda s: (s.end_lineno or 0) - s.lineno)
+    own = node if hasattr(inner, "body") else inner
+    return own.lineno, own.end_lineno  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def judge(reach: Reach, path: Path, index: int, timeout: float) -> bool:
+    """Return whether the nearest tests notice a mutant, and say so if they do not."""
+    changed, first, last, what = mutated(path, index)
+    inner = str(path.relative_to(ROOT))
+    near = inner.replace("ahnn", "tests", 1).rsplit("/", 1)[0]
+    names = reach.tests(inner, first, last, near)
+    target = reach.tree / inner
+    original = target.read_text()
+    for compiled in target.parent.glob(f"__pycache__/{target.stem}.*.pyc"):
+        compiled.unlink()
+    target.write_text(changed)
     try:
-        done = subprocess.run(command, cwd=tree, env=env, capture_output=True, timeout=timeout, check=False)
-    except subprocess.TimeoutExpired:
-        return True
+        caught = bool(names) and noticed(reach.tree, names, timeout)
     finally:
-        (tree / inner).write_text(original)
-    return done.returncode != 0
+        target.write_text(original)
+    if not caught:
+        say(f"SURVIVED {inner}:{what}   ({len(names)} tests)")
+    return caught
 
 
 def say(text: str) -> None:

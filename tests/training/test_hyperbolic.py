@@ -99,3 +99,10 @@ def test_impossible_settings_are_refused_with_what_came(change, received):
     options = {"max_epochs": 10, "upper_bound": 10.0, "infimum_lr": 1e-6} | change
     with pytest.raises(UserError, match=received):
         ExpHyperbolicLR(optimizer(), **options)
+
+
+def test_a_training_of_one_epoch_has_a_schedule():
+    opt = optimizer()
+    schedule = make(1, 1)(opt)
+    epoch(opt, schedule)
+    assert opt.param_groups[0]["lr"] == pytest.approx(1e-6, rel=1e-12)

@@ -90,6 +90,12 @@ class ResumePoint(Checkpoint):
             if signal.getsignal(number) is not signal.SIG_IGN:
                 self._before[number] = signal.signal(number, self._request)
 
+    def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Write where a training ended before its first validation, so that there are weights to judge."""
+        del pl_module
+        if not self.path.exists():
+            trainer.save_checkpoint(self.path)
+
     def teardown(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
         """Give signals back."""
         del trainer, pl_module, stage

@@ -205,13 +205,14 @@ class UKFEvaluation:
 
     def _arcs(self, case: Case, setting: Setting, count: int, steps: int | None, seed: int) -> Problem:
         """Return arcs of validation trajectories, which no row of the results is computed on."""
-        return perturbed_arcs(setting, case.validation.states, case.dt, count, steps, seed)
+        return perturbed_arcs(setting, case.validation.states, _interval(case), count, steps, seed)
 
     def _problems(self, case: Case, setting: Setting) -> dict[Start, Problem]:
         """Return the scenarios; both see the same measurements."""
         truth = case.test.states
-        measurements = simulated(setting, truth, case.dt, self.seed)
-        return {start: Problem(truth, x, measurements, case.dt) for start, x in case.starts().items()}
+        dt = _interval(case)
+        measurements = simulated(setting, truth, dt, self.seed)
+        return {start: Problem(truth, x, measurements, dt) for start, x in case.starts().items()}
 
     def _settings(self, setting: Setting) -> dict[str, Any]:
         """Return what was assumed, for metrics.json."""
@@ -224,6 +225,12 @@ class UKFEvaluation:
             "parameters": self.parameters._asdict(),
             "seed": self.seed,
         }
+
+
+def _interval(case: Case) -> float:
+    """Return the one step of simulated trajectories."""
+    assert isinstance(case.dt, float), "simulated trajectories have one step"
+    return case.dt
 
 
 def _known(truth: System | None, space: Space) -> System:

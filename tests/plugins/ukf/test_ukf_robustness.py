@@ -214,3 +214,37 @@ def test_a_pass_through_south_does_not_upset_the_filter():
     result = unscented_filter(lambda x, _: x * 1.0, belief, rows, station, 1e-9 * torch.eye(6), r, 1.0)
     assert float((result.means[0, -1, :3] - x[0, :3]).norm()) < 0.5
     assert bool((result.innovations[..., 1].abs() < 0.01).all())
+
+
+@pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
+def test_a_variance_that_overflows_while_the_mean_does_not_gets_a_status(form):
+    belief = initial_belief(torch.zeros(2, 2, dtype=F64), torch.eye(2))
+    rows = torch.full((2, 1, 1), torch.nan, dtype=F64)
+    stretch = torch.tensor([1.0, 1e170], dtype=F64).repeat_interleave(5).unsqueeze(-1)
+    result = unscented_filter(
+        lambda x, _: stretch * x, belief, rows, Position(1), 1e-8 * torch.eye(2), torch.eye(1), 0.1, form=form
+    )
+    assert result.status.tolist() == [Status.OK, Status.NOT_FINITE]
+
+
+def test_the_numbers_of_a_status_stand_in_stored_states():
+    names = ("OK", "NOT_FINITE", "COLLAPSED", "DIVERGED", "IMPRECISE")
+    assert {status.name: status.value for status in Status} == dict(zip(names, range(5), strict=True))
+
+
+@pytest.mark.parametrize("part", ["mean", "chol", "nis"])
+def test_an_update_of_which_any_part_is_not_finite_ends_its_member_alone(part):
+    def spoil(*arguments):
+        updated = SQUARE_ROOT.update(*arguments)
+        if part == "nis":
+            return updated._replace(nis=updated.nis.clone().index_fill_(0, torch.tensor([1]), torch.inf))
+        spoilt = getattr(updated.belief, part).clone()
+        spoilt[1, 1] = torch.inf
+        return updated._replace(belief=updated.belief._replace(**{part: spoilt}))
+
+    belief = initial_belief(torch.zeros(3, 2, dtype=F64), torch.eye(2))
+    rows = torch.ones(3, 1, 1, dtype=F64)
+    noise = 0.01 * torch.eye(2), torch.eye(1)
+    form = SQUARE_ROOT._replace(update=spoil)
+    result = unscented_filter(lambda x, _: 1.0 * x, belief, rows, Position(1), *noise, 1.0, form=form)
+    assert result.status.tolist() == [Status.OK, Status.NOT_FINITE, Status.OK]

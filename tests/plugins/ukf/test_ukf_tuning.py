@@ -115,3 +115,44 @@ def test_a_range_that_the_search_cannot_begin_in_is_refused(search: tuple) -> No
     away = Tuning(ranges={"alpha": [1e-3, 0.5]}, trials=2, trajectories=4, steps=100, batch=2, seed=0)
     with pytest.raises(UserError, match="with the untuned 1 in it"):
         tune(*search, away)
+
+
+@pytest.mark.parametrize(("trials", "batch", "sizes"), [(7, 3, [3, 3, 1]), (6, 3, [3, 3]), (2, 5, [2])])
+def test_as_many_trials_as_asked_for_are_filtered_in_batches(search, monkeypatch, trials, batch, sizes):
+    asked = []
+
+    def counted(*arguments):
+        some = arguments[-1]
+        asked.append(len(some))
+        return [float(trial["scale_q"]) for trial in some]
+
+    monkeypatch.setattr(tuning, "objectives", counted)
+    options = Tuning({"scale_q": [1e-2, 1e2]}, trials, trajectories=4, steps=100, batch=batch, seed=0)
+    found = tune(*search, options)
+    assert asked == sizes
+    assert found.untuned == 1.0
+    assert found.objective == found.values["scale_q"] <= 1.0
+
+
+def test_the_objective_is_in_initial_deviations_from_the_first_update_on(search):
+    chosen, setting, arcs = search
+    (got,) = objectives(chosen, setting, arcs, [{}])
+    result = tuning.assimilate(chosen, setting, arcs)
+    error = (result.means - arcs.truth[:, 1:])[:, 19:] / setting.start_sd
+    rms = error.square().mean(1).sqrt().mean(0)
+    assert got == pytest.approx(float(rms.sum()), rel=1e-9)
+    (doubled,) = objectives(chosen, setting, arcs, [{"scale_q": 2.0, "scale_r": 4.0, "alpha": 0.5}])
+    other = chosen._replace(
+        process_noise=2.0 * chosen.process_noise,
+        measurement_noise=4.0 * chosen.measurement_noise,
+        parameters=chosen.parameters._replace(alpha=0.5),
+    )
+    assert doubled == pytest.approx(objectives(other, setting, arcs, [{}])[0], rel=1e-9)
+
+
+def test_the_smallest_search_is_one_trial_of_one_step():
+    one = Tuning({}, trials=1, trajectories=1, steps=1, batch=1, seed=0)
+    assert one.space() == {}
+    for name in ("trials", "trajectories", "steps", "batch"):
+        with pytest.raises(UserError, match=f"{name}: expected at least 1; received -1"):
+            Tuning(**{**vars(one), name: -1})

@@ -1,0 +1,118 @@
+"""Constants of energies are fitted to the sampled rates: units, and the strength of a central body."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from helpers import TINY, close, generator
+
+from ahnn.dynamics.energies import CentralBody, NetworkEnergy, Quadratic, energy_units
+from ahnn.dynamics.hamiltonians import make_hamiltonian
+from ahnn.dynamics.inputs import Cartesian, Isotropic, position_inputs
+from ahnn.errors import UserError
+from ahnn.statistics import Statistics
+
+DOF = 3
+
+
+def statistics(seed=0, mass=1.0, mu=5.0, extra=0.0, count=200):
+    """Statistics of positions under an attraction mu m / r^2, plus forces of the size `extra`."""
+    rng = generator(seed)
+    q = 3 * torch.randn(count, DOF, generator=rng, dtype=torch.float64) + 1.0
+    r = q.norm(dim=-1, keepdim=True)
+    forces = -mass * mu * q / r**3 + extra * torch.randn(q.shape, generator=rng, dtype=torch.float64)
+    low = torch.tensor([-4.0, -3.0, -2.0, -0.5, -0.4, -0.7], dtype=torch.float64)
+    high = torch.tensor([6.0, 5.0, 8.0, 0.3, 0.6, 0.5], dtype=torch.float64)
+    rate = torch.tensor([0.3, 0.2, 0.5, 0.07, 0.05, 0.02], dtype=torch.float64)
+    radius = torch.stack((r.min(), r.max()))
+    return Statistics(low, high, 0.1 * rate, rate, radius, q, forces, 0.1)
+
+
+def body(mass=1.0, mu=None):
+    torch.manual_seed(0)
+    remainder = NetworkEnergy(Cartesian(DOF, "block", 0), TINY, 0)
+    made = CentralBody(remainder, mass, mu).double()
+    return made
+
+
+def test_energy_units_are_rates_of_one_block_times_half_ranges_of_the_other():
+    potential, kinetic = energy_units(statistics())
+    assert float(potential) == pytest.approx((0.07 * 5 + 0.05 * 4 + 0.02 * 5) / 3, rel=1e-14)
+    assert float(kinetic) == pytest.approx((0.3 * 0.4 + 0.2 * 0.5 + 0.5 * 0.6) / 3, rel=1e-14)
+    torch.manual_seed(0)
+    for block, unit in enumerate((potential, kinetic)):
+        energy = NetworkEnergy(Cartesian(DOF, "block", block), TINY, block).double()
+        energy.fit(statistics())
+        close(energy.unit, unit, 1e-14)
+    options = {"mass": 1.0, "mu": None, "inputs": "cartesian", "scaling": "block", "network": TINY}
+    generic = make_hamiltonian("generic", DOF, **options).double()
+    with torch.no_grad():
+        generic.fit(statistics())
+    close(generic.unit, (potential * kinetic).sqrt(), 1e-14)
+
+
+@pytest.mark.parametrize("mass", [1.0, 2.5])
+def test_mu_is_the_least_squares_value_of_the_sampled_forces(mass):
+    sampled = statistics(mass=mass, extra=0.05)
+    learned = body(mass)
+    learned.fit(sampled)
+    columns = [-mass * x / x.norm() ** 3 for x in sampled.positions]
+    design, forces = torch.cat(columns).unsqueeze(-1), sampled.forces.reshape(-1, 1)
+    exact = torch.linalg.lstsq(design, forces).solution.squeeze()
+    close(learned.mu, exact, 1e-12)
+    exactly = body(mass)
+    exactly.fit(statistics(mass=mass))
+    assert float(exactly.mu.detach()) == pytest.approx(5.0, rel=1e-12)
+
+
+@pytest.mark.parametrize(("mass", "mu"), [(1.0, None), (2.5, None), (2.5, 4.0), (1.0, 5.0)])
+def test_the_unit_of_the_remainder_is_the_energy_that_a_point_mass_leaves(mass, mu):
+    sampled = statistics(mass=mass, extra=0.05)
+    fitted = body(mass, mu)
+    fitted.fit(sampled)
+    strength = float(fitted.mu.detach()) if mu is None else mu
+    squares = []
+    for q, force in zip(sampled.positions, sampled.forces, strict=True):
+        r = float(q.norm())
+        left = force + mass * strength * q / r**3
+        squares += [(float(component) * r) ** 2 for component in left]
+    close(fitted.remainder.unit, torch.tensor((sum(squares) / len(squares)) ** 0.5), 1e-7)
+
+
+def test_nothing_is_left_of_exact_data():
+    fitted = body(2.0, 5.0)
+    fitted.fit(statistics(mass=2.0))
+    assert float(fitted.remainder.unit) < 1e-12
+    q = statistics().positions
+    close(fitted(q), -2.0 * 5.0 / q.norm(dim=-1), 1e-10)
+
+
+def test_data_without_an_attraction_are_refused():
+    with pytest.raises(UserError, match=r"expected an attraction; the data give mu=-5"):
+        body().fit(statistics(mu=-5.0))
+
+
+def test_the_kinetic_energy_of_a_known_mass():
+    p = torch.tensor([[3.0, 4.0], [0.0, 2.0]], dtype=torch.float64)
+    close(Quadratic(2.5)(p), torch.tensor([5.0, 0.8], dtype=torch.float64), 1e-15)
+    close(Quadratic(2.5).gradient(p), p / 2.5, 1e-15)
+
+
+@pytest.mark.parametrize("low", [0.01, 0.5, 3.0])
+def test_isotropic_inputs_are_fitted_at_any_distance_from_the_centre(low):
+    radius = torch.tensor([low, 4 * low], dtype=torch.float64)
+    inputs = Isotropic(DOF).double()
+    inputs.fit(statistics()._replace(radius=radius))
+    direction = torch.tensor([[0.6, 0.0, -0.8]], dtype=torch.float64)
+    got = inputs(torch.cat((low * direction, 2 * low * direction, 4 * low * direction)))
+    close(got[:, 3], torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64), 1e-12)
+    for wrong in ([0.0, 1.0], [2.0, 2.0]):
+        with pytest.raises(UserError, match="expected distances 0 < low < high"):
+            Isotropic(DOF).fit(statistics()._replace(radius=torch.tensor(wrong)))
+
+
+def test_isotropic_inputs_need_two_dimensions():
+    for dof in (2, 3):
+        assert isinstance(position_inputs("isotropic", dof, "block"), Isotropic)
+    with pytest.raises(UserError, match="at least 2 degrees of freedom; received 1"):
+        position_inputs("isotropic", 1, "block")

@@ -1,0 +1,57 @@
+"""When the sweeps of gl4 stop: at the tolerance, or where only rounding is left to change."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from helpers import SYSTEMS, close, random_states
+
+from ahnn.errors import UserError
+from ahnn.integrators import GaussLegendre4
+
+EPS = torch.finfo(torch.float64).eps
+
+
+class Flicker:
+    """A field that changes by the same amount in each sweep, as rounding may."""
+
+    def __init__(self, amount):
+        self.amount, self.calls = amount, 0
+
+    def __call__(self, x):
+        sweep = (self.calls + 1) // 2  # one call before the sweeps, two in each
+        self.calls += 1
+        return torch.full_like(x, self.amount * (sweep % 2))
+
+
+@pytest.mark.parametrize("size", [0.0, 1.0, 1e6, -1e6])
+def test_a_change_at_the_level_of_rounding_ends_the_sweeps(size):
+    x, scale = torch.full((1, 2), size, dtype=torch.float64), max(1.0, abs(size))
+    method = GaussLegendre4(tolerance=1e-30)
+    for step in (0.5, -0.5):
+        field = Flicker(20 * EPS * scale / abs(step))
+        method.increment(field, x, step)
+        assert field.calls == 5  # two sweeps: the second changes no less than the first
+        with pytest.raises(UserError, match="did not converge"):
+            method.increment(Flicker(400 * EPS * scale / abs(step)), x, step)
+
+
+@pytest.mark.parametrize(("size", "allowed"), [(0.0, 1e-3), (100.0, 0.1)])
+def test_a_change_within_the_tolerance_of_the_state_ends_the_sweeps(size, allowed):
+    x = torch.full((1, 2), size, dtype=torch.float64)
+    for share, calls in ((0.9, 3), (1.1, None)):
+        field = Flicker(share * allowed / 0.5)
+        if calls is None:
+            with pytest.raises(UserError, match="did not converge"):
+                GaussLegendre4(tolerance=1e-3).increment(field, x, 0.5)
+            continue
+        GaussLegendre4(tolerance=1e-3).increment(field, x, 0.5)
+        assert field.calls == calls
+
+
+def test_a_looser_tolerance_costs_accuracy_in_proportion():
+    system = SYSTEMS["kepler"]
+    x = random_states(system, 5, seed=1)
+    exact = GaussLegendre4().increment(system, x, 0.1)
+    for tolerance in (1e-3, 1e-6, 1e-9):
+        close(GaussLegendre4(tolerance=tolerance).increment(system, x, 0.1), exact, 10 * tolerance)

@@ -1,0 +1,284 @@
+"""What a fault campaign found: folders that are not ours, signals, sizes, and settings that cannot work."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+from entry import SMALL, call
+
+import ahnn
+from ahnn.checkpoints import read_checkpoint
+from ahnn.errors import UserError
+from ahnn.evaluation import load_results
+from ahnn.training.checkpoint_io import AtomicCheckpointIO
+
+FIRST = [*SMALL, "recipe=first_order", "evaluation=scores"]
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def started(folder: Path, *overrides: str) -> subprocess.Popen:
+    """A training in a process of its own."""
+    command = [sys.executable, "-m", "ahnn.train", *overrides]
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    return subprocess.Popen(
+        command, cwd=folder, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+
+
+# Folders
+
+
+def test_a_refused_command_removes_nothing_that_it_did_not_make(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    other = tmp_path / "other"
+    (other / ".hydra").mkdir(parents=True)
+    (other / ".hydra" / "config.yaml").write_text("foreign: 1")
+    (other / "data.txt").write_text("dear")
+    (tmp_path / "empty").mkdir()
+    before = content(tmp_path)
+    for run in ("other", ".", "empty", str(other)):
+        assert call("ahnn.train", *SMALL, f"run={run}", "seed=x") == 2
+        assert capfd.readouterr().err.startswith("ahnn: seed")
+    assert content(tmp_path) == before
+    assert (tmp_path / "empty").is_dir()
+
+
+def test_a_refused_command_leaves_a_finished_run_as_it_was(tmp_path):
+    assert call("ahnn.train", *FIRST, f"run={tmp_path / 'run'}") == 0
+    before = content(tmp_path)
+    for wrong in (["seed=x"], [], ["ckpt=last", "optimizer.lr=1"], ["ckpt=last", "data.batch_size=7"]):
+        assert call("ahnn.train", *FIRST, f"run={tmp_path / 'run'}", *wrong) == 2
+        assert content(tmp_path) == before
+
+
+def test_two_runs_of_one_second_have_a_folder_each(tmp_path):
+    both = [started(tmp_path, *FIRST) for _ in range(2)]
+    said = [job.communicate(timeout=120)[0] for job in both]
+    assert [job.returncode for job in both] == [0, 0], said
+    assert len(list(tmp_path.glob("runs/*/*/metrics.json"))) == 2
+
+
+def test_a_folder_that_another_process_writes_into_is_refused(tmp_path):
+    from ahnn.files import claimed
+
+    with claimed(tmp_path), pytest.raises(UserError, match="another process writes into"), claimed(tmp_path):
+        pytest.fail("claimed twice")
+    with claimed(tmp_path):  # free again
+        assert (tmp_path / ".claim").exists()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_that_was_moved_keeps_its_best_weights(tmp_path):
+    run = [*FIRST, "trainer.max_epochs=4", "optimizer.lr=0.3"]
+    cut = ["+callbacks.cut._target_=entry.CutAfter", "+callbacks.cut.steps=25", "+callbacks.cut.ctrl_c=true"]
+    assert call("ahnn.train", *run, f"run={tmp_path / 'whole'}") == 0
+    assert call("ahnn.train", *run, f"run={tmp_path / 'cut'}", *cut) == 130
+    (tmp_path / "cut").rename(tmp_path / "moved")
+    assert call("ahnn.train", *run, f"run={tmp_path / 'moved'}", "ckpt=last") == 0
+    whole, moved = (
+        read_checkpoint(tmp_path / name / "checkpoints" / "best.ckpt") for name in ("whole", "moved")
+    )
+    assert whole["epoch"] == moved["epoch"]
+    assert all(torch.equal(v, moved["state_dict"][k]) for k, v in whole["state_dict"].items())
+
+
+# Signals
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+def test_a_scheduler_that_ends_a_training_loses_nothing(tmp_path, number, code):
+    run = [*FIRST, "trainer.max_epochs=2000", "callbacks.last.every=100000", f"run={tmp_path / 'run'}"]
+    job = started(tmp_path, *run)
+    last = tmp_path / "run" / "checkpoints" / "last.ckpt"
+    while not last.exists():
+        assert job.poll() is None
+        time.sleep(0.05)
+    job.send_signal(number)
+    said, _ = job.communicate(timeout=60)
+    assert job.returncode == code
+    assert f"stopped by {number.name}; go on with the same command and run=" in said
+    assert "Traceback" not in said
+    assert read_checkpoint(last)["global_step"] > 0
+
+
+def test_a_scheduler_that_ends_a_sweep_ends_all_of_it(tmp_path):
+    jobs = ["-m", "seed=7,201", *FIRST, "trainer.max_epochs=2000", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
+    job = started(tmp_path, *jobs)
+    while not (tmp_path / "sweep" / "0" / "checkpoints" / "last.ckpt").exists():
+        assert job.poll() is None
+        time.sleep(0.05)
+    job.send_signal(signal.SIGTERM)
+    job.communicate(timeout=60)
+    assert job.returncode == 143
+    assert not (tmp_path / "sweep" / "1" / "checkpoints").exists()
+
+
+# Checkpoints
+
+WRITER = """
+import sys, torch
+from ahnn.training.checkpoint_io import AtomicCheckpointIO
+io, n = AtomicCheckpointIO(), 0
+while True:
+    n += 1
+    w = torch.full((200_000,), float(n))
+    io.save_checkpoint({"state_dict": {"w": w}, "ahnn": {}, "n": n}, sys.argv[1])
+    print(n, flush=True)
+"""
+
+
+@pytest.mark.parametrize("kills", [8, pytest.param(100, marks=pytest.mark.slow)])
+def test_a_kill_during_a_write_loses_no_checkpoint(tmp_path, kills):
+    path = tmp_path / "run" / "last.ckpt"
+    draw = torch.Generator().manual_seed(0)
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "TMPDIR": "/dev/shm"}
+    job, latest = None, 0
+    for _ in range(kills):
+        job = subprocess.Popen(
+            [sys.executable, "-c", WRITER, path], env=env, stdout=subprocess.PIPE, text=True
+        )
+        assert job.stdout is not None
+        written = int(job.stdout.readline())
+        time.sleep(0.05 * float(torch.rand((), generator=draw)))
+        job.kill()
+        written = max([written, *(int(line) for line in job.communicate()[0].split())])
+        latest = read_checkpoint(path)["n"]
+        assert latest >= written
+        assert float(read_checkpoint(path)["state_dict"]["w"][0]) == latest
+    AtomicCheckpointIO().save_checkpoint({"state_dict": {}, "ahnn": {}}, path)
+    assert [p.name for p in path.parent.iterdir()] == ["last.ckpt"]  # what the kills left is gone
+
+
+def test_a_full_disk_leaves_the_checkpoint_that_was_there(tmp_path, monkeypatch):
+    io, path = AtomicCheckpointIO(), tmp_path / "best.ckpt"
+    io.save_checkpoint({"state_dict": {}, "ahnn": {}, "n": 1}, path)
+
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        io.save_checkpoint({"state_dict": {}, "ahnn": {}, "n": 2}, path)
+    assert read_checkpoint(path)["n"] == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["best.ckpt"]
+
+
+def test_files_have_the_permissions_that_the_user_chose(tmp_path):
+    from ahnn.files import write_atomically
+
+    before = os.umask(0o027)
+    try:
+        write_atomically(tmp_path / "shared", b"x")
+    finally:
+        os.umask(before)
+    assert (tmp_path / "shared").stat().st_mode & 0o777 == 0o640
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("faults") / "run"
+    assert call("ahnn.train", *FIRST, f"run={folder}") == 0
+    return folder
+
+
+def spoiled(finished, path, change):
+    """A checkpoint of the finished run with something else in it."""
+    found = torch.load(finished / "checkpoints" / "last.ckpt", weights_only=True)
+    change(found)
+    torch.save(found, path)
+    return path
+
+
+SPOILED = {
+    "a moment of another shape": (
+        lambda c: c["optimizer_states"][0]["state"][0].update(exp_avg=torch.zeros(3)),
+        "exp_avg of parameter 0",
+    ),
+    "a weight of another shape": (
+        lambda c: c["state_dict"].update({"loss.unit": torch.ones(7)}),
+        "received others of loss.unit",
+    ),
+    "a weight too many": (lambda c: c["state_dict"].update({"x": torch.ones(1)}), "received others of x"),
+    "no loops": (lambda c: c.pop("loops"), "received one without loops"),
+    "no optimiser": (lambda c: c.pop("optimizer_states"), "received one without optimizer_states"),
+}
+
+
+@pytest.mark.parametrize("what", SPOILED)
+def test_a_checkpoint_that_does_not_fit_is_refused_before_it_is_loaded(finished, tmp_path, capfd, what):
+    change, expected = SPOILED[what]
+    path = spoiled(finished, tmp_path / "odd.ckpt", change)
+    assert call("ahnn.train", *FIRST, f"run={tmp_path / 'run'}", f"ckpt={path}") == 2
+    assert expected in capfd.readouterr().err
+
+
+def test_weights_that_are_not_finite_are_not_judged(finished, tmp_path):
+    path = spoiled(
+        finished, tmp_path / "nan.ckpt", lambda c: c["state_dict"]["dynamics.field.unit"].fill_(torch.nan)
+    )
+    with pytest.raises(UserError, match="expected finite weights; received nan or inf"):
+        ahnn.load(finished, ckpt=str(path))
+
+
+def test_a_training_begins_at_the_weights_of_another(finished, tmp_path, capfd):
+    more = [*FIRST, f"weights={finished}", "trainer.max_epochs=1", f"run={tmp_path / 'more'}"]
+    assert call("ahnn.train", *more, "optimizer.lr=1e-5", "scheduler=none") == 0
+    before, after = (load_results(d).training["val_loss"] for d in (finished, tmp_path / "more"))
+    assert after == pytest.approx(before, rel=1e-2)
+    wrong = [*FIRST, f"weights={finished}", "model.network.width=9", f"run={tmp_path / 'wrong'}"]
+    assert call("ahnn.train", *wrong) == 2
+    assert "dynamics.network.width: expected 9, received 8" in capfd.readouterr().err
+
+
+def test_a_training_that_ends_before_its_first_validation_is_judged(tmp_path):
+    assert call("ahnn.train", *FIRST, "+trainer.max_steps=3", f"run={tmp_path / 'run'}") == 0
+    assert load_results(tmp_path / "run").training["steps"] == 3
+    assert call("ahnn.train", *FIRST, "callbacks.best=null", f"run={tmp_path / 'none'}") == 0
+
+
+REFUSED = {
+    "recipe=second_order integrator=gl4": "integrator gl4: expected an explicit method",
+    "optimizer=levenberg_marquardt": "data.precision: expected 64 with levenberg_marquardt",
+    "hamiltonian=central_body": "central_body: expected at least 2 degrees of freedom",
+    "data.emphasis=1e30": "data.emphasis: expected float from 0 to 4; received 1e+30",
+    "model.network.width=1000000": "width and depth: expected weights that fit into",
+    "model.network.depth=10000000": "width and depth: expected weights that fit into",
+    "data.trajectories=1000000000000": "data.trajectories, system.steps: expected trajectories that fit into",
+    "+trainer.check_val_every_n_epoch=0": "check_val_every_n_epoch: expected int >= 1; received 0",
+    "+trainer.strategy=ddp": "received ddp. Use trainer=ddp",
+    "+trainer.fast_dev_run=true": "trainer.fast_dev_run: expected false",
+    "callbacks.best.monitor=foo": "callbacks.best.monitor: expected one of val/loss, val/one_step",
+    "folder=null": "folder: expected str; received None",
+    "system=[molniya,1]": "system: expected one of",
+    "seed=99999999999999999999999": "seed: expected int from 0 to 4294967295",
+    "system.dt=1e9": "Shorten system.dt",
+}
+
+
+@pytest.mark.parametrize("mistake", REFUSED)
+def test_what_cannot_work_is_refused_at_once(mistake, tmp_path, capfd, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    given = mistake.split()
+    keys = [g.split("=")[0] for g in given]
+    kept = [o for o in FIRST if o.split("=")[0] not in keys and "width" not in o]
+    assert call("ahnn.train", *kept, f"run={tmp_path / 'run'}", *given) == 2
+    err = capfd.readouterr().err
+    assert REFUSED[mistake] in err
+    assert err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_cluster_that_asks_for_several_tasks_is_one_message(tmp_path, capfd, monkeypatch):
+    monkeypatch.setenv("SLURM_NTASKS", "4")
+    assert call("ahnn.train", *FIRST, f"run={tmp_path / 'run'}") == 2
+    assert "ntasks" in capfd.readouterr().err

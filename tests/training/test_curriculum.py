@@ -1,0 +1,98 @@
+"""Which objective holds in an epoch, and which part of a batch a step is made on."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from helpers import SPRING, batch_of, build_model, close, data_module, ready_model
+
+from ahnn.training import Curriculum, FirstOrder, LevenbergMarquardt, Loss, LossOptions, SecondOrder
+from ahnn.training.objectives import Derivative, Recursive, make_curriculum
+from ahnn.training.steppers import PARTS, problems, stepper_of
+
+
+def unit_loss(**options):
+    return Loss(2, LossOptions(**options)).double()
+
+
+def test_each_phase_holds_up_to_its_share_of_the_epochs():
+    first, second, third = (Recursive(unit_loss(), w) for w in (1, 2, 3))
+    curriculum = Curriculum([(0.2, first), (0.5, second), (1.0, third)])
+    held = [curriculum.at(epoch, 10) for epoch in range(12)]
+    assert held == [first] * 2 + [second] * 3 + [third] * 7
+    assert [curriculum.at(epoch, 3) for epoch in range(3)] == [first, second, third]
+    assert curriculum.span == 3
+
+
+@pytest.mark.parametrize("share", [0.0, 0.25, 1.0])
+def test_derivatives_come_first_for_their_share(share):
+    curriculum = make_curriculum(unit_loss(derivative=share, order=6), 4)
+    held = [curriculum.at(epoch, 8) for epoch in range(8)]
+    count = round(8 * share)
+    assert all(isinstance(o, Derivative) and (o.span, o.predictions) == (6, 1) for o in held[:count])
+    assert all(isinstance(o, Recursive) and (o.span, o.predictions) == (4, 4) for o in held[count:])
+    assert curriculum.span == (4 if share == 0 else 6)
+
+
+def test_a_model_begins_with_the_objective_of_the_first_epoch():
+    assert isinstance(build_model("generic", SPRING, loss={"derivative": 0.5}).objective, Derivative)
+    assert isinstance(build_model("generic", SPRING).objective, Recursive)
+
+
+def test_objectives_look_at_no_more_steps_than_they_span(cache):
+    batch = batch_of(data_module(SPRING, cache, window=8))
+    model = ready_model("generic", data_module(SPRING, cache, window=3))
+    for objective in (Recursive(model.loss, 3), Derivative(model.loss, 4)):
+        cut = batch._replace(increments=batch.increments[:, : objective.span])
+        close(objective.residuals(model.dynamics, batch), objective.residuals(model.dynamics, cut), 0.0)
+        theta = torch.nn.utils.parameters_to_vector(model.dynamics.parameters()).detach()
+        parts = [objective.problem(model.dynamics, b).residuals(theta) for b in (batch, cut)]
+        close(*parts, 0.0)
+        close(parts[0], objective.residuals(model.dynamics, batch).flatten(), 1e-13)
+
+
+class Counted:
+    """An objective whose problem is the start of the windows it was given."""
+
+    def __init__(self, predictions):
+        self.predictions = predictions
+
+    def problem(self, dynamics, batch):
+        return dynamics, batch.start
+
+
+@pytest.mark.parametrize("predictions", [1, 3, 10])
+@pytest.mark.parametrize("count", [1, 4, 5, 9, 32, 60])
+def test_a_fifth_of_a_batch_makes_the_step_and_the_rest_checks_it(cache, count, predictions):
+    assert PARTS == 5
+    batch = batch_of(data_module(SPRING, cache), 32)
+    rows = torch.arange(count) % 32
+    batch = batch._replace(start=batch.start[rows], increments=batch.increments[rows])
+    (_, step), (_, check) = problems(Counted(predictions), None, batch)
+    assert len(step) == max(1, count // (5 * predictions))
+    assert torch.equal(torch.cat((step, check)), batch.start)
+
+
+def test_first_order_steps_weigh_their_batch_and_second_order_steps_hand_over_problems(cache):
+    data = data_module(SPRING, cache)
+    model, batch = ready_model("generic", data), batch_of(data)
+    value = FirstOrder().step(model.objective, model.loss, model.dynamics, batch, None)
+    close(value, model.loss(model.objective.residuals(model.dynamics, batch)), 0.0)
+    for weight in (0.0, 0.75):
+        weighed = batch._replace(weight=weight)
+        got = FirstOrder().step(model.objective, model.loss, model.dynamics, weighed, None)
+        assert float(got.detach()) == pytest.approx(weight * float(value.detach()), rel=1e-14)
+    optimizer = LevenbergMarquardt(model.dynamics.parameters())
+    before = problems(model.objective, model.dynamics, batch)[0].residuals(
+        torch.nn.utils.parameters_to_vector(model.dynamics.parameters()).detach()
+    )
+    loss = SecondOrder().step(model.objective, model.loss, model.dynamics, batch, optimizer)
+    close(loss, before.square().mean(), 1e-13)
+
+
+def test_an_optimiser_names_its_stepper():
+    parameters = [torch.nn.Parameter(torch.zeros(1))]
+    assert isinstance(stepper_of(LevenbergMarquardt(parameters)), SecondOrder)
+    assert isinstance(stepper_of(torch.optim.SGD(parameters, lr=1.0)), FirstOrder)
+    assert FirstOrder.automatic
+    assert not SecondOrder.automatic
