@@ -1,4 +1,4 @@
-"""Checks at the door of the filter, so that its kernel can trust what it is given.
+"""Checks at the entrance of the filter, so that its kernel can trust what it is given.
 
 Matrices come in as covariances and go on as factors; numbers of any kind go on as float64 tensors.
 """
