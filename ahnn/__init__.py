@@ -4,7 +4,7 @@
     run.rollout(start, steps=1440), run.energy(x), run.results
 
     data = ahnn.Trajectories(states, times)           # (B, T, 2n) and (B, T), NaN where a sample is absent
-    run = ahnn.fit(data, ahnn.Space("cart", ("q", "p")), ["model=hnn", "run=runs/cart"])
+    run = ahnn.fit(data, ahnn.Space("cart", ("q", "p")), ["model=hnn"], folder="runs/cart")
 
 The commands: `python -m ahnn` lists them.
 """

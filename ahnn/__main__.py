@@ -1,4 +1,4 @@
-"""What there is: `python -m ahnn`."""
+"""What the package offers: `python -m ahnn`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ahnn import __version__
 COMMANDS = f"""ahnn {__version__}: learn Hamiltonian dynamics, and assimilate measurements with them
 
   python -m ahnn.train       train a model and evaluate it              --help
-  python -m ahnn.evaluate    judge a finished run again                 --help
+  python -m ahnn.evaluate    evaluate a finished run again              --help
   tensorboard --logdir runs  curves, scores and figures of all runs
 
 In Python: ahnn.load(RUN), ahnn.fit(TRAJECTORIES, SPACE); help(ahnn) says more.
@@ -18,7 +18,7 @@ Trained models that come with the package:
 
 
 def main() -> None:
-    """Say what there is."""
+    """List commands and trained models."""
     from ahnn.pretrained import names
 
     sys.stdout.write(COMMANDS + ", ".join(names()) + "\n")

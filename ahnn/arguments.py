@@ -4,7 +4,7 @@ The signature is the schema: names, types, literals and limits are written once,
 
     @checked
     class Loader:
-        def __init__(self, batch_size: Count, share: Annotated[float, Within(0, 1)]) -> None: ...
+        def __init__(self, batch_size: Count, emphasis: Annotated[float, Within(0, 4)]) -> None: ...
 
 Python reads `batch_size: expected int >= 1; received 0`, a user of YAML `data.batch_size: ...`.
 """

@@ -28,7 +28,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         UserError: the file is missing or damaged, or holds anything that would have to be executed.
     """
     if not path.is_file():
-        message = f"checkpoint {path}: expected a file; found none. Name the run folder: run=DIR ckpt=last"
+        message = f"checkpoint {path}: expected a file; received none. Name the run folder: run=DIR ckpt=last"
         raise UserError(message)
     try:
         require_intact(path)
@@ -61,7 +61,7 @@ def require_intact(path: Path) -> None:
     with zipfile.ZipFile(path) as archive:
         damaged = archive.testzip()
     if damaged is not None:
-        message = f"record {damaged} does not fit its checksum"
+        message = f"record {damaged} does not match its checksum"
         raise zipfile.BadZipFile(message)
 
 

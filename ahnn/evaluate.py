@@ -2,7 +2,7 @@
 
 run=DIR             a run folder; its own config.yaml and weights are used
 pretrained=NAME     a model that comes with the package; run=DIR says where its results are kept
-ckpt=best           the weights to judge: best, last, or a path
+ckpt=best           the weights to evaluate: best, last, or a path
 name=NAME           of this evaluation, kept in DIR/evaluations/NAME; date and time without it
 plugins=NAME        and measurement=NAME: groups of the library
 KEY=VALUE           of system, data, evaluation, measurement and plugins: on other data, say
@@ -63,7 +63,7 @@ def evaluate(arguments: list[str]) -> None:
 
 
 def set_threads(count: int) -> None:
-    """Give torch so many threads."""
+    """Set the number of threads of torch."""
     import torch
 
     torch.set_num_threads(count)

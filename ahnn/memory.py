@@ -1,4 +1,4 @@
-"""Whether what is asked for fits into memory, before anything is made of it."""
+"""Whether a request fits into memory, checked before anything is allocated."""
 
 from __future__ import annotations
 

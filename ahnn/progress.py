@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 def progress_bar(*columns: TextColumn) -> Progress:
-    """Return a transient bar with description, share, time left and any further columns.
+    """Return a transient bar with description, fraction done, time left and any further columns.
 
     It is silent where standard error is not a terminal.
     """

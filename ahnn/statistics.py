@@ -10,7 +10,7 @@ from torch import Tensor
 from ahnn.types import TimeStep, Trajectories
 
 CLOSE = 1e-9
-"""Steps that differ by less than this share are the same: times are sums, and round."""
+"""Steps that differ by less than this fraction are the same: times are sums, and round."""
 
 
 class Statistics(NamedTuple):

@@ -101,7 +101,7 @@ def train_once(cfg: DictConfig, source: Source | None = None) -> float:
             "steps": trainer.global_step,
             "parameters": sum(p.numel() for p in model.parameters()),
         }
-        with interruptible(trainer, lambda: f"it is trained; python -m ahnn.evaluate run={folder} judges it"):
+        with interruptible(trainer, lambda: f"evaluate it with python -m ahnn.evaluate run={folder}"):
             return judge(cfg, data, plugins, training, trainer)
 
 
@@ -184,15 +184,15 @@ def is_multirun() -> bool:
 
 
 def go_on(cfg: DictConfig) -> str:
-    """Return how to go on with a training that was stopped."""
+    """Return how to resume a training that was stopped."""
     if cfg.get("trial") is not None:
-        return "the same command goes on with the search"
+        return "the same command continues the search"
     if not (Path(cfg.folder) / "checkpoints" / "last.ckpt").exists():
-        return "there is no checkpoint yet: the same command begins anew"
+        return "there is no checkpoint yet: the same command starts from the beginning"
     one_of_several = HydraConfig.initialized() and cfg.folder != HydraConfig.get().runtime.output_dir
     seed = f" seed={cfg.seed} seeds=null" if one_of_several else ""
     command = "keys of this job" if is_multirun() else "command"
-    return f"go on with the same {command} and run={cfg.folder}{seed} ckpt=last"
+    return f"resume with the same {command} and run={cfg.folder}{seed} ckpt=last"
 
 
 def searched_settings(cfg: DictConfig) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 import ahnn
 
 run = ahnn.load("molniya_central_body")  # or a run folder, "runs/mine"
-start = [[0.0, -6028.0, -3340.0, 9.97, 0.0, 0.0]]  # at periapsis: x, y, z in km, momenta of 1 kg in km/s
+start = [[0.0, -3145.0, -6173.0, 10.0, 0.0, 0.0]]  # at periapsis: x, y, z in km, momenta of 1 kg in km/s
 orbit = run.rollout(start, steps=1440)  # (1, 1441, 6) float64, a step each minute
 energy = run.energy(orbit)
 print(run.space.components, run.dt, run.space.units.time)

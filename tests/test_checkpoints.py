@@ -32,9 +32,9 @@ def test_a_good_checkpoint_is_read(tmp_path):
 
 
 def test_a_missing_checkpoint_is_named(tmp_path):
-    with pytest.raises(UserError, match=r"none\.ckpt: expected a file; found none.*ckpt=last"):
+    with pytest.raises(UserError, match=r"none\.ckpt: expected a file; received none.*ckpt=last"):
         read_checkpoint(tmp_path / "none.ckpt")
-    with pytest.raises(UserError, match="found none"):
+    with pytest.raises(UserError, match="received none"):
         read_checkpoint(tmp_path)
 
 
@@ -61,7 +61,7 @@ def test_a_flipped_bit_in_the_weights_is_found_and_its_record_named(tmp_path):
     assert content.count(ones) == 1
     path.write_bytes(content.replace(ones, ones[:-1] + bytes([ones[-1] ^ 1])))
     assert not torch.equal(torch.load(path, weights_only=True)["state_dict"]["w"], torch.ones(3))
-    with pytest.raises(UserError, match=r"a\.ckpt: expected an intact .*record a/data/0 does not fit"):
+    with pytest.raises(UserError, match=r"a\.ckpt: expected an intact .*record a/data/0 does not match"):
         read_checkpoint(path)
 
 

@@ -81,7 +81,7 @@ def test_every_model_is_built_for_every_system(tmp_path, model, system):
 
 def test_defaults_are_those_of_the_paper(tmp_path):
     data, _ = build_parts(composed(tmp_path, "model=hnn", "recipe=paper", "budget=paper"))
-    assert split_sizes(data.source.count, data.splits.shares) == [2000, 375, 125]
+    assert split_sizes(data.source.count, data.splits.fractions) == [2000, 375, 125]
     assert data.batch_size == 256
     cfg = composed(tmp_path, "recipe=paper", "budget=paper")
     assert cfg.trainer.max_epochs == 250

@@ -1,77 +1,150 @@
-"""What the documents print: snippets run, commands exist, and what they say they show is of its shape."""
+"""What the documents print: snippets run, commands compose and run, output has the shape that is shown."""
 
 from __future__ import annotations
 
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import types
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 from entry import call, untouched
 
 from ahnn.cli import commandline
+from ahnn.cli.again import Request, run_config
+from ahnn.cli.compose import compose_job
+from ahnn.cli.help import ABOUT
+from ahnn.train import stored
 
 ROOT = Path(__file__).parents[1]
-DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+LINE = re.compile(r"^\s*((?:python|make|pip|tensorboard|optuna-dashboard|createdb) [^\n]*)", re.MULTILINE)
+INLINE = re.compile(r"`(python -m ahnn\.[^`]*|python (?:benchmarks|tests)/[^`]*)`")
+FILL = {"W": "5", "SEED": "7", "NAME": "molniya_mechanical", "DIR": "runs/mine"}
+"""What stands for a word in capitals, in commands that are only composed."""
+
+NOT_RUN = {
+    "make ": "sets up an environment over the network; continuous integration runs it",
+    "pip ": "installs over the network",
+    "createdb ": "needs a database server; tests/plugins/sweeper starts one of its own",
+    "postgresql": "needs a database server; tests/plugins/sweeper starts one of its own",
+    "submitit_slurm": "needs a Slurm cluster",
+    "tensorboard ": "serves until it is stopped",
+    "optuna-dashboard ": "serves until it is stopped",
+    "budget=paper": "needs a GPU and hours",
+    "sweep=paper": "needs a GPU and days",
+    "-m ahnn.train model=ahnn window=5 system=molniya": "ten minutes of training, and the filter",
+    "-m ahnn.train system=molniya model=ahnn": "ten minutes of training, and the filter",
+    "bench_time_to_accuracy": "twenty minutes: the plain way is given twelve times as long",
+    "sweep=quick trainer=ddp": "forty trials of two processes each, over ten minutes on two cores",
+    "mutate.py": "hours: the suite runs once for each change",
+}
+"""Commands that the slow suite leaves out, by a part of them, and why."""
 
 
-def fenced(document, language):
-    """The text of every fenced block of a language."""
-    return [text for kind, text in FENCE.findall(document.read_text()) if kind == language]
+class Command(NamedTuple):
+    """A command as a document prints it, and the section that it stands in."""
+
+    text: str
+    section: str
+
+
+def sections(document):
+    """Yield heading and text of each section of a document."""
+    heads = re.split(r"^#+ (.*)$", document.read_text(), flags=re.MULTILINE)
+    for number, (title, text) in enumerate(zip(heads[1::2], heads[2::2], strict=True)):
+        yield f"{document.name}-{number} {title}", text
 
 
 def commands():
-    """Every command of ours that a document prints, without its remark."""
-    found = {}
+    """Return every command of the documents in their order, without its remark and its broken lines."""
+    found = []
     for document in DOCUMENTS:
-        for line in document.read_text().replace("\\\n", " ").splitlines():
-            for text in re.findall(r"python -m ahnn\.\w+[^`\n]*", line):
-                found[text.split("  #")[0].split(" # ")[0].strip()] = document.name
-    return [pytest.param(text, id=text) for text in sorted(found) if "KEY" not in text]
+        for section, text in sections(document):
+            shell = [block for kind, block in FENCE.findall(text) if not kind]
+            printed = [line for block in shell for line in LINE.findall(block.replace("\\\n", " "))]
+            inline = INLINE.findall(FENCE.sub("", text))
+            for command in (*printed, *(" ".join(words.split()) for words in inline)):
+                found.append(Command(re.split(r"\s#\s", command)[0].strip(), section))
+    return found
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
-def test_the_snippets_of_a_document_run_one_after_the_other(document, tmp_path, monkeypatch):
+def blocks(language):
+    """Fenced blocks of a language, with the document and the number of the block."""
+    for document in DOCUMENTS:
+        for number, (kind, text) in enumerate(FENCE.findall(document.read_text())):
+            if kind == language and document.name != "filter.md":  # tests/plugins/ukf/test_ukf_document.py
+                yield pytest.param(text, id=f"{document.name}-{number}")
+
+
+@pytest.mark.parametrize("text", [*blocks("python")])
+def test_a_snippet_runs(text, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     module = types.ModuleType("snippet")
-    monkeypatch.setitem(sys.modules, "snippet", module)
+    monkeypatch.setitem(sys.modules, "snippet", module)  # where dataclasses look for their module
     with untouched():
-        for text in fenced(document, "python"):
-            exec(compile(text, document.name, "exec"), module.__dict__)
+        exec(compile(text, "snippet", "exec"), module.__dict__)
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.py")), ids=lambda p: p.name)
-def test_an_example_runs(path):
+def test_an_example_runs_and_the_readme_shows_it(path):
     with untouched():
         exec(compile(path.read_text(), str(path), "exec"), {"__name__": "__main__"})
+    shown = (ROOT / "README.md").read_text()
+    for line in path.read_text().split('"""\n')[1].splitlines():
+        assert line in shown or line.startswith("print"), line
 
 
-@pytest.mark.parametrize("text", commands())
-def test_a_documented_command_names_what_there_is(text, tmp_path, monkeypatch):
-    words = shlex.split(text)
-    if words[2] != "ahnn.train" or {"--help", "-sc"} & {*words} or "--config-dir" in words:
-        return
+COMPOSED = sorted({*commands(), *(Command(line.strip(), "help") for line in LINE.findall(ABOUT))})
+
+
+@pytest.mark.parametrize("command", COMPOSED, ids=lambda c: c.text)
+def test_a_documented_command_names_what_there_is(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = re.split(r"\s#\s", command.text)[0]
     if "submitit" in text:
         pytest.importorskip("submitit", reason="the extra slurm")
-    fill = {"W": "5", "SEED": "7", "NAME": "spring", "DIR": str(tmp_path)}
-    words = [re.sub(r"=([A-Z]+)$", lambda m: f"={fill.get(m[1], m[1])}", word) for word in words]
-    monkeypatch.chdir(tmp_path)
-    commandline.check(commandline.read(words[3:]), "train")
+    words = [re.sub(r"=([A-Z]+)$", lambda m: f"={FILL[m[1]]}", word) for word in shlex.split(text)]
+    if words[0] == "make":
+        assert re.search(rf"^{words[1]}:", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    elif words[1].endswith(".py"):
+        assert (ROOT / words[1]).is_file()
+    elif words[:3] == ["python", "-m", "ahnn.train"] and "-sc" not in words:
+        own = tmp_path / "mine" / "system" / "quartic.yaml"
+        own.parent.mkdir(parents=True)
+        own.write_text("_target_: my_systems.Quartic\nname: quartic\n")
+        if any("experiment=best" in word for word in words):
+            words = [word for word in words if word != "experiment=best"]  # that is what a search writes
+            (tmp_path / words[words.index("--config-dir") + 1]).mkdir(parents=True)
+        commandline.check(commandline.read(words[3:]), "train")
+    elif words[:3] == ["python", "-m", "ahnn.evaluate"] and words[3:] != ["--help"]:
+        request = Request.of(words[3:], "usage")
+        cfg = compose_job(["experiment=molniya_central_body", "plugins=ukf"], tmp_path)
+        (tmp_path / "config.yaml").write_bytes(stored(cfg))
+        run_config(tmp_path, request)
 
 
-def test_the_first_command_prints_what_the_readme_shows(tmp_path, monkeypatch, capsys):
-    shown = FENCE.findall((ROOT / "README.md").read_text())
-    command, printed = shown[0][1].strip(), shown[1][1]
+SHOWN = {
+    "central_body on molniya": ["plugins=none", "experiment=molniya_central_body"],
+    "ahnn5 on mass_spring": [],
+}
+
+
+@pytest.mark.parametrize("title", SHOWN)
+def test_a_command_prints_what_the_readme_shows(title, tmp_path, monkeypatch, capsys):
+    readme = (ROOT / "README.md").read_text()
+    (printed,) = (text for kind, text in FENCE.findall(readme) if f"\n{title}" in text)
     monkeypatch.chdir(tmp_path)
     small = ["data.trajectories=40", "data.windows_per_epoch=5000", "trainer.accelerator=cpu"]
-    assert call("ahnn.train", *shlex.split(command)[3:], *small) == 0
+    assert call("ahnn.train", *SHOWN[title], "trainer.max_epochs=1", *small) == 0
     lines = capsys.readouterr().out.splitlines()
-    wanted = [line for line in printed.splitlines() if not line.startswith("training")]
+    wanted = [line for line in printed.splitlines() if not line.startswith(("training", "epoch", "results"))]
     assert [shape(line) for line in wanted] == [shape(line) for line in lines[: len(wanted)]]
 
 
@@ -80,16 +153,57 @@ def shape(line):
     return re.sub(r"\s+", " ", re.sub(r"\d[\d.e+-]*", "0", line)).strip()
 
 
-@pytest.mark.slow
-def test_the_system_of_ones_own_trains(tmp_path):
-    code = next(text for text in fenced(ROOT / "README.md", "python") if "class Quartic" in text)
-    (tmp_path / "my_systems.py").write_text(code)
-    (tmp_path / "mine" / "system").mkdir(parents=True)
-    (tmp_path / "mine" / "system" / "quartic.yaml").write_text(fenced(ROOT / "README.md", "yaml")[0])
-    command = "-m ahnn.train --config-dir mine system=quartic budget=smoke plugins=none run=out"
-    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+@pytest.fixture(scope="module")
+def places(tmp_path_factory):
+    """A folder for each section, with scripts, the README's own system, and the run of its first command."""
+    made, shown = {}, FENCE.findall((ROOT / "README.md").read_text())
+    system = next(text for _, text in shown if "class Quartic" in text)
+    yaml = next(text for kind, text in shown if kind == "yaml")
+
+    def place(section):
+        if section not in made:
+            folder = made[section] = tmp_path_factory.mktemp("section")
+            for name in ("benchmarks", "tests"):
+                (folder / name).symlink_to(ROOT / name)
+            (folder / "my_systems.py").write_text(system)
+            (folder / "mine" / "system").mkdir(parents=True)
+            (folder / "mine" / "system" / "quartic.yaml").write_text(yaml)
+            here = [c.text for c in commands() if c.section == section and "runs/mine" in c.text]
+            if here and any(word in here[0] for word in ("evaluate", "ckpt=", "weights=")):
+                if "first" not in made:
+                    made["first"] = tmp_path_factory.mktemp("first")
+                    run_in(made["first"], next(c.text for c in commands() if "run=runs/mine" in c.text))
+                shutil.copytree(made["first"] / "runs" / "mine", folder / "runs" / "mine")
+        return made[section]
+
+    return place
+
+
+def run_in(folder, text):
+    """Run a command as a user types it, with this interpreter as `python`."""
+    paths = [str(ROOT), str(ROOT / "plugins"), os.environ.get("PYTHONPATH", "")]
+    environment = os.environ | {
+        "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]),
+        "PYTHONPATH": os.pathsep.join(paths),
+    }
     done = subprocess.run(
-        [sys.executable, *command.split()], cwd=tmp_path, env=env, capture_output=True, text=True, check=False
+        ["bash", "-c", text], cwd=folder, env=environment, capture_output=True, text=True, check=False
     )
-    assert done.returncode == 0, done.stderr
-    assert (tmp_path / "out" / "metrics.json").exists()
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    return done.stdout
+
+
+def exact():
+    """Commands without a word in capitals to fill in; once where they do not depend on earlier ones."""
+    whole = [c for c in commands() if not re.search(r"=[A-Z]+\b", c.text)]
+    once = {(c.text, c.section if "run" in c.text else ""): c for c in whole}
+    return [pytest.param(c, id=f"{c.section.split()[0]} {c.text}") for c in once.values()]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", exact())
+def test_a_documented_command_runs_as_printed(command, places):
+    for part, reason in NOT_RUN.items():
+        if part in command.text:
+            pytest.skip(f"{command.text}: {reason}")
+    run_in(places(command.section), command.text)

@@ -65,7 +65,7 @@ def refused(folder, capfd, *arguments):
     return err
 
 
-MADE = "expected a key that acts on a finished run; received one that made its training"
+MADE = "expected a key that acts on a finished run; received one that belongs to its training"
 
 
 @pytest.mark.parametrize(
@@ -91,9 +91,9 @@ MADE = "expected a key that acts on a finished run; received one that made its t
         ("system.stiffness=nan", r"system mass_spring: stiffness: expected a finite number > 0"),
         (
             "data.split=[0.2,0.2,0.6]",
-            r"test trajectories that the training has not seen.*11 of 12 are its own",
+            r"test trajectories that the training has not seen.*11 of 12 are part of it",
         ),
-        ("ckpt=first.ckpt", r"first\.ckpt: expected a file; found none"),
+        ("ckpt=first.ckpt", r"first\.ckpt: expected a file; received none"),
         ("name=a/b", r"evaluation name: expected at most.*received 'a/b'"),
         ("threads=many", r"threads.*'many'"),
     ],

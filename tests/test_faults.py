@@ -106,7 +106,7 @@ def test_a_scheduler_that_ends_a_training_loses_nothing(tmp_path, number, code):
     job.send_signal(number)
     said, _ = job.communicate(timeout=60)
     assert job.returncode == code
-    assert f"stopped by {number.name}; go on with the same command and run=" in said
+    assert f"stopped by {number.name}; resume with the same command and run=" in said
     assert "Traceback" not in said
     assert read_checkpoint(last)["global_step"] > 0
 

@@ -141,17 +141,17 @@ def test_ctrl_c_says_how_to_go_on_and_a_run_is_not_replaced(tmp_path, capfd):
     cut = ["+callbacks.cut._target_=entry.CutAfter", "+callbacks.cut.ctrl_c=true"]
     assert call("ahnn.train", *run, *cut, "+callbacks.cut.steps=5") == 130
     err = capfd.readouterr().err
-    assert "no checkpoint yet: the same command begins anew" in err
+    assert "no checkpoint yet: the same command starts from the beginning" in err
     assert call("ahnn.train", *run, *cut, "+callbacks.cut.steps=15") == 130
     err = capfd.readouterr().err
-    assert f"ahnn: stopped by Ctrl-C; go on with the same command and run={tmp_path} ckpt=last\n" in err
+    assert f"ahnn: stopped by Ctrl-C; resume with the same command and run={tmp_path} ckpt=last\n" in err
     assert "Traceback" not in err
     assert "Error" not in err
 
     before = {path: path.read_bytes() for path in (tmp_path / "checkpoints").iterdir()}
     assert call("ahnn.train", *run) == 2
     err = capfd.readouterr().err
-    assert "best.ckpt, last.ckpt. Go on with ckpt=last, or choose another run=" in err
+    assert "best.ckpt, last.ckpt. Resume with ckpt=last, or choose another run=" in err
     assert {path: path.read_bytes() for path in (tmp_path / "checkpoints").iterdir()} == before
     assert call("ahnn.train", *run, "ckpt=last") == 0
 

@@ -1,4 +1,4 @@
-"""What is asked of a finished run: its own configuration, and the few things that can be chosen anew."""
+"""What is asked of a finished run: its own configuration, and the few things that can be chosen again."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Request(NamedTuple):
     Attributes:
         source: run folder or name of a shipped model, what is loaded.
         folder: where its evaluations are kept.
-        ckpt: the weights to judge.
+        ckpt: the weights to evaluate.
         name: of the evaluation, or None.
         overrides: key=value, in the order given.
         trust: whether to build whatever the run's configuration names.
@@ -71,7 +71,7 @@ class Request(NamedTuple):
 
 
 def run_config(folder: Path, request: Request) -> DictConfig:
-    """Return the configuration of a run with what is chosen anew.
+    """Return the configuration of a run with what is chosen again.
 
     Raises:
         UserError: it is missing or damaged, names what is not trusted, or an override has no effect.
@@ -112,10 +112,13 @@ def change(cfg: DictConfig, content: dict[str, Any], key: str, value: Any) -> No
         OmegaConf.update(cfg, key, value)
         return
     if (top in content and top not in (*NODES, *KEYS)) or made:
-        message = f"{key}: expected a key that acts on a finished run; received one that made its training"
+        message = (
+            f"{key}: expected a key that acts on a finished run; received one that belongs to its training"
+        )
     elif top in NODES and not rest:
         message = (
-            f"{top}: expected a single key, {top}.KEY=VALUE; received {value!r}. Train anew for another {top}"
+            f"{top}: expected a single key, {top}.KEY=VALUE; received {value!r}. "
+            f"Train again for another {top}"
         )
     else:
         message = f"configuration: unknown key {key!r}{nearest(key, known)}"
@@ -175,16 +178,16 @@ def provenance_note(run: Run, splits: SplitData) -> str:
         return "unknown training data"
     if known["recipe"] != recipe:
         return "other trajectories than those of the training"
-    if known["split"] == list(splits.shares):
+    if known["split"] == list(splits.fractions):
         return "the test split of the training's data"
     count = len(splits.source.read().states)
-    then, now = (split_sizes(count, shares) for shares in (known["split"], list(splits.shares)))
+    then, now = (split_sizes(count, fractions) for fractions in (known["split"], list(splits.fractions)))
     if now[0] + now[1] < then[0] + then[1]:
         seen = then[0] + then[1] - now[0] - now[1]
         message = (
             f"data.split: expected test trajectories that the training has not seen; received "
-            f"{splits.shares}: {seen} of {now[2]} are its own. Keep the training's {known['split']}, or draw "
-            "others with data.seed"
+            f"{splits.fractions}: {seen} of {now[2]} are part of it. Keep the training's "
+            f"{known['split']}, or draw others with data.seed"
         )
         raise UserError(message)
     return "a part of the test split of the training's data"

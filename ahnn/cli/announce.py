@@ -28,7 +28,7 @@ def announce(trainer: Trainer, data: WindowDataModule, model: AbstractModel, lab
         data: of the training.
         model: calibrated.
         label: name in tables.
-        done: epochs that lie behind a training that goes on.
+        done: epochs that a resumed training has already done.
     """
     epochs = int(trainer.max_epochs or 1)
     per_epoch = len(data.train_dataloader())
@@ -48,7 +48,7 @@ def announce(trainer: Trainer, data: WindowDataModule, model: AbstractModel, lab
 def seconds_left(
     trainer: Trainer, data: WindowDataModule, model: AbstractModel, per_epoch: int, epochs: range
 ) -> list[float]:
-    """Return the expected time of each epoch that is left: steps, validation, callbacks that say theirs."""
+    """Return the expected time of each epoch that is left: steps, validation, callbacks with their own."""
     model = copy.deepcopy(model)
     known: dict[int, float] = {}
     validation = _validation_seconds(model, data)

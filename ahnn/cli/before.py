@@ -26,11 +26,11 @@ HINTS = (
     ".*isinstance.treespec, LeafSpec.*",
     ".*did not find any unused parameters.*",
 )
-"""What Lightning warns of and is intended, such as short epochs or a folder that is used again."""
+"""What Lightning warns of though it is intended, such as short epochs or a folder that is used again."""
 
 
 def quiet() -> None:
-    """Silence Lightning's hints at what is intended."""
+    """Silence Lightning's warnings about what is intended."""
     from lightning.pytorch.utilities import rank_zero_only
 
     for name in ("lightning.pytorch", "lightning.fabric"):
@@ -51,7 +51,7 @@ def require_new(folder: Path, ckpt: str | None) -> None:
     if found and ckpt is None:
         message = (
             f"run {folder}: expected a folder without checkpoints; received one with {', '.join(found)}. "
-            "Go on with ckpt=last, or choose another run="
+            "Resume with ckpt=last, or choose another run="
         )
         raise UserError(message)
 

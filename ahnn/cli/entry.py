@@ -25,7 +25,7 @@ from ahnn.paths import conf_dir
 def run_hydra(task: Callable[[DictConfig], Any], config_name: str = "train") -> None:
     """Run a task under Hydra; a user's mistake ends in one message and an exit code, not a traceback."""
     os.environ["HYDRA_FULL_ERROR"] = "1"  # makes Hydra raise, so that the messages are ours
-    # Hydra takes no null for a group. For one that is empty anyway it means the same as no word of it.
+    # Hydra takes no null for a group. For a group that is empty by default it is as good as no word.
     sys.argv = [argument for argument in sys.argv if argument not in ("experiment=null", "sweep=null")]
     sys.exit(guard(lambda: start(task, config_name)))
 
@@ -40,7 +40,7 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
     commandline.check(args, config_name)
     own = named_folder(args.overrides)
     is_new = own is None or not own.exists()
-    if not is_new:  # what lies in it is somebody's: Hydra must not write there before we have looked
+    if not is_new:  # what lies in it is somebody's property: Hydra must not write there before we have looked
         sys.argv.append("hydra.output_subdir=null")
 
     @functools.wraps(task)

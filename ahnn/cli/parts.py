@@ -55,7 +55,7 @@ def build_model(cfg: DictConfig, data: WindowDataModule) -> AbstractModel:
     model = build(cfg.model, "model", dof=space.dof, inertia=space.inertia).to(data.dtype)
     scheduler = build(cfg.scheduler, "scheduler") if cfg.scheduler else None
     model.optimisation = Optimisation(build(cfg.optimizer, "optimizer"), scheduler)
-    known = {"recipe": data.source.recipe(), "split": list(data.splits.shares)}
+    known = {"recipe": data.source.recipe(), "split": list(data.splits.fractions)}
     model.about = {"format": FORMAT, "space": about_space(space), "data": known, "settings": settings_of(cfg)}
     return model
 

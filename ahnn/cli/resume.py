@@ -1,4 +1,4 @@
-"""The checkpoint to go on from: whole, of the same training, and of a shape that its optimiser takes."""
+"""The checkpoint to resume from: whole, of the same training, and of a shape that its optimiser takes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LIKE_WEIGHTS = ("exp_avg", "exp_avg_sq", "max_exp_avg_sq", "momentum_buffer")
 
 
 def resume_point(ckpt: str | None, model: AbstractModel, folder: Path) -> Path | None:
-    """Return the checkpoint to go on from, or None.
+    """Return the checkpoint to resume from, or None.
 
     Args:
         ckpt: None, `last`, `best`, or a path.
@@ -35,7 +35,7 @@ def resume_point(ckpt: str | None, model: AbstractModel, folder: Path) -> Path |
     path = folder / f"{ckpt}.ckpt" if ckpt in ("last", "best") else Path(ckpt)
     content = read_checkpoint(path)
     if missing := [key for key in NEEDED if key not in content]:
-        message = f"checkpoint {path}: expected one to go on from; received one without {', '.join(missing)}"
+        message = f"checkpoint {path}: expected one to resume from; received one without {', '.join(missing)}"
         raise UserError(message)
     parts = ("data", "settings")
     wanted, received = ({k: known.get(k, {}) for k in parts} for known in (model.about, content["ahnn"]))

@@ -62,7 +62,7 @@ def check_settings(cfg: DictConfig) -> None:
     """Check what belongs to no object, before anything is built.
 
     Raises:
-        UserError: a wrong type, an impossible value, or one that the chosen model does not stand for.
+        UserError: a wrong type, an impossible value, or one that contradicts the chosen model.
     """
     _check({"": Settings, "trainer": Training, "evaluation": Evaluation}, cfg)
     if cfg.get("seeds") and len({*cfg.seeds}) < len(cfg.seeds):
@@ -84,7 +84,7 @@ def _check(schemas: dict[str, type], cfg: DictConfig) -> None:
 
 
 def _check_required(cfg: DictConfig, required: dict[str, Any], prefix: str = "") -> None:
-    """Compare values with those that the choice of a model stands for, `required` in its file."""
+    """Compare values with those that the choice of a model implies, `required` in its file."""
     for name, value in required.items():
         key = f"{prefix}{name}"
         if isinstance(value, dict):

@@ -38,7 +38,7 @@ def interruptible(trainer: Trainer, how_to_go_on: Callable[[], str]) -> Iterator
     Lightning answers Ctrl-C with an exit of its own, code 1.
 
     Raises:
-        Stopped: with what to type to go on.
+        Stopped: with the command that resumes.
         UserError: settings of the trainer that do not go together.
     """
     from lightning.fabric.utilities.exceptions import MisconfigurationException

@@ -23,11 +23,11 @@ class WindowDataModule(LightningDataModule):
 
     Args:
         source: where the trajectories come from.
-        split: shares of train, val and test.
+        split: fractions of train, val and test.
         window: W, steps of a window.
         stencil: steps that a training window spans at least; derivatives need more than W.
         batch_size: windows of an optimiser step.
-        windows_per_epoch: windows drawn anew in each epoch; None takes all.
+        windows_per_epoch: windows drawn in each epoch, others each time; None takes all.
         emphasis: 0 draws training windows alike; above, up to 4, in proportion to this power of the speed at
             which their momenta change. On eccentric orbits most samples lie where little happens.
         val_windows: evenly spread windows of a validation; None takes all.

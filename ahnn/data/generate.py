@@ -46,7 +46,7 @@ def room(system: System, x: Tensor, steps: Tensor) -> Tensor:
     """
     count, size = x.shape
     if int(steps.min()) < 1:
-        received = f"received durations that are none or without end, {int((steps < 1).sum())} of {count}"
+        received = f"received durations that are zero or infinite, {int((steps < 1).sum())} of {count}"
     else:
         try:
             return torch.empty(count, int(steps.max()) + 1, size, dtype=torch.float64)
@@ -66,9 +66,9 @@ def require_finite(system: System, states: Tensor, beyond: Tensor) -> None:
     if not bool(wrong.any()):
         return
     b, k = (int(n) for n in wrong.nonzero()[0])
-    share = f"{int(wrong.any(-1).sum())} of {len(states)} trajectories"
+    lost = f"{int(wrong.any(-1).sum())} of {len(states)} trajectories"
     message = (
-        f"system {system.name}: expected finite states; {share} leave all bounds, number {b} after {k} steps "
+        f"system {system.name}: expected finite states; {lost} diverge, number {b} after {k} steps "
         f"of dt={system.dt}: received {states[b, k].tolist()}. "
         "Shorten system.dt or narrow the ranges of the initial states"
     )

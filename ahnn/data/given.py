@@ -1,4 +1,4 @@
-"""Checks at the door for trajectories that a user brings."""
+"""Checks of trajectories that a user brings."""
 
 from __future__ import annotations
 

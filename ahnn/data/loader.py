@@ -63,7 +63,7 @@ class WindowLoader:
         return {"epoch": self.epoch, "position": self.position}
 
     def load_state_dict(self, state: dict[str, int]) -> None:
-        """Go on, in the epoch of the checkpoint, at the batch after the last one used."""
+        """Continue, in the epoch of the checkpoint, at the batch after the last one used."""
         self.resume_epoch, self.position = state["epoch"], state["position"]
 
     def __len__(self) -> int:

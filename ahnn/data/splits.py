@@ -17,13 +17,13 @@ class SplitData:
 
     Args:
         source: where they come from.
-        split: shares of train, val and test.
+        split: fractions of train, val and test.
     """
 
     def __init__(self, source: Source, split: list[float]) -> None:
         self.source = source
-        self.shares = split
-        check_shares(split)
+        self.fractions = split
+        check_fractions(split)
         self._parts: dict[Split, Trajectories] = {}
 
     def __getitem__(self, split: Split) -> Trajectories:
@@ -31,33 +31,35 @@ class SplitData:
         if not self._parts:
             data = self.source.read()
             begin = 0
-            for name, size in zip(SPLITS, split_sizes(len(data.states), self.shares), strict=True):
+            for name, size in zip(SPLITS, split_sizes(len(data.states), self.fractions), strict=True):
                 self._parts[name] = data.part(slice(begin, begin + size))
                 begin += size
         return self._parts[split]
 
 
-def check_shares(shares: list[float]) -> None:
-    """Raise UserError for shares that are not three positive numbers of sum 1."""
-    if not (len(shares) == 3 and all(s > 0 for s in shares) and abs(sum(shares) - 1) <= 1e-9):
-        message = f"split: expected three positive shares of sum 1 (train, val, test); received {shares}"
+def check_fractions(fractions: list[float]) -> None:
+    """Raise UserError for fractions that are not three positive numbers that sum to 1."""
+    if not (len(fractions) == 3 and all(s > 0 for s in fractions) and abs(sum(fractions) - 1) <= 1e-9):
+        message = (
+            f"split: expected three positive fractions that sum to 1 (train, val, test); received {fractions}"
+        )
         raise UserError(message)
 
 
-def split_sizes(count: int, shares: list[float]) -> list[int]:
+def split_sizes(count: int, fractions: list[float]) -> list[int]:
     """Return how many trajectories each split gets; the first takes what rounding leaves.
 
     Raises:
-        UserError: shares that are not three positive numbers of sum 1, or a split that stays empty.
+        UserError: fractions that are not three positive numbers that sum to 1, or a split that stays empty.
     """
-    check_shares(shares)
-    rest = [round(share * count) for share in shares[1:]]
+    check_fractions(fractions)
+    rest = [round(fraction * count) for fraction in fractions[1:]]
     sizes = [count - sum(rest), *rest]
     if min(sizes) < 1:
         named = ", ".join(f"{name} {size}" for name, size in zip(SPLITS, sizes, strict=True))
         message = (
-            f"split: expected at least one trajectory in each; received {count} trajectories with shares "
-            f"{shares}, which makes {named}. Ask for more trajectories"
+            f"split: expected at least one trajectory in each; received {count} trajectories with fractions "
+            f"{fractions}, which makes {named}. Ask for more trajectories"
         )
         raise UserError(message)
     return sizes

@@ -109,7 +109,7 @@ def read(path: Path) -> Trajectories:
     """Read trajectories and verify their checksum.
 
     Raises:
-        ValueError: the checksum does not fit.
+        ValueError: the checksum does not match.
     """
     with safe_open(path, framework="pt") as file:
         metadata = file.metadata()

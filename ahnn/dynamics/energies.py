@@ -128,7 +128,8 @@ class CentralBody(nn.Module):
             mu = (attraction * rate).sum() / attraction.square().sum()
             if not mu > 0:
                 message = (
-                    f"hamiltonian central_body: expected an attraction; the data give mu={float(mu):.3g}"
+                    "hamiltonian central_body: expected an attraction; received data "
+                    f"that give mu={float(mu):.3g}"
                 )
                 raise UserError(message)
             self.log_mu.data.copy_(mu.log())

@@ -18,7 +18,8 @@ class Isotropic(nn.Module):
     """Direction and distance, z = (q / r, s) with s the logarithm of r scaled to [-1, 1].
 
     Suited to any force that comes from a centre: equal ratios of distance become equal steps. It assumes
-    where the centre is, not what the force is.
+    where the centre is, not what the force is. In spite of the name the direction is kept: nothing is
+    taken to be the same in all directions.
 
     Args:
         dof: degrees of freedom n; the map has n + 1 outputs.

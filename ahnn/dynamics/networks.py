@@ -58,7 +58,7 @@ ACTIVATIONS: dict[str, Activation] = {
 }
 
 
-class MLP(nn.Module):
+class Perceptron(nn.Module):
     """Fully connected network with smooth activations.
 
     Args:
@@ -108,7 +108,7 @@ class MLP(nn.Module):
         return g @ self.hidden[0].weight
 
 
-def make_network(inputs: int, outputs: int, options: dict[str, Any]) -> MLP:
-    """Return an MLP from the options width, depth and activation; raises UserError for any other."""
-    check_arguments("model.network", MLP, options)
-    return MLP(inputs, outputs, **options)
+def make_network(inputs: int, outputs: int, options: dict[str, Any]) -> Perceptron:
+    """Return a perceptron from the options width, depth and activation; raises UserError for any other."""
+    check_arguments("model.network", Perceptron, options)
+    return Perceptron(inputs, outputs, **options)

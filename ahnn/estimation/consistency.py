@@ -83,14 +83,14 @@ def _lagged_sums(values: Tensor) -> Tensor:
 
 
 def coverage(error: Tensor, deviation: Tensor) -> dict[int, float]:
-    """Return the share of component errors, (B, T, D), within 1, 2 and 3 of their standard deviations."""
+    """Return the fraction of component errors, (B, T, D), within 1, 2 and 3 of their standard deviations."""
     ratio = (error / deviation).abs()
     ratio = ratio[ratio.isfinite()]
     return {k: float((ratio <= k).double().mean()) for k in GAUSSIAN}
 
 
 def share_within(series: Tensor, limits: tuple[float, float]) -> float:
-    """Return the share of the finite values of a series, (T,), that lie within limits."""
+    """Return the fraction of the finite values of a series, (T,), that lie within limits."""
     values = series[series.isfinite()]
     return float(((values >= limits[0]) & (values <= limits[1])).double().mean())
 

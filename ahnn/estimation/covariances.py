@@ -92,7 +92,7 @@ def _check_entries(matrix: Tensor, name: str) -> Tensor:
         b, i, j = (int(n) for n in torch.nonzero(asymmetry == asymmetry.max())[0])
         message = (
             f"{name}: expected a symmetric matrix; received [{i}, {j}] = {float(matrix[b, i, j])} "
-            f"but [{j}, {i}] = {float(matrix[b, j, i])}; use (A + A.mT) / 2 if that is meant"
+            f"but [{j}, {i}] = {float(matrix[b, j, i])}; pass (A + A.mT) / 2 to symmetrise it"
         )
         raise ValueError(message)
     impossible = (variance == 0.0).unsqueeze(-1) & (matrix != 0.0)

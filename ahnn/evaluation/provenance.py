@@ -1,4 +1,4 @@
-"""By what an evaluation was made: versions, command, machine, date."""
+"""What an evaluation was made with: versions, command, machine, date."""
 
 from __future__ import annotations
 

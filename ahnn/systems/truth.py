@@ -13,7 +13,7 @@ from ahnn.systems.base import System
 from ahnn.types import Flow, TimeStep
 
 ACCURACY = 1e-10
-"""Error of a whole trajectory, as a share of the size of positions and of momenta."""
+"""Error of a whole trajectory, as a fraction of the size of positions and of momenta."""
 TRIED, STEPS = 16, 24
 """Trajectories and sampling intervals of a trial."""
 FINEST = 64
@@ -74,7 +74,7 @@ def _trial_error(system: System, count: int) -> float:
         float(difference.norm(dim=-1).max() / extent.norm(dim=-1).max()) for difference, extent in blocks
     ]
     worst = max(errors) * whole / steps
-    return worst if math.isfinite(worst) else 0.0  # who generates it will see it leave all bounds
+    return worst if math.isfinite(worst) else 0.0  # who generates it will see it diverge
 
 
 def _substeps_flow(system: System, count: int) -> Flow:

@@ -13,7 +13,7 @@ from ahnn.errors import UserError
 from ahnn.statistics import Statistics
 
 FLOOR = 0.03
-"""Local increments below this share of the typical one are not weighted up any further."""
+"""Local increments below this fraction of the typical one are not weighted up any further."""
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class LossOptions:
         delta: residual, in those units, at which Huber's loss turns from quadratic to linear.
         balance: weight of relative errors. 0 measures a residual in the same unit everywhere; 1 in units of
             the local increment of its block, so that slow parts of a trajectory count as much as fast ones.
-        derivative: share of the epochs, from the first, that fits the field to derivatives of the data; the
-            rest fits recursive predictions (the paper). 1 is the loss of Greydanus et al. 2019.
+        derivative: fraction of the epochs, from the first, that fits the field to derivatives of the data;
+            the rest fits recursive predictions (the paper). 1 is the loss of Greydanus et al. 2019.
         order: of the central differences that give those derivatives; even.
     """
 

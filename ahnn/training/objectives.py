@@ -134,7 +134,7 @@ class Curriculum:
     """Objectives one after the other.
 
     Attributes:
-        phases: share of the epochs up to which each holds, increasing to 1, and the objective.
+        phases: fraction of the epochs up to which each holds, increasing to 1, and the objective.
     """
 
     phases: Sequence[tuple[float, Objective]]
@@ -151,11 +151,11 @@ class Curriculum:
 
 def make_curriculum(loss: Loss, window: int) -> Curriculum:
     """Return derivatives first and recursive predictions after them, as the options of the loss say."""
-    share, recursive = loss.options.derivative, Recursive(loss, window)
-    if share == 0:
+    fraction, recursive = loss.options.derivative, Recursive(loss, window)
+    if fraction == 0:
         return Curriculum([(1.0, recursive)])
     derivative = Derivative(loss, loss.options.order)
-    return Curriculum([(1.0, derivative)] if share == 1 else [(share, derivative), (1.0, recursive)])
+    return Curriculum([(1.0, derivative)] if fraction == 1 else [(fraction, derivative), (1.0, recursive)])
 
 
 def derivative_samples(window: Window) -> tuple[Tensor, Tensor]:

@@ -36,14 +36,14 @@ def test_one_state_that_is_not_finite_is_enough(monkeypatch):
     drawn = SPRING.initial_states(4, torch.Generator().manual_seed(0))
     drawn[2, 1] = torch.inf
     monkeypatch.setattr(type(SPRING), "initial_states", lambda *_: drawn)
-    with pytest.raises(UserError, match=r"1 of 4 trajectories leave all bounds, number 2 after 0 steps"):
+    with pytest.raises(UserError, match=r"1 of 4 trajectories diverge, number 2 after 0 steps"):
         generate(dataclasses.replace(SPRING, steps=3), 4, 0)
 
 
 @pytest.mark.parametrize("steps", [0, torch.iinfo(torch.int64).min])
 def test_a_duration_that_is_none_is_refused(monkeypatch, steps):
     monkeypatch.setattr(type(SPRING), "durations", lambda *_: torch.tensor([5, steps]))
-    with pytest.raises(UserError, match="none or without end, 1 of 2"):
+    with pytest.raises(UserError, match="zero or infinite, 1 of 2"):
         generate(SPRING, 2, 0)
 
 

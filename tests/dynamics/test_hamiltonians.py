@@ -9,7 +9,7 @@ import torch
 from helpers import MOLNIYA, SPRING, TINY, close, data_module, generator, random_states
 
 from ahnn.dynamics.hamiltonians import make_hamiltonian
-from ahnn.dynamics.networks import ACTIVATIONS, MLP
+from ahnn.dynamics.networks import ACTIVATIONS, Perceptron
 from ahnn.errors import UserError
 
 STRUCTURES = ["generic", "separable", "mechanical", "central_body"]
@@ -35,7 +35,7 @@ def learned(structure, inputs, statistics, **changes):
 @pytest.mark.parametrize("depth", [1, 2, 4])
 def test_the_closed_form_gradient_equals_autograd(activation, depth):
     torch.manual_seed(depth)
-    network = MLP(3, 1, width=9, depth=depth, activation=activation).double()
+    network = Perceptron(3, 1, width=9, depth=depth, activation=activation).double()
     for parameter in network.parameters():
         torch.nn.init.normal_(parameter)
     z = 3 * torch.randn(40, 3, generator=generator(2), dtype=torch.float64)
@@ -47,7 +47,7 @@ def test_the_closed_form_gradient_equals_autograd(activation, depth):
 @pytest.mark.parametrize("activation", ACTIVATIONS)
 def test_gradients_of_the_gradient_are_right(activation):
     torch.manual_seed(0)
-    network = MLP(2, 1, width=3, depth=2, activation=activation).double()
+    network = Perceptron(2, 1, width=3, depth=2, activation=activation).double()
     z = torch.randn(2, 2, generator=generator(3), dtype=torch.float64).requires_grad_()
     assert torch.autograd.gradcheck(network.gradient, (z,))
     assert torch.autograd.gradgradcheck(network.gradient, (z,))

@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 import torch
 
-from ahnn.dynamics.networks import MLP
+from ahnn.dynamics.networks import Perceptron
 
 
 @pytest.mark.parametrize("inputs", [4, 100])
 def test_fresh_weights_have_the_size_that_keeps_units_of_order_one(inputs):
     torch.manual_seed(0)
     width = 400
-    network = MLP(inputs, 3, width=width, depth=3, activation="tanh")
+    network = Perceptron(inputs, 3, width=width, depth=3, activation="tanh")
     first, *others = network.hidden
     assert float(first.weight.detach().std()) == pytest.approx(inputs**-0.5, rel=0.1)
     for layer in others:
@@ -27,7 +27,7 @@ def test_fresh_weights_have_the_size_that_keeps_units_of_order_one(inputs):
 
 
 def test_the_smallest_network_has_one_unit():
-    network = MLP(2, 1, width=1, depth=1, activation="sine").double()
+    network = Perceptron(2, 1, width=1, depth=1, activation="sine").double()
     z = torch.tensor([[0.3, -0.2]], dtype=torch.float64)
     weight, bias = network.hidden[0].weight, network.hidden[0].bias
     angle = (z @ weight.T + bias).sum()

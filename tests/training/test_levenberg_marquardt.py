@@ -9,7 +9,7 @@ import torch
 from helpers import MOLNIYA, batch_of, close, data_module, generator, ready_model
 from torch import nn
 
-from ahnn.dynamics.networks import MLP
+from ahnn.dynamics.networks import Perceptron
 from ahnn.errors import UserError
 from ahnn.training import LevenbergMarquardt, pointwise_problem
 
@@ -82,7 +82,7 @@ def test_the_valley_of_rosenbrock_is_followed_to_its_end():
 
 def test_a_small_network_fits_a_sine_to_round_off_and_never_raises_its_loss():
     torch.manual_seed(3)
-    network = MLP(1, 1, width=12, depth=1, activation="tanh").double()
+    network = Perceptron(1, 1, width=12, depth=1, activation="tanh").double()
     x = torch.linspace(-1, 1, 60, dtype=torch.float64).unsqueeze(-1)
     losses = fit(network, x, torch.sin(3 * x + 0.5), 100)
     assert losses[-1] < 1e-8

@@ -1,4 +1,4 @@
-"""The two checkpoints of a run: the best weights, and the place to go on from after an interruption."""
+"""The two checkpoints of a run: the best weights, and the point to resume from after an interruption."""
 
 from __future__ import annotations
 

@@ -86,10 +86,10 @@ def checked(settings: Settings) -> Settings:
         UserError: for an unknown fit or use, or counts that leave nothing to fit or to forecast.
     """
     if settings.fit not in FITS:
-        message = f"PFL pruner: fit must be one of {', '.join(FITS)}; received {settings.fit!r}"
+        message = f"PFL pruner: expected fit to be one of {', '.join(FITS)}; received {settings.fit!r}"
         raise UserError(message)
     if settings.use not in ("first", "all"):
-        message = f"PFL pruner: use must be 'first' or 'all'; received {settings.use!r}"
+        message = f"PFL pruner: expected use to be 'first' or 'all'; received {settings.use!r}"
         raise UserError(message)
     if not 4 <= settings.fit_epochs <= settings.target_epoch:
         message = (
@@ -99,7 +99,7 @@ def checked(settings: Settings) -> Settings:
         )
         raise UserError(message)
     if settings.top_k < 1:
-        message = f"PFL pruner: top_k must be at least 1; received {settings.top_k}"
+        message = f"PFL pruner: expected top_k >= 1; received {settings.top_k}"
         raise UserError(message)
     return settings
 

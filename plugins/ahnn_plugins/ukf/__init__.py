@@ -1,4 +1,4 @@
-"""Unscented Kalman filter: batched over trajectories, in square-root form, honest about its uncertainty.
+"""Unscented Kalman filter: batched over trajectories, in square-root form, consistent in its uncertainty.
 
 A pure kernel over NamedTuples in float64: any function `flow(x, dt)` is the process model, NaN marks what was
 not measured, one bad member gets a status and never touches another, every repair is counted. It steps

@@ -1,4 +1,4 @@
-"""Checks at the door of the filter, so that its kernel can trust what it is given.
+"""Checks at the entrance of the filter, so that its kernel can trust what it is given.
 
 Matrices come in as covariances and go on as factors; numbers of any kind go on as float64 tensors.
 """
@@ -141,8 +141,8 @@ def checked_time(time: float, name: str) -> float:
     Raises:
         ValueError: it is not finite.
     """
-    if not math.isfinite(time):
-        message = f"{name}: expected a finite time; received {time}"
+    if not isinstance(time, int | float) or not math.isfinite(time):
+        message = f"{name}: expected a finite number; received {time}"
         raise ValueError(message)
     return time
 

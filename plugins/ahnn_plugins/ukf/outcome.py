@@ -1,4 +1,4 @@
-"""What came of one filter on one scenario: estimates, consistency, rows of the table, numbers."""
+"""What became of one filter on one scenario: estimates, consistency, rows of the table, numbers."""
 
 from __future__ import annotations
 
@@ -168,8 +168,8 @@ def numbers(outcome: Outcome, case: Case) -> dict[str, Any]:
     """Return everything that metrics.json says of an outcome, as plain values.
 
     Means run over trajectories and over times from the first update on; `band_95` is where such a mean lies
-    for a consistent filter. `in_band` is the share of times at which the mean over trajectories alone lies in
-    its own band, `one_time_band_95`.
+    for a consistent filter. `in_band` is the fraction of times at which the mean over trajectories alone lies
+    in its own band, `one_time_band_95`.
     """
     result, first = outcome.result, outcome.first
     error = outcome.estimate - case.test.states
@@ -196,7 +196,7 @@ def numbers(outcome: Outcome, case: Case) -> dict[str, Any]:
 def _series(
     values: Tensor, mean: float, limits: tuple[float, float], one_time: tuple[float, float]
 ) -> dict[str, Any]:
-    """Return mean, bands and share of times in the band of values (B, T)."""
+    """Return mean, bands and fraction of times in the band of values (B, T)."""
     return {
         "mean": mean,
         "band_95": list(limits),

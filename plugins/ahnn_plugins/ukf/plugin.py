@@ -158,7 +158,7 @@ class UKFEvaluation:
     def _outcomes(
         self, who: Who, chosen: Filter, case: Case, setting: Setting, problem: Problem
     ) -> list[Outcome]:
-        """Return what comes of a filter, and of its smoother if asked for, in one scenario."""
+        """Return what becomes of a filter, and of its smoother if asked for, in one scenario."""
         with shown(chosen.flow, described(who, case.label), problem.measurements.shape[1]) as flow:
             result = assimilate(chosen._replace(flow=flow), setting, problem, smoothing=self.smoother)
         outcomes = [filtered(who, setting, problem, result)]

@@ -100,5 +100,5 @@ def crossing(scales: tuple[float, ...], values: list[float], target: float) -> f
     if not math.isfinite(values[i]):
         return scales[i + 1]
     low, high = math.log(values[i]), math.log(values[i + 1])
-    share = (low - math.log(target)) / (low - high)
-    return float(scales[i] * (scales[i + 1] / scales[i]) ** share)
+    fraction = (low - math.log(target)) / (low - high)
+    return float(scales[i] * (scales[i + 1] / scales[i]) ** fraction)

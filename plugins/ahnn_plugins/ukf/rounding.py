@@ -22,7 +22,7 @@ from ahnn.estimation.linalg import EPS
 from ahnn_plugins.ukf.types import Weights
 
 LIMIT = 1e-3
-"""Share of a standard deviation that rounding may cost in one prediction or update."""
+"""Fraction of a standard deviation that rounding may cost in one prediction or update."""
 
 
 def lost_in_rounding(before: Belief, after: Belief, weights: Weights) -> Tensor:

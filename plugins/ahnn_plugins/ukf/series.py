@@ -52,7 +52,7 @@ def blocks(x: Tensor, inertia: float) -> tuple[Tensor, Tensor]:
 def rms_over_members(error: Tensor, inertia: float) -> Tensor:
     """Return the rms over living members of the error norms of position and velocity, (2, T).
 
-    A member that is lost drops out from there on: its share is in the table, not in a picture.
+    A member that is lost drops out from there on: how many are lost is in the table, not in a picture.
     """
     norms = [block.square().sum(-1).nanmean(0).sqrt() for block in blocks(error, inertia)]
     return torch.stack(norms)

@@ -15,7 +15,7 @@ from ahnn_plugins.ukf.square_root import joint_factor
 from ahnn_plugins.ukf.types import Backward, FilterResult, SmootherResult, Weights
 
 RANK = 1e-12
-"""Singular values below this share of the largest, of a factor with rows of unit length, count as zero."""
+"""Singular values below this fraction of the largest, of a factor with rows of unit length, count as zero."""
 
 
 def backward_kernel(
@@ -68,7 +68,7 @@ def _singular_law(chol_next: Tensor, cross: Tensor, chol_given: Tensor) -> tuple
     """Return gains and conditional factors (B, D, D) where the predicted covariance has no inverse."""
     scaled, deviation = _scaled(chol_next)
     gain = cross @ (torch.linalg.pinv(scaled, rtol=RANK) / deviation.mT)
-    # What of the state leaves no trace in the image stays uncertain.
+    # The part of the state that leaves no trace in the image stays uncertain.
     rest = cross - gain @ chol_next
     return gain, tria(torch.cat((chol_given.mT, rest.mT), dim=1))
 

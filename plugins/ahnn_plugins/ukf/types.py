@@ -40,7 +40,7 @@ class Weights(NamedTuple):
         outer: W_i of every point but the centre, mean and covariance alike.
         mean_centre: W_m0.
         covariance_centre: W_c0.
-        recentring: share of the shift that the deviations lose.
+        recentring: fraction of the shift that the deviations lose.
         downdate: what is left to subtract; None if nothing is, for any member.
         crowding: D / radius², by which the mean amplifies rounding, of members whose points lie so close that
             it matters, 0 of the others; None if it matters for no member.

@@ -1,4 +1,4 @@
-"""The winner of a study as a configuration of the group `experiment`."""
+"""The best trial of a study as a configuration of the group `experiment`."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ def open_study(
     import optuna
 
     if direction not in ("minimize", "maximize"):
-        message = f"sweeper: direction must be 'minimize' or 'maximize'; received {direction!r}"
+        message = f"sweeper: expected direction to be 'minimize' or 'maximize'; received {direction!r}"
         raise UserError(message)
     opened = open_storage(storage)
     with exclusive(storage):
