@@ -100,12 +100,13 @@ def read_weights(path: Path) -> Weights:
 def write_weights(path: Path, weights: Weights) -> None:
     """Write weights as a safetensors file, atomically."""
     tensors = {key: value.contiguous() for key, value in weights.state.items()}
-    write_atomically(path, save(tensors, {"ahnn": json.dumps(weights.about), "sha256": checksum(tensors)}))
+    about = json.dumps(weights.about)
+    write_atomically(path, save(tensors, {"ahnn": about, "sha256": checksum(tensors, about)}))
 
 
-def checksum(tensors: dict[str, Tensor]) -> str:
-    """Return the SHA-256 of names and values."""
-    digest = hashlib.sha256()
+def checksum(tensors: dict[str, Tensor], about: str) -> str:
+    """Return the SHA-256 of names, values and what stands beside them."""
+    digest = hashlib.sha256(about.encode())
     for name in sorted(tensors):
         digest.update(name.encode() + tensors[name].contiguous().numpy().tobytes())
     return digest.hexdigest()
@@ -120,7 +121,7 @@ def _read_safetensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     except (SafetensorError, OSError, ValueError) as error:
         message = f"weights {path}: expected an intact safetensors file; received a damaged one ({error})"
         raise UserError(message) from error
-    if about and checksum(state) != metadata.get("sha256"):
+    if about and checksum(state, metadata["ahnn"]) != metadata.get("sha256"):
         message = f"weights {path}: expected an intact safetensors file; received a damaged one (checksum)"
         raise UserError(message)
     return state, about

@@ -136,7 +136,14 @@ def made(weights: Weights, folder: Path) -> Run:
         UserError: they are of other dynamics than they say.
     """
     about = weights.about
-    dynamics = make_dynamics(**about["dynamics"]).double()
+    try:
+        dynamics = make_dynamics(**about["dynamics"]).double()
+        units = Units(*about["space"]["units"])
+        known = Space(**{**about["space"], "components": tuple(about["space"]["components"]), "units": units})
+        dt = float(about["dt"])
+    except (KeyError, TypeError, ValueError) as error:
+        message = f"run {folder}: expected weights that say what they are; received: {error!r}"
+        raise UserError(message) from error
     try:
         dynamics.load_state_dict(weights.state)
     except RuntimeError as error:
@@ -146,10 +153,7 @@ def made(weights: Weights, folder: Path) -> Run:
     if not all(bool(tensor.isfinite().all()) for tensor in weights.state.values()):
         message = f"run {folder}: expected finite weights; received nan or inf. Take another checkpoint"
         raise UserError(message)
-    space = about["space"]
-    units = Units(*space["units"])
-    known = Space(space["name"], tuple(space["components"]), units, space["inertia"])
-    return Run(dynamics.eval().requires_grad_(False), known, float(about["dt"]), about, folder)
+    return Run(dynamics.eval().requires_grad_(False), known, dt, about, folder)
 
 
 def about_space(space: Space) -> dict[str, Any]:

@@ -78,7 +78,8 @@ def run_config(folder: Path, request: Request) -> DictConfig:
     """
     path = folder / "config.yaml"
     content = read_plain(path)
-    missing = [key for key in (*NODES, *KEYS) if key not in content]
+    missing = [key for key in NODES if not isinstance(content.get(key), dict)]
+    missing += [key for key in KEYS if key not in content]
     if missing:
         message = f"{path}: expected the configuration of a run; received one without {', '.join(missing)}"
         raise UserError(message)
