@@ -198,7 +198,8 @@ def describe(hint: Any) -> str:
     if origin is Literal:
         return "one of " + ", ".join(str(option) for option in inner)
     if origin in (Union, UnionType):
-        return " or ".join(dict.fromkeys(describe(option) for option in inner))
+        names = {describe(option) for option in inner}  # the order of a union is that of whoever came first
+        return " or ".join(sorted(names, key=lambda name: (name == "None", name.lower())))
     if origin in (list, tuple):
         return f"a list of {'' if repeats(hint) else f'{len(inner)} '}{describe(inner[0])}"
     return "None" if hint is NoneType else getattr(hint, "__name__", str(hint))

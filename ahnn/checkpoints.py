@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import pickle
 import zipfile
@@ -99,17 +100,30 @@ def read_weights(path: Path) -> Weights:
 def write_weights(path: Path, weights: Weights) -> None:
     """Write weights as a safetensors file, atomically."""
     tensors = {key: value.contiguous() for key, value in weights.state.items()}
-    write_atomically(path, save(tensors, {"ahnn": json.dumps(weights.about)}))
+    write_atomically(path, save(tensors, {"ahnn": json.dumps(weights.about), "sha256": checksum(tensors)}))
+
+
+def checksum(tensors: dict[str, Tensor]) -> str:
+    """Return the SHA-256 of names and values."""
+    digest = hashlib.sha256()
+    for name in sorted(tensors):
+        digest.update(name.encode() + tensors[name].contiguous().numpy().tobytes())
+    return digest.hexdigest()
 
 
 def _read_safetensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     try:
         with safe_open(path, framework="pt") as file:
-            about = json.loads((file.metadata() or {}).get("ahnn", "{}"))
-            return {key: file.get_tensor(key) for key in file.keys()}, about  # noqa: SIM118 - it is no dict
+            metadata = file.metadata() or {}
+            about = json.loads(metadata.get("ahnn", "{}"))
+            state = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 - it is no dict
     except (SafetensorError, OSError, ValueError) as error:
         message = f"weights {path}: expected an intact safetensors file; received a damaged one ({error})"
         raise UserError(message) from error
+    if about and checksum(state) != metadata.get("sha256"):
+        message = f"weights {path}: expected an intact safetensors file; received a damaged one (checksum)"
+        raise UserError(message)
+    return state, about
 
 
 def require_same(who: str, expected: dict[str, Any], received: dict[str, Any]) -> None:

@@ -20,7 +20,7 @@ import logging
 import sys
 from typing import Any
 
-from ahnn.cli.entry import guard
+from ahnn.cli.guard import guard
 
 log = logging.getLogger("ahnn")
 

@@ -107,7 +107,7 @@ COMPOSED = sorted({*commands(), *(Command(line.strip(), "help") for line in LINE
 @pytest.mark.parametrize("command", COMPOSED, ids=lambda c: c.text)
 def test_a_documented_command_names_what_there_is(command, tmp_path, monkeypatch):
     if "submitit" in command.text:
-        pytest.importorskip("hydra_plugins.hydra_submitit_launcher", reason="the extra `slurm` is needed")
+        pytest.importorskip("submitit", reason="the extra `slurm` is needed")
     monkeypatch.chdir(tmp_path)
     text = re.split(r"\s#\s", command.text)[0]
     words = [re.sub(r"=([A-Z]+)$", lambda m: f"={FILL[m[1]]}", word) for word in shlex.split(text)]

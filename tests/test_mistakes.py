@@ -65,9 +65,9 @@ MISTAKES = {
     "optimizer=adamw optimizer.betas=3": "optimizer.betas: expected a list of 2",
     "optimizer=adamw optimizer.betas=[0.9]": "optimizer.betas: expected a list of 2",
     "trainer.accelerator=foo": "trainer: You selected an invalid accelerator",
-    "trainer.accelerator=null": "trainer.accelerator: expected str",
+    "trainer.accelerator=null": "trainer.accelerator: expected Accelerator or str",
     "trainer.devices=x": "trainer: `devices`",
-    "trainer.gradient_clip_val=abc": "trainer.gradient_clip_val: expected int or float or None",
+    "trainer.gradient_clip_val=abc": "trainer.gradient_clip_val: expected float or int or None",
     "+trainer.precision=foo": "trainer.precision: expected one of",
     "optimizer=levenberg_marquardt trainer.gradient_clip_val=1.0": "or choose recipe=first_order",
     "+trainer.accumulate_grad_batches=0": "trainer.accumulate_grad_batches: expected int >= 1; received 0",
@@ -166,7 +166,6 @@ def test_of_several_seeds_one_that_is_trained_stops_all_before_the_first(tmp_pat
     cut = ["+callbacks.cut._target_=entry.CutAfter", "+callbacks.cut.ctrl_c=true", "+callbacks.cut.steps=20"]
     more = ["trainer.max_epochs=3", *cut]
     assert call("ahnn.train", *run, *more, "seeds=[7,719]") == 130
-    assert (tmp_path / ".hydra").exists()
     assert f"run={tmp_path / 'seed_7'} seed=7 seeds=null ckpt=last" in capfd.readouterr().err
 
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hydra.core.override_parser.types import OverrideType
 from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import nearest
-from ahnn.cli.commandline import parse
 from ahnn.cli.trust import read_plain, require_trusted
 from ahnn.data import SplitData
 from ahnn.data.splits import split_sizes
@@ -136,6 +134,10 @@ def dotted(values: Any, prefix: str = "") -> list[str]:
 
 def parsed(text: str) -> tuple[str, Any]:
     """Return key and value of an override, written as for a training; raises UserError for anything else."""
+    from hydra.core.override_parser.types import OverrideType
+
+    from ahnn.cli.commandline import parse
+
     override = parse(text)
     if override.type is not OverrideType.CHANGE or override.is_sweep_override():
         message = f"override {text!r}: expected key=value with one value; a finished run takes no other"

@@ -116,7 +116,7 @@ def plain_config(cfg: Any, who: str = "configuration") -> dict[str, Any]:
 
 def stencil(loss: DictConfig) -> int:
     """Return the steps that a training window must span for the derivatives of a loss; resolver of YAML."""
-    return int(loss.order) if loss.derivative else 1
+    return loss.order if loss.derivative and isinstance(loss.order, int) else 1
 
 
 def new_folder(path: str) -> str:

@@ -1,8 +1,4 @@
-"""From the command line to a task under Hydra, and from its errors to one message and an exit code.
-
-Exit codes: 0 done, 2 a mistake in what was asked for, 3 training could not go on, 128 + n stopped by signal
-n, which is 130 for Ctrl-C, 143 for SIGTERM and 129 for SIGHUP.
-"""
+"""From the command line to a task under Hydra."""
 
 from __future__ import annotations
 
@@ -17,15 +13,12 @@ from typing import Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
-from omegaconf.errors import OmegaConfBaseException
 
 from ahnn.cli import commandline
+from ahnn.cli.guard import guard
 from ahnn.cli.help import show_completion, show_help
-from ahnn.cli.stops import listen
-from ahnn.errors import Stopped, TrainingError, UserError
 from ahnn.paths import conf_dir
 
 
@@ -75,37 +68,3 @@ def forget(folder: Path) -> None:
         shutil.rmtree(folder / ".hydra", ignore_errors=True)
         with contextlib.suppress(OSError):
             folder.rmdir()
-
-
-def guard(entry: Callable[[], Any]) -> int:
-    """Call an entry point and return its exit code."""
-    for stream in (sys.stdout, sys.stderr):  # a terminal that knows ASCII alone shows ? for ²
-        with contextlib.suppress(AttributeError):
-            stream.reconfigure(errors="replace")  # pyright: ignore[reportAttributeAccessIssue]
-    listen()
-    try:
-        entry()
-    except Stopped as stop:
-        again = "the same command starts again from the beginning"
-        return report(str(stop) or f"stopped by {stop.signal.name}; {again}", stop.code)
-    except KeyboardInterrupt:
-        return report("stopped by Ctrl-C; the same command starts again from the beginning", 130)
-    except TrainingError as error:
-        return report(str(error), 3)
-    except UserError as error:
-        return report(str(error), 2)
-    except (HydraException, OmegaConfBaseException) as error:  # before OSError, which some of them are
-        if isinstance(error.__cause__, UserError | TrainingError):
-            return report(str(error.__cause__), 2)
-        key = error.full_key if isinstance(error, OmegaConfBaseException) else None
-        return report(f"configuration: {commandline.first_line(error)}{f' ({key})' if key else ''}", 2)
-    except OSError as error:
-        place = f"file {error.filename}" if error.filename else "files"
-        return report(f"{place}: {error.strerror or error}", 2)
-    return 0
-
-
-def report(message: str, code: int) -> int:
-    """Write a message to standard error and return the code."""
-    sys.stderr.write(f"ahnn: {message}\n")
-    return code

@@ -31,7 +31,8 @@ def check_gate(gate: Gate | None, who: str) -> None:
     """
     if gate is None:
         return
-    fits = isinstance(gate, Gate) and 0.0 < gate.probability < 1.0 and 1.0 <= gate.patience < torch.inf
+    numbers = isinstance(gate, Gate) and all(isinstance(value, int | float) for value in gate)
+    fits = numbers and 0.0 < gate.probability < 1.0 and 1.0 <= gate.patience < torch.inf
     if not fits or gate.patience % 1 != 0:
         message = (
             f"{who}: expected a Gate(probability in (0, 1), patience a whole number >= 1); received {gate!r}"

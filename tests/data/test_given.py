@@ -74,7 +74,7 @@ def changed(place, value, of=TIMES):
         ({"times": changed((1, 2), torch.inf)}, "expected finite numbers"),
         ({"times": changed((1, 2), 4.0)}, r"received \[4.0, 4.0\] from sample 1 of trajectory 1"),
         ({"times": changed((0, 1), -1.0)}, r"received \[0.0, -1.0\] from sample 0 of trajectory 0"),
-        ({"states": torch.full((2, 3, 4), torch.nan)}, "expected samples; received NaN alone"),
+        ({"states": torch.full((2, 3, 4), torch.nan)}, "expected the first sample of each trajectory"),
     ],
 )
 def test_what_does_not_fit_is_refused_with_what_came(change, message):

@@ -30,6 +30,8 @@ NAMES = [
 @pytest.mark.parametrize("system", [SPRING, MOLNIYA], ids=["spring", "molniya"])
 @pytest.mark.parametrize("name", NAMES)
 def test_a_model_fits_a_tiny_batch(cache, name, system):
+    if name == "central_body" and system is SPRING:
+        pytest.skip("one degree of freedom has no centre")
     data = data_module(system, cache, window=2, precision=32)
     model, batch = ready_model(name, data), batch_of(data)
     optimizer = torch.optim.AdamW(model.parameters(), lr=1e-2)
@@ -46,18 +48,19 @@ def test_a_model_fits_a_tiny_batch(cache, name, system):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_flow_is_a_float64_copy_that_shares_no_memory(cache, name):
-    data = data_module(SPRING, cache, precision=32)
+    system = MOLNIYA if name == "central_body" else SPRING
+    data = data_module(system, cache, precision=32)
     model = ready_model(name, data)
     flow = model.flow()
     x = data.trajectories("test").states[:, 0]
-    before = flow(x, SPRING.dt)
+    before = flow(x, system.dt)
     assert before.dtype == torch.float64
     assert not before.requires_grad
-    close(before, model(x.float(), SPRING.dt), 1e-5)
+    close(before, model(x.float(), system.dt), 1e-5)
     with torch.no_grad():
         for tensor in (*model.parameters(), *model.buffers()):
             tensor.fill_(0.5)
-    assert torch.equal(flow(x, SPRING.dt), before)
+    assert torch.equal(flow(x, system.dt), before)
 
 
 def test_an_mlp_refuses_any_other_time_step(cache):
@@ -123,18 +126,19 @@ def test_lightning_trains_validates_tests_and_predicts(cache, tmp_path, name):
 
 @pytest.mark.parametrize("name", ["mlp", "node", "generic", "mechanical", "central_body"])
 def test_a_checkpoint_is_plain_and_restores_the_model(cache, tmp_path, name):
-    data = data_module(SPRING, cache, precision=32)
+    system = MOLNIYA if name == "central_body" else SPRING
+    data = data_module(system, cache, precision=32)
     model = ready_model(name, data)
     run = trainer(tmp_path)
     run.fit(model, data)
     path = tmp_path / "model.ckpt"
     run.save_checkpoint(path)
     content = torch.load(path, weights_only=True)
-    assert content["ahnn"]["space"]["name"] == "mass_spring"
+    assert content["ahnn"]["space"]["name"] == system.name
     restored = type(model).load_from_checkpoint(path, map_location="cpu", weights_only=True)
     assert isinstance(restored, AHNN | MLP | NODE)
     x = data.trajectories("test").states[:, 0]
-    assert torch.equal(restored(x.float(), SPRING.dt), model(x.float(), SPRING.dt))
+    assert torch.equal(restored(x.float(), system.dt), model(x.float(), system.dt))
     loaded = made(read_weights(path), tmp_path)
-    assert torch.equal(loaded.flow(x), model.flow()(x, SPRING.dt))
-    assert loaded.space == SPRING.space
+    assert torch.equal(loaded.flow(x), model.flow()(x, system.dt))
+    assert loaded.space == system.space

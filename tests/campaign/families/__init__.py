@@ -1,0 +1,1 @@
+"""Families of hostile cases: each module has `cases(draw, folder)`, which yields them without end."""

@@ -1,0 +1,100 @@
+"""A campaign of faults: hostile cases drawn from a seed, and what became of them.
+
+    python tests/campaign/run.py --seed 0 --cases 3000 [--family NAME]
+
+A case is answered when it works or ends in one clear refusal (`UserError`, exit code 2). It fails when it
+ends in a traceback, accepts damaged data, calls or looks up what a file names, or gives another result without
+a word.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import random
+import sys
+import tempfile
+import traceback
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parent)]
+
+from families import caches, checkpoints, commands, filters, foreign, states, trajectories
+
+from ahnn.errors import TrainingError, UserError
+
+FAMILIES: dict[str, tuple[Callable, float]] = {
+    "configuration": (commands.cases, 0.25),
+    "checkpoints": (checkpoints.cases, 0.2),
+    "caches": (caches.cases, 0.1),
+    "run folders": (foreign.cases, 0.15),
+    "filter inputs": (filters.cases, 0.15),
+    "saved states": (states.cases, 0.05),
+    "trajectories": (trajectories.cases, 0.1),
+}
+"""Families, and the share of the cases that each has."""
+
+
+def main() -> int:
+    """Run a campaign; return 1 where a case failed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--cases", type=int, default=3000)
+    parser.add_argument("--family", default="")
+    options = parser.parse_args()
+    failures = 0
+    for name, (cases, share) in FAMILIES.items():
+        if options.family in name:
+            failures += campaign(name, cases, round(share * options.cases), options.seed)
+    return int(failures > 0)
+
+
+def campaign(name: str, cases: Callable, count: int, seed: int) -> int:
+    """Run the cases of a family, print counts and failures, and return how many failed."""
+    answers: Counter[str] = Counter()
+    with tempfile.TemporaryDirectory() as folder:
+        for what, case in drawn(cases, count, seed, Path(folder)):
+            answer, why = judged(case)
+            answers[answer] += 1
+            if answer == "failed":
+                say(f"  FAILED {name}: {what}: {why}")
+    counts = ", ".join(f"{n} {answer}" for answer, n in sorted(answers.items()))
+    say(f"{name}: {sum(answers.values())} cases: {counts}")
+    return answers["failed"]
+
+
+def drawn(cases: Callable, count: int, seed: int, folder: Path) -> Iterator[tuple[str, Callable[[], None]]]:
+    """Yield `count` cases, the name of each and what to call."""
+    source = cases(random.Random(seed), folder)
+    for _ in range(count):
+        yield next(source)
+
+
+def judged(case: Callable[[], None]) -> tuple[str, str]:
+    """Return how a case ended: worked, refused or failed, and why it failed."""
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
+            case()
+    except (UserError, TrainingError, ValueError) as error:
+        text = str(error)
+        plain = isinstance(error, UserError) or "expected" in text
+        return ("refused", "") if plain and text.strip() else ("failed", f"a poor refusal: {error!r}")
+    except SystemExit as stop:
+        return ("refused", "") if stop.code == 2 else ("failed", f"exit code {stop.code}")
+    except BaseException as error:  # a campaign hears of everything
+        return "failed", " ".join(traceback.format_exception_only(error)).strip()
+    return "worked", ""
+
+
+def say(text: str) -> None:
+    """Write a line at once: a campaign takes minutes."""
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
