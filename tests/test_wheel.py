@@ -77,7 +77,7 @@ def test_a_wheel_in_a_fresh_environment_trains_from_any_directory(tmp_path):
     require_types(python, place)
     where = run(python, "-c", "import ahnn.paths; print(ahnn.paths.conf_dir())", cwd=place).strip()
     assert where == str(site / "ahnn" / "conf")
-    assert "budget: laptop" in run(python, "-m", "ahnn.train", "--help", cwd=place)
+    assert "[laptop]" in run(python, "-m", "ahnn.train", "--help", cwd=place)
     cache = {"AHNN_CACHE": str(tmp_path / "cache")}
     run(python, "-m", "ahnn.train", "budget=smoke", "run=out", "trainer.max_epochs=1", cwd=place, env=cache)
     assert json.loads((place / "out" / "metrics.json").read_text())["model"] == "ahnn5"
