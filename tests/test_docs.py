@@ -8,8 +8,8 @@ import shlex
 import shutil
 import subprocess
 import sys
-import types
 from pathlib import Path
+from types import ModuleType
 from typing import NamedTuple
 
 import pytest
@@ -86,10 +86,10 @@ def blocks(language):
 @pytest.mark.parametrize("text", [*blocks("python")])
 def test_a_snippet_runs(text, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    module = types.ModuleType("snippet")
-    monkeypatch.setitem(sys.modules, "snippet", module)  # where dataclasses look for their module
+    module = ModuleType("snippet")
+    monkeypatch.setitem(sys.modules, "snippet", module)  # where dataclasses look for what they stand in
     with untouched():
-        exec(compile(text, "snippet", "exec"), module.__dict__)
+        exec(compile(text, "snippet", "exec"), vars(module))
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.py")), ids=lambda p: p.name)
@@ -106,10 +106,10 @@ COMPOSED = sorted({*commands(), *(Command(line.strip(), "help") for line in LINE
 
 @pytest.mark.parametrize("command", COMPOSED, ids=lambda c: c.text)
 def test_a_documented_command_names_what_there_is(command, tmp_path, monkeypatch):
+    if "submitit" in command.text:
+        pytest.importorskip("submitit", reason="the extra `slurm` is needed")
     monkeypatch.chdir(tmp_path)
     text = re.split(r"\s#\s", command.text)[0]
-    if "submitit" in text:
-        pytest.importorskip("submitit", reason="the extra slurm")
     words = [re.sub(r"=([A-Z]+)$", lambda m: f"={FILL[m[1]]}", word) for word in shlex.split(text)]
     if words[0] == "make":
         assert re.search(rf"^{words[1]}:", (ROOT / "Makefile").read_text(), re.MULTILINE)

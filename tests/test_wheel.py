@@ -28,6 +28,31 @@ def run(*command, **options):
     return done.stdout
 
 
+TYPED = """
+import ahnn
+
+run = ahnn.load("molniya_mechanical")
+reveal_type(run)
+reveal_type(run.rollout([1.0, 0.0], steps=3))
+reveal_type(ahnn.Trajectories)
+ahnn.load(3)
+"""
+
+
+def require_types(python, place):
+    """Assert that mypy takes types from the wheel: what calls return, and which arguments they refuse."""
+    (place / "typed.py").write_text(TYPED)
+    command = [sys.executable, "-m", "mypy", "--python-executable", str(python), "--follow-imports=silent"]
+    environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "MYPYPATH")}
+    done = subprocess.run(
+        [*command, "typed.py"], cwd=place, env=environment, capture_output=True, text=True, check=False
+    )
+    assert 'Revealed type is "ahnn.runs.Run"' in done.stdout, done.stdout + done.stderr
+    assert "torch._tensor.Tensor" in done.stdout
+    assert done.stdout.count("error:") == 1, done.stdout
+    assert 'incompatible type "int"' in done.stdout
+
+
 @pytest.mark.slow
 def test_a_wheel_in_a_fresh_environment_trains_from_any_directory(tmp_path):
     pip = (sys.executable, "-m", "pip")
@@ -35,7 +60,7 @@ def test_a_wheel_in_a_fresh_environment_trains_from_any_directory(tmp_path):
     run(*pip, "wheel", ROOT, "--no-deps", "--no-build-isolation", "-q", "-w", tmp_path)
     (wheel,) = tmp_path.glob("*.whl")
     names = zipfile.ZipFile(wheel).namelist()
-    assert "ahnn/conf/train.yaml" in names
+    assert {"ahnn/conf/train.yaml", "ahnn/py.typed"} <= {*names}
     assert {n.split("/")[0] for n in names if "dist-info" not in n} == {
         "ahnn",
         "ahnn_plugins",
@@ -49,9 +74,10 @@ def test_a_wheel_in_a_fresh_environment_trains_from_any_directory(tmp_path):
     zipfile.ZipFile(wheel).extractall(site)
     place = tmp_path / "elsewhere"
     place.mkdir()
+    require_types(python, place)
     where = run(python, "-c", "import ahnn.paths; print(ahnn.paths.conf_dir())", cwd=place).strip()
     assert where == str(site / "ahnn" / "conf")
-    assert "budget: laptop" in run(python, "-m", "ahnn.train", "--help", cwd=place)
+    assert "[laptop]" in run(python, "-m", "ahnn.train", "--help", cwd=place)
     cache = {"AHNN_CACHE": str(tmp_path / "cache")}
     run(python, "-m", "ahnn.train", "budget=smoke", "run=out", "trainer.max_epochs=1", cwd=place, env=cache)
     assert json.loads((place / "out" / "metrics.json").read_text())["model"] == "ahnn5"

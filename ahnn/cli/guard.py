@@ -17,7 +17,7 @@ from ahnn.errors import Stopped, TrainingError, UserError
 
 def guard(entry: Callable[[], Any]) -> int:
     """Call an entry point and return its exit code."""
-    for stream in (sys.stdout, sys.stderr):  # a terminal that knows ASCII alone gets ? for ²
+    for stream in (sys.stdout, sys.stderr):  # a terminal that knows ASCII alone shows ? for ²
         with contextlib.suppress(AttributeError):
             stream.reconfigure(errors="replace")  # pyright: ignore[reportAttributeAccessIssue]
     listen()

@@ -55,7 +55,7 @@ def test_split_sizes_add_up_or_are_refused(count, shares):
     ],
 )
 def test_shares_that_do_not_split_are_refused(shares):
-    with pytest.raises(UserError, match="sum 1"):
+    with pytest.raises(UserError, match="sum to 1"):
         split_sizes(100, shares)
 
 
