@@ -176,7 +176,7 @@ def test_the_consistency_is_judged_by_the_band_of_what_is_averaged(spring: Case)
         ("measurement={_target_:ahnn.estimation.Gate}", "Gate has no names, units, residual"),
         ("cadence=fast", "cadence: expected int; received 'fast'"),
         ("process_noise=[1.0]", "process_noise: expected `fitted` or two"),
-        ("process_noise=guessed", "process_noise: expected one of fitted or a list of float"),
+        ("process_noise=guessed", "process_noise: expected a list of float or one of fitted"),
         ("measurement_sd=[1.0,2.0]", r"measurement_sd: expected one number > 0 for each of q1 \[m\]"),
         (
             "measurement={latitude:3}",

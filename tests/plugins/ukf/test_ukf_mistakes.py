@@ -64,7 +64,7 @@ MISTAKES = {
     "dt negative": ({"dt": [1.0, 1.0, -2.0, 1.0]}, "dt: expected finite steps > 0; received -2.0"),
     "dt NaN": ({"dt": math.nan}, "dt: expected finite steps > 0; received nan"),
     "dt infinite": ({"dt": math.inf}, "dt: expected finite steps > 0; received inf"),
-    "start NaN": ({"start_time": math.nan}, "start_time: expected a finite time; received nan"),
+    "start NaN": ({"start_time": math.nan}, "start_time: expected a finite number; received nan"),
     "Position too wide": (
         {"model": Position(), "rows": torch.zeros(2, 4, 3), "r": torch.eye(3)},
         r"to return a real tensor \(2, 5, 3\) for x \(2, 5, 2\) .* received Tensor \(2, 5, 2\)",

@@ -241,7 +241,7 @@ START = UnscentedKalmanFilter().start(initial_belief([[0.0, 0.0]], EYE))
     ("call", "message"),
     [
         (lambda ukf: ukf.start(torch.zeros(2)), "belief: expected a Belief; received Tensor"),
-        (lambda ukf: ukf.start(START.belief, time=math.nan), "time: expected a finite time; received nan"),
+        (lambda ukf: ukf.start(START.belief, time=math.nan), "time: expected a finite number; received nan"),
         (lambda ukf: ukf.predict(START.belief, pendulum, 1.0, EYE), "state: expected a FilterState"),
         (lambda ukf: ukf.predict(START, pendulum, 0.0, EYE), "dt: expected finite steps > 0; received 0.0"),
         (lambda ukf: ukf.predict(START, pendulum, [1.0, 1.0], EYE), "dt: expected one number; received list"),
