@@ -12,6 +12,7 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 from ahnn import load
+from ahnn.checkpoints import checksum
 from ahnn.errors import UserError
 from ahnn.evaluation import Who
 from ahnn.pretrained import HERE, names
@@ -85,7 +86,7 @@ def test_weights_of_another_model_are_one_message(copy):
     with safe_open(path, framework="pt") as file:
         metadata = file.metadata()
         content = {key: file.get_tensor(key) for key in list(file.keys())[1:]}
-    save_file(content, path, metadata)
+    save_file(content, path, {**metadata, "sha256": checksum(content, metadata["ahnn"])})
     with pytest.raises(UserError, match=r"expected the weights of its model; received others .*Missing key"):
         load(copy)
 
