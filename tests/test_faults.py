@@ -204,6 +204,10 @@ SPOILED = {
         lambda c: c["optimizer_states"][0]["state"][0].update(exp_avg=torch.zeros(3)),
         "exp_avg of parameter 0",
     ),
+    "a moment that is no tensor": (
+        lambda c: c["optimizer_states"][0]["state"][0].update(exp_avg=None),
+        "exp_avg of parameter 0",
+    ),
     "a weight of another shape": (
         lambda c: c["state_dict"].update({"loss.unit": torch.ones(7)}),
         "received others of loss.unit",

@@ -56,10 +56,14 @@ def _require_shapes(path: Path, model: AbstractModel, content: dict[str, Any]) -
             wrong += [
                 f"{key} of parameter {index}"
                 for key in LIKE_WEIGHTS
-                if isinstance(state.get(key), Tensor) and tuple(state[key].shape) != shape
+                if key in state and not _is_shaped(state[key], shape)
             ]
     if wrong:
         message = (
             f"checkpoint {path}: expected the shapes of this model; received others of {', '.join(wrong)}"
         )
         raise UserError(message)
+
+
+def _is_shaped(value: Any, shape: tuple[int, ...] | None) -> bool:
+    return isinstance(value, Tensor) and tuple(value.shape) == shape
