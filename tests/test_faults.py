@@ -56,7 +56,8 @@ def test_a_refused_command_removes_nothing_that_it_did_not_make(tmp_path, monkey
 def test_a_refused_command_leaves_a_finished_run_as_it_was(tmp_path):
     assert call("ahnn.train", *FIRST, f"run={tmp_path / 'run'}") == 0
     before = content(tmp_path)
-    for wrong in (["seed=x"], [], ["ckpt=last", "optimizer.lr=1"], ["ckpt=last", "data.batch_size=7"]):
+    clipped = ["ckpt=last", "+trainer.gradient_clip_val=1"]
+    for wrong in (["seed=x"], [], ["ckpt=last", "optimizer.lr=1"], clipped):
         assert call("ahnn.train", *FIRST, f"run={tmp_path / 'run'}", *wrong) == 2
         assert content(tmp_path) == before
 

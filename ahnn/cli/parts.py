@@ -60,11 +60,15 @@ def build_model(cfg: DictConfig, data: WindowDataModule) -> AbstractModel:
     return model
 
 
+DECISIVE = ("max_epochs", "gradient_clip_val", "gradient_clip_algorithm", "accumulate_grad_batches")
+"""What of the trainer changes the weights."""
+
+
 def settings_of(cfg: DictConfig) -> dict[str, Any]:
     """Return all that determines a training besides its data: what a resumed one must share."""
     parts = {name: plain_config(cfg[name]) for name in ("model", "loss", "optimizer", "scheduler", "data")}
     parts["data"] = {key: value for key, value in parts["data"].items() if key not in SIMULATION}
-    return {**parts, "seed": cfg.seed, "trainer": {"max_epochs": cfg.trainer.max_epochs}}
+    return {**parts, "seed": cfg.seed, "trainer": {key: cfg.trainer.get(key) for key in DECISIVE}}
 
 
 def build_plugins(cfg: DictConfig, splits: SplitData) -> dict[str, EvaluationPlugin]:
