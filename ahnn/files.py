@@ -3,33 +3,64 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
+import re
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 from uuid import uuid4
 
 from filelock import FileLock, Timeout
 
 from ahnn.errors import UserError
 
+UNFINISHED = re.compile(r"\..+\.[0-9a-f]{32}\.tmp")
+"""Name of a temporary file."""
+
 
 def write_atomically(path: Path, content: bytes) -> None:
     """Write bytes to a temporary file beside `path`, flush it to the disk, and rename it into place.
 
-    What was at `path` survives any failure; a link there is replaced and its target left alone.
+    What was at `path` survives any failure; a link there is replaced and its target left alone. Whoever
+    writes holds a lock on its temporary file, which ends with the process: what killed writers left in the
+    folder is not locked, and the next one removes it.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{uuid4().hex}.tmp")
-    try:
-        with open(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666), "wb") as file:
+    _remove_unfinished(path.parent)
+    temporary, file = _unfinished(path)
+    with file:
+        try:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        temporary.replace(path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+            temporary.replace(path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+
+
+def _unfinished(path: Path) -> tuple[Path, BinaryIO]:
+    """Return a new temporary file with a lock on it; another one where a remover came before the lock."""
+    while True:
+        temporary = path.with_name(f".{path.name}.{uuid4().hex}.tmp")
+        file = open(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666), "wb")  # noqa: SIM115
+        with contextlib.suppress(OSError):  # a file system without locks: nobody removes anything there
+            fcntl.flock(file, fcntl.LOCK_EX)
+        if temporary.exists():
+            return temporary, file
+        file.close()
+
+
+def _remove_unfinished(folder: Path) -> None:
+    """Remove the temporary files of writers that are gone."""
+    for path in folder.glob(".*.tmp"):
+        if not (UNFINISHED.fullmatch(path.name) and path.is_file()):
+            continue
+        with contextlib.suppress(OSError), path.open("r+b") as file:  # it is gone, or its writer lives
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            path.unlink()
 
 
 @contextlib.contextmanager

@@ -22,7 +22,4 @@ class AtomicCheckpointIO(TorchCheckpointIO):
         del storage_options
         buffer = io.BytesIO()
         torch.save(checkpoint, buffer)
-        path = Path(path)
-        for unfinished in path.parent.glob(f".{path.name}.*.tmp"):  # of a process that was killed
-            unfinished.unlink(missing_ok=True)
-        write_atomically(path, buffer.getvalue())
+        write_atomically(Path(path), buffer.getvalue())

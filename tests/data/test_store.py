@@ -6,6 +6,7 @@ import dataclasses
 import importlib
 import logging
 import os
+import subprocess
 import sys
 import threading
 
@@ -120,6 +121,43 @@ def test_readers_see_whole_files_while_others_write(tmp_path):
     for writer in writers:
         writer.join()
     assert seen <= set(contents)
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from ahnn.files import write_atomically
+os.fsync = lambda _: os.kill(os.getpid(), signal.SIGKILL)
+write_atomically(Path(sys.argv[1]), b"new")
+"""
+
+
+def test_what_a_killed_writer_left_goes_with_the_next_write_in_the_folder(tmp_path):
+    subprocess.run([sys.executable, "-c", KILLED, tmp_path / "x"], check=False)
+    foreign = tmp_path / ".mine.tmp"
+    foreign.write_bytes(b"dear")
+    assert len(list(tmp_path.glob(".x.*.tmp"))) == 1
+    store.write_atomically(tmp_path / "z", b"new")
+    assert {path.name for path in tmp_path.iterdir()} == {".mine.tmp", "z"}
+
+
+def test_no_writer_loses_its_file_to_the_others(tmp_path):
+    failures = []
+
+    def write(number):
+        try:
+            for _ in range(100):
+                store.write_atomically(tmp_path / f"{number}", bytes(1000))
+        except OSError as error:
+            failures.append(error)
+
+    writers = [threading.Thread(target=write, args=(n % 4,)) for n in range(8)]
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join()
+    assert not failures
+    assert {path.name for path in tmp_path.iterdir()} == {"0", "1", "2", "3"}
 
 
 @pytest.mark.parametrize("name", ["mass_spring", "molniya", "kepler", "pendulum", "henon_heiles"])

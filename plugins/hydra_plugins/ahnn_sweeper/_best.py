@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
+
+from ahnn.files import write_atomically
 
 if TYPE_CHECKING:
     import optuna
@@ -33,11 +34,8 @@ def write_best(study: optuna.Study, sweep_dir: Path, config_loader: ConfigLoader
     best = study.best_trial
     text = best_yaml(list(best.user_attrs["overrides"]), config_loader, groups)
     path = sweep_dir / "experiment" / _NAME
-    path.parent.mkdir(exist_ok=True)
-    unfinished = path.with_suffix(f".{os.getpid()}")
     head = f"# Trial {best.number} of study {study.study_name}, value {best.value:.8g}\n"
-    unfinished.write_text(f"# @package _global_\n{head}{text}", encoding="utf-8")
-    unfinished.replace(path)
+    write_atomically(path, f"# @package _global_\n{head}{text}".encode())
     link = sweep_dir / _NAME
     if not link.is_symlink():
         link.symlink_to(path.relative_to(sweep_dir))

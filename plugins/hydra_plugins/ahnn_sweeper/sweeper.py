@@ -18,6 +18,7 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
 from ahnn.errors import UserError
+from ahnn.files import write_atomically
 
 if TYPE_CHECKING:
     import optuna
@@ -100,8 +101,7 @@ class AhnnOptunaSweeper(Sweeper):
         assert self.hydra_context is not None
         space = self._space(arguments)
         sweep_dir = Path(str(self.config.hydra.sweep.dir)).absolute()
-        sweep_dir.mkdir(parents=True, exist_ok=True)
-        OmegaConf.save(self.config, sweep_dir / "multirun.yaml")
+        write_atomically(sweep_dir / "multirun.yaml", OmegaConf.to_yaml(self.config).encode())
         url = _study.url(self.storage, sweep_dir)
         study = _study.open_study(url, self.study_name, self.direction, space.fixed)
         self._run(study, url, space)
