@@ -17,7 +17,7 @@ import os
 import time
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from ahnn.data import Source
     from ahnn.data.datamodule import WindowDataModule
+    from ahnn.evaluation import EvaluationPlugin
     from ahnn.models import AbstractModel
 
 log = logging.getLogger(__name__)
@@ -59,6 +60,52 @@ def of_seed(cfg: DictConfig, seed: int) -> DictConfig:
     return part
 
 
+def check(cfg: DictConfig) -> None:
+    """Refuse what a training refuses before it generates data; a sweep asks once, before its first trial.
+
+    Raises:
+        UserError: a job that cannot work.
+    """
+    from ahnn.cli.before import quiet
+
+    quiet()
+    check_settings(cfg)
+    prepare(of_seed(cfg, cfg.seeds[0]) if cfg.seeds else cfg)
+
+
+train.check = check  # pyright: ignore[reportFunctionMemberAccess] - all that reaches a sweeper is this function
+
+
+class Parts(NamedTuple):
+    """What a training is made of."""
+
+    data: WindowDataModule
+    model: AbstractModel
+    plugins: dict[str, EvaluationPlugin]
+    trainer: Trainer
+    checkpoint: Path | None
+
+
+def prepare(cfg: DictConfig, source: Source | None = None) -> Parts:
+    """Build the parts of a training and let them refuse each other; nothing is generated or written."""
+    import torch
+    from lightning import seed_everything
+
+    from ahnn.cli.before import check_training
+    from ahnn.cli.parts import build_data, build_model, build_plugins, build_source, build_trainer
+    from ahnn.cli.resume import resume_point
+
+    torch.set_num_threads(cfg.threads)
+    seed_everything(cfg.seed, verbose=False)
+    data = build_data(cfg, source or build_source(cfg))
+    model = build_model(cfg, data)
+    plugins = build_plugins(cfg, data.splits)
+    trainer = build_trainer(cfg)
+    check_training(trainer, cfg.window, data, model, multirun=is_multirun())
+    checkpoint = resume_point(cfg.ckpt, model, trainer, Path(cfg.folder) / "checkpoints")
+    return Parts(data, model, plugins, trainer, checkpoint)
+
+
 def train_once(cfg: DictConfig, source: Source | None = None) -> float:
     """Run one training and its evaluation; return the best validation loss, the objective of a search.
 
@@ -68,25 +115,11 @@ def train_once(cfg: DictConfig, source: Source | None = None) -> float:
         cfg: one job.
         source: of the trajectories; None takes the system of the configuration.
     """
-    import torch
-    from lightning import seed_everything
-
-    from ahnn.cli.before import check_training
-    from ahnn.cli.parts import build_data, build_model, build_plugins, build_source, build_trainer
-    from ahnn.cli.resume import resume_point
     from ahnn.cli.stops import interruptible
     from ahnn.files import claimed, require_writable
 
     folder = Path(cfg.folder)
-    torch.set_num_threads(cfg.threads)
-    seed_everything(cfg.seed, verbose=False)
-    data = build_data(cfg, source or build_source(cfg))
-    model = build_model(cfg, data)
-    plugins = build_plugins(cfg, data.splits)
-    checkpoint = resume_point(cfg.ckpt, model, folder / "checkpoints")
-    trainer = build_trainer(cfg)
-    check_training(trainer, cfg.window, data, model, multirun=is_multirun())
-
+    data, model, plugins, trainer, checkpoint = prepare(cfg, source)
     data.train_dataloader()  # the last that may be refused: from here on files are written
 
     require_writable(folder)
@@ -122,7 +155,7 @@ def fit(
         begin_at(model, cfg.weights)
     if trainer.is_global_zero:
         write_atomically(folder / "config.yaml", stored(cfg))
-        done = 0 if checkpoint is None else read_checkpoint(checkpoint)["epoch"]
+        done = 0 if checkpoint is None else read_checkpoint(checkpoint)["global_step"]
         announce(trainer, data, model, cfg.label, done)
     started = time.monotonic()
     with interruptible(trainer, lambda: go_on(cfg)):

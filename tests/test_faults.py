@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -56,8 +57,8 @@ def test_a_refused_command_removes_nothing_that_it_did_not_make(tmp_path, monkey
 def test_a_refused_command_leaves_a_finished_run_as_it_was(tmp_path):
     assert call("ahnn.train", *FIRST, f"run={tmp_path / 'run'}") == 0
     before = content(tmp_path)
-    clipped = ["ckpt=last", "+trainer.gradient_clip_val=1"]
-    for wrong in (["seed=x"], [], ["ckpt=last", "optimizer.lr=1"], clipped):
+    changed = ("optimizer.lr=1", "+trainer.gradient_clip_val=1", "callbacks.best.monitor=val/one_step")
+    for wrong in (["seed=x"], [], *(["ckpt=last", change] for change in changed)):
         assert call("ahnn.train", *FIRST, f"run={tmp_path / 'run'}", *wrong) == 2
         assert content(tmp_path) == before
 
@@ -203,11 +204,51 @@ def spoiled(finished, path, change):
 SPOILED = {
     "a moment of another shape": (
         lambda c: c["optimizer_states"][0]["state"][0].update(exp_avg=torch.zeros(3)),
-        "exp_avg of parameter 0",
+        "received others of optimizer_states.0.state.0.exp_avg",
+    ),
+    "a step that is no number": (
+        lambda c: c["optimizer_states"][0]["state"][0].update(step=torch.zeros(10_000)),
+        "received others of optimizer_states.0.state.0.step",
+    ),
+    "a step of another type": (
+        lambda c: c["optimizer_states"][0]["state"][0].update(step=torch.zeros((), dtype=torch.int64)),
+        "received others of optimizer_states.0.state.0.step",
+    ),
+    "a tensor that is no moment": (
+        lambda c: c["optimizer_states"][0]["state"][0].update(max_exp_avg_sq=torch.zeros(3)),
+        "received others of optimizer_states.0.state.0.max_exp_avg_sq",
+    ),
+    "a tensor in place of a number": (
+        lambda c: c["optimizer_states"][0]["param_groups"][0].update(lr=torch.ones(3)),
+        "received others of optimizer_states.0.param_groups.0.lr",
+    ),
+    "the state of a parameter that is not there": (
+        lambda c: c["optimizer_states"][0]["state"].update({99: {"exp_avg": torch.zeros(3)}}),
+        "received others of optimizer_states.0.state.99.exp_avg",
+    ),
+    "a missing moment": (
+        lambda c: c["optimizer_states"][0]["state"][0].pop("exp_avg"),
+        "received others of optimizer_states.0.state.0.exp_avg",
+    ),
+    "a missing option": (
+        lambda c: c["optimizer_states"][0]["param_groups"][0].pop("betas"),
+        "received one that is not whole: KeyError('betas')",
+    ),
+    "a parameter too many": (
+        lambda c: c["optimizer_states"][0]["param_groups"][0]["params"].append(99),
+        "received one that is not whole: ValueError",
+    ),
+    "no progress": (
+        lambda c: c["loops"]["fit_loop"].update(epoch_progress={}),
+        "received one that is not whole: KeyError('total')",
+    ),
+    "no best value": (
+        lambda c: c["callbacks"].update(BestPoint={"x": 1}),
+        "received one that is not whole: KeyError('best')",
     ),
     "a moment that is no tensor": (
         lambda c: c["optimizer_states"][0]["state"][0].update(exp_avg=None),
-        "exp_avg of parameter 0",
+        "received others of optimizer_states.0.state.0.exp_avg",
     ),
     "a weight of another shape": (
         lambda c: c["state_dict"].update({"loss.unit": torch.ones(7)}),
@@ -225,6 +266,52 @@ def test_a_checkpoint_that_does_not_fit_is_refused_before_it_is_loaded(finished,
     path = spoiled(finished, tmp_path / "odd.ckpt", change)
     assert call("ahnn.train", *FIRST, f"run={tmp_path / 'run'}", f"ckpt={path}") == 2
     assert expected in capfd.readouterr().err
+
+
+def test_a_finished_run_has_no_steps_left(finished, tmp_path, capfd):
+    shutil.copytree(finished, tmp_path / "run")
+    capfd.readouterr()
+    assert call("ahnn.train", *FIRST, f"run={tmp_path / 'run'}", "ckpt=last") == 0
+    assert ": 0 optimiser steps of 16 windows in 0 epochs, about 0 s" in capfd.readouterr().err
+
+
+WRONG_JOBS = {
+    "callbacks.pfl.patience=-1": "did you mean 'callbacks.pfl",
+    "callbacks.pfl.top_k=-1": "PFL pruner: expected",
+    "callbacks.pfl.monitor=nonsense": "callbacks.pfl.monitor: expected one of val/loss, val/one_step",
+    "data.trajectories=-1": "data.trajectories: expected int >= 1",
+    "callbacks.best.monitor=nonsense": "callbacks.best.monitor: expected one of val/loss, val/one_step",
+    "data.precision=7": "data.precision: expected one of 32, 64; received 7",
+    "+trainer.strategy=ddp": "received ddp. Use trainer=ddp",
+}
+
+
+@pytest.mark.parametrize("launcher", ["basic", "ahnn_process"])
+@pytest.mark.parametrize("mistake", WRONG_JOBS)
+def test_a_sweep_checks_one_job_whole_before_its_first_trial(mistake, launcher, tmp_path, capfd, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("AHNN_CACHE", str(tmp_path / "cache"))
+    given = ["-m", "sweep=quick", f"hydra/launcher={launcher}", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
+    assert call("ahnn.train", *given, mistake) == 2
+    out, err = capfd.readouterr()
+    assert WRONG_JOBS[mistake] in err
+    assert err.count("\n") == 1
+    assert "Traceback" not in out + err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("optimizer", ["soap", "levenberg_marquardt"])
+def test_a_run_with_another_optimiser_goes_on_and_is_no_run_with_this_one(
+    finished, tmp_path, capfd, optimizer
+):
+    run = [*FIRST, f"optimizer={optimizer}", "scheduler=none", "data.precision=64", f"run={tmp_path / 'run'}"]
+    cut = ["+callbacks.cut._target_=entry.CutAfter", "+callbacks.cut.steps=25", "+callbacks.cut.ctrl_c=true"]
+    assert call("ahnn.train", *run, *cut) == 130
+    assert call("ahnn.train", *run, "ckpt=last") == 0
+    assert load_results(tmp_path / "run").training["steps"] == 30
+    other = [*run[:-1], f"run={tmp_path / 'other'}", f"ckpt={finished / 'checkpoints' / 'last.ckpt'}"]
+    assert call("ahnn.train", *other) == 2
+    assert "it belongs to another training" in capfd.readouterr().err
 
 
 def test_weights_that_are_not_finite_are_not_judged(finished, tmp_path):
@@ -253,6 +340,8 @@ def test_a_training_that_ends_before_its_first_validation_is_judged(tmp_path):
 
 REFUSED = {
     "recipe=second_order integrator=gl4": "integrator gl4: expected an explicit method",
+    "+plugins.x._target_=fractions.Fraction": "plugins.x: expected EvaluationPlugin; received Fraction",
+    "callbacks=[default,pfl] callbacks.pfl.monitor=nonsense": "callbacks.pfl.monitor: expected one of val/",
     "optimizer=levenberg_marquardt": "data.precision: expected 64 with levenberg_marquardt",
     "hamiltonian=central_body": "central_body: expected at least 2 degrees of freedom",
     "data.emphasis=1e30": "data.emphasis: expected float from 0 to 4; received 1e+30",
@@ -273,6 +362,7 @@ REFUSED = {
 @pytest.mark.parametrize("mistake", REFUSED)
 def test_what_cannot_work_is_refused_at_once(mistake, tmp_path, capfd, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("AHNN_CACHE", str(tmp_path / "cache"))  # nothing may be generated either
     given = mistake.split()
     keys = [g.split("=")[0] for g in given]
     kept = [o for o in FIRST if o.split("=")[0] not in keys and "width" not in o]
@@ -280,7 +370,8 @@ def test_what_cannot_work_is_refused_at_once(mistake, tmp_path, capfd, monkeypat
     err = capfd.readouterr().err
     assert REFUSED[mistake] in err
     assert err.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
+    generated = {"cache"} if mistake == "system.dt=1e9" else set()  # its accuracy shows in what it generates
+    assert {path.name for path in tmp_path.iterdir()} == generated
 
 
 def test_a_cluster_that_asks_for_several_tasks_is_one_message(tmp_path, capfd, monkeypatch):

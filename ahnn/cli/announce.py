@@ -28,19 +28,19 @@ def announce(trainer: Trainer, data: WindowDataModule, model: AbstractModel, lab
         data: of the training.
         model: calibrated.
         label: name in tables.
-        done: epochs that a resumed training has already done.
+        done: optimiser steps that a resumed training has already taken.
     """
-    epochs = int(trainer.max_epochs or 1)
-    per_epoch = len(data.train_dataloader())
-    seconds = sum(seconds_left(trainer, data, model, per_epoch, range(done, epochs)))
+    per_epoch = -(-len(data.train_dataloader()) // trainer.accumulate_grad_batches)
+    epochs = range(done // per_epoch, int(trainer.max_epochs or 1))
+    seconds = sum(seconds_left(trainer, data, model, per_epoch, epochs))
     duration = f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.1f} min"
     log.info(
         "training %s on %s: %s optimiser steps of %d windows in %d epochs, about %s on this machine",
         label,
         data.source.space.name,
-        f"{per_epoch * (epochs - done):,}",
+        f"{per_epoch * epochs.stop - done:,}",
         data.batch_size,
-        epochs - done,
+        len(epochs),
         duration,
     )
 

@@ -62,18 +62,23 @@ def build_model(cfg: DictConfig, data: WindowDataModule) -> AbstractModel:
 
 DECISIVE = ("max_epochs", "gradient_clip_val", "gradient_clip_algorithm", "accumulate_grad_batches")
 """What of the trainer changes the weights."""
+CHOOSING = ("callbacks.best.monitor", "callbacks.rollout.count", "callbacks.rollout.every")
+"""What chooses the best of them."""
 
 
 def settings_of(cfg: DictConfig) -> dict[str, Any]:
     """Return all that determines a training besides its data: what a resumed one must share."""
     parts = {name: plain_config(cfg[name]) for name in ("model", "loss", "optimizer", "scheduler", "data")}
     parts["data"] = {key: value for key, value in parts["data"].items() if key not in SIMULATION}
-    return {**parts, "seed": cfg.seed, "trainer": {key: cfg.trainer.get(key) for key in DECISIVE}}
+    chosen = {key: OmegaConf.select(cfg, key) for key in CHOOSING}
+    return {**parts, **chosen, "seed": cfg.seed, "trainer": {key: cfg.trainer.get(key) for key in DECISIVE}}
 
 
 def build_plugins(cfg: DictConfig, splits: SplitData) -> dict[str, EvaluationPlugin]:
     """Build the evaluations that run after fit, and let each refuse data that it does not fit."""
-    plugins = build_all(cfg.plugins, "plugins")
+    from ahnn.evaluation import EvaluationPlugin
+
+    plugins = build_all(cfg.plugins, "plugins", EvaluationPlugin)
     source = splits.source
     for plugin in plugins.values():
         plugin.check(source.truth, source.space, source.steps())

@@ -2,29 +2,35 @@
 
 from __future__ import annotations
 
+import copy
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import torch
 from torch import Tensor
+from torch.optim import Optimizer
 
 from ahnn.checkpoints import read_checkpoint, require_same
 from ahnn.errors import UserError
+from ahnn.training import stepper_of
 
 if TYPE_CHECKING:
+    from lightning import Trainer
+
     from ahnn.models import AbstractModel
 
-NEEDED = ("state_dict", "optimizer_states", "lr_schedulers", "loops", "callbacks", "epoch", "global_step")
+STATES = "optimizer_states"
+NEEDED = ("state_dict", STATES, "lr_schedulers", "loops", "callbacks", "epoch", "global_step")
 """What Lightning takes from a checkpoint without asking whether it is there."""
-LIKE_WEIGHTS = ("exp_avg", "exp_avg_sq", "max_exp_avg_sq", "momentum_buffer")
-"""States of an optimiser that must have the shape of their parameter: fused kernels do not look."""
 
 
-def resume_point(ckpt: str | None, model: AbstractModel, folder: Path) -> Path | None:
+def resume_point(ckpt: str | None, model: AbstractModel, trainer: Trainer, folder: Path) -> Path | None:
     """Return the checkpoint to resume from, or None.
 
     Args:
         ckpt: None, `last`, `best`, or a path.
         model: what is going to be trained; the checkpoint must be of the same training.
+        trainer: what is going to train it, with its callbacks.
         folder: where checkpoints of this run are.
 
     Raises:
@@ -40,30 +46,66 @@ def resume_point(ckpt: str | None, model: AbstractModel, folder: Path) -> Path |
     parts = ("data", "settings")
     wanted, received = ({k: known.get(k, {}) for k in parts} for known in (model.about, content["ahnn"]))
     require_same(f"checkpoint {path}", wanted, received)
-    _require_shapes(path, model, content)
+    _try(path, model, trainer, content)
     return path
 
 
-def _require_shapes(path: Path, model: AbstractModel, content: dict[str, Any]) -> None:
-    """Compare every tensor with what it will be loaded into; raises UserError for another shape or name."""
-    own = {name: tuple(tensor.shape) for name, tensor in model.state_dict().items()}
-    found = {name: tuple(getattr(tensor, "shape", ())) for name, tensor in content["state_dict"].items()}
-    wrong = sorted(name for name in own.keys() | found.keys() if own.get(name) != found.get(name))
-    parameters = list(model.dynamics.parameters())
-    for states in content["optimizer_states"]:
-        for index, state in states.get("state", {}).items():
-            shape = tuple(parameters[index].shape) if index in range(len(parameters)) else None
-            wrong += [
-                f"{key} of parameter {index}"
-                for key in LIKE_WEIGHTS
-                if key in state and not _is_shaped(state[key], shape)
-            ]
-    if wrong:
-        message = (
-            f"checkpoint {path}: expected the shapes of this model; received others of {', '.join(wrong)}"
-        )
-        raise UserError(message)
+def _try(path: Path, model: AbstractModel, trainer: Trainer, content: dict[str, Any]) -> None:
+    """Restore a checkpoint into copies and take a step; tensors are compared before any of them is loaded.
+
+    Fused kernels do not look at shapes: a wrong one overwrites foreign memory.
+
+    Raises:
+        UserError: a tensor is of another name, shape or type, or something else is not there.
+    """
+    fresh, stepped = _optimisation(model), _optimisation(model)
+    try:
+        _step(stepped[0])
+        known = layout(dict(model.state_dict())) | layout([stepped[0].state_dict()], STATES)
+        found = layout(content["state_dict"]) | layout(content[STATES], STATES)
+        owners = {name.rpartition(".")[0] for name in found}  # a parameter without gradients has no state
+        needed = {n for n in known if not n.startswith(STATES) or n.rpartition(".")[0] in owners}
+        wrong = sorted(name for name in needed | found.keys() if known.get(name) != found.get(name))
+        if wrong:
+            message = (
+                f"checkpoint {path}: expected the shapes of this model; received others of {', '.join(wrong)}"
+            )
+            raise UserError(message)
+        for part, states in zip(fresh, (content[STATES], content["lr_schedulers"]), strict=False):
+            part.load_state_dict(states[0])
+        _step(fresh[0])
+        for part in trainer.callbacks:  # pyright: ignore[reportAttributeAccessIssue]
+            if part.state_key in content["callbacks"]:
+                part.load_state_dict(content["callbacks"][part.state_key])
+        trainer.fit_loop.load_state_dict(content["loops"]["fit_loop"])
+    except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
+        if isinstance(error, UserError):
+            raise
+        message = f"checkpoint {path}: expected one to resume from; received one that is not whole: {error!r}"
+        raise UserError(message) from error
 
 
-def _is_shaped(value: Any, shape: tuple[int, ...] | None) -> bool:
-    return isinstance(value, Tensor) and tuple(value.shape) == shape
+def layout(value: Any, name: str = "") -> dict[str, tuple[torch.Size, torch.dtype]]:
+    """Return shape and type of every tensor in nested values, by its dotted name."""
+    if isinstance(value, Tensor):
+        return {name: (value.shape, value.dtype)}
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    parts = (layout(item, f"{name}.{key}".removeprefix(".")) for key, item in items)
+    return {key: found for part in parts for key, found in part.items()}
+
+
+def _optimisation(model: AbstractModel) -> list[Any]:
+    """Return a new optimiser of a copy of the model, and its scheduler if it has one."""
+    configured = copy.deepcopy(model).configure_optimizers()
+    if not isinstance(configured, dict):
+        return [configured]
+    return [configured["optimizer"], configured["lr_scheduler"]["scheduler"]]
+
+
+def _step(optimizer: Optimizer) -> None:
+    """Take a step without a gradient, where gradients are what it takes."""
+    if stepper_of(optimizer).automatic:
+        for group in optimizer.param_groups:
+            for parameter in group["params"]:
+                parameter.grad = torch.zeros_like(parameter)
+        optimizer.step()

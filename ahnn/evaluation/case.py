@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -123,6 +123,7 @@ class Findings:
     figures: dict[str, Figure] = field(default_factory=dict)
 
 
+@runtime_checkable
 class EvaluationPlugin(Protocol):
     """An evaluation that runs after fit; plugins are named in YAML and built from it."""
 

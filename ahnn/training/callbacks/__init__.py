@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
-from ahnn.training.callbacks.points import BestPoint, ResumePoint
+from ahnn.training.callbacks.points import BestPoint, ResumePoint, require_monitored
 from ahnn.training.callbacks.progress import TrainingProgress
 from ahnn.training.callbacks.rollout import ValidationRollout
 from ahnn.training.callbacks.telemetry import Telemetry
 
-__all__ = ["BestPoint", "ResumePoint", "Telemetry", "TrainingProgress", "ValidationRollout"]
+__all__ = [
+    "BestPoint",
+    "ResumePoint",
+    "Telemetry",
+    "TrainingProgress",
+    "ValidationRollout",
+    "require_monitored",
+]

@@ -19,6 +19,14 @@ MONITORED = ("val/loss", "val/one_step")
 """What every model logs in a validation; a callback adds the names in its `monitored`."""
 
 
+def require_monitored(who: str, name: str, trainer: Trainer) -> None:
+    """Check before a training that somebody will log a value; raises UserError."""
+    known = [*MONITORED, *(name for c in trainer.callbacks for name in getattr(c, "monitored", ()))]  # pyright: ignore[reportAttributeAccessIssue]
+    if name not in known:
+        message = f"{who}: expected one of {', '.join(known)}; received {name!r}"
+        raise UserError(message)
+
+
 @checked
 class BestPoint(Checkpoint):
     """Writes best.ckpt after each validation whose value is the smallest so far.
@@ -38,10 +46,7 @@ class BestPoint(Checkpoint):
 
     def check(self, trainer: Trainer) -> None:
         """Check that the value will be there; raises UserError."""
-        known = [*MONITORED, *(name for c in trainer.callbacks for name in getattr(c, "monitored", ()))]  # pyright: ignore[reportAttributeAccessIssue]
-        if self.monitor not in known:
-            message = f"callbacks.best.monitor: expected one of {', '.join(known)}; received {self.monitor!r}"
-            raise UserError(message)
+        require_monitored("callbacks.best.monitor", self.monitor, trainer)
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Write if it is better."""

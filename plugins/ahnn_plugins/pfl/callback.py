@@ -16,6 +16,7 @@ import lightning as L
 import optuna
 
 from ahnn.errors import UserError
+from ahnn.training.callbacks import require_monitored
 from ahnn_plugins.pfl.decision import Decision, Settings, checked, decide
 from ahnn_plugins.pfl.log import DecisionLog
 from ahnn_plugins.pfl.pruner import PFLPruner
@@ -65,6 +66,10 @@ class PFLCallback(L.Callback):
         self._restored: list[float] = []
         self._seed_index = 0
         self._max_epochs = 0
+
+    def check(self, trainer: L.Trainer) -> None:
+        """Check before a training that the monitored value will be there; raises UserError."""
+        require_monitored("callbacks.pfl.monitor", self.monitor, trainer)
 
     def on_fit_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:  # noqa: ARG002
         """Start the next series of the trial, or the only one of a run without a trial."""

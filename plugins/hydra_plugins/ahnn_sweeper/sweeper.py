@@ -9,13 +9,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.plugins import Plugins
 from hydra.errors import HydraException
 from hydra.plugins.launcher import Launcher
 from hydra.plugins.sweeper import Sweeper
 from hydra.types import HydraContext, TaskFunction
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 
 from ahnn.errors import UserError
 from ahnn.files import write_atomically
@@ -68,11 +69,13 @@ class AhnnOptunaSweeper(Sweeper):
         self.config: DictConfig | None = None
         self.launcher: Launcher | None = None
         self.hydra_context: HydraContext | None = None
+        self.task_function: TaskFunction | None = None
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
         """Take what Hydra hands over and build the launcher."""
         self.config = config
         self.hydra_context = hydra_context
+        self.task_function = task_function
         self.launcher = Plugins.instance().instantiate_launcher(
             hydra_context=hydra_context, task_function=task_function, config=config
         )
@@ -129,8 +132,27 @@ class AhnnOptunaSweeper(Sweeper):
         draw = optuna.create_study().ask(space.distributions)
         job = [*space.fixed, *space.overrides(draw.params), "trial=null"]
         assert self.config is not None
-        self._refuse_shared_process(self.hydra_context.config_loader.load_sweep_config(self.config, job))
+        composed = self.hydra_context.config_loader.load_sweep_config(self.config, job)
+        self._refuse_shared_process(composed)
+        self._check(composed)
         return space
+
+    def _check(self, job: DictConfig) -> None:
+        """Let the task refuse a job by its attribute `check`, unless jobs run on other machines than this."""
+        assert self.config is not None
+        check = getattr(self.task_function, "check", None)
+        if check is None or "submitit" in str(self.config.hydra.launcher.get("_target_")):
+            return
+        before = HydraConfig.instance().cfg
+        with open_dict(job):
+            job.hydra.job.id, job.hydra.job.num = "0", 0
+            job.hydra.runtime.output_dir = str(Path(str(self.config.hydra.sweep.dir)).absolute() / "0")
+            HydraConfig.instance().set_config(job)
+            del job["hydra"]
+        try:
+            check(job)
+        finally:
+            HydraConfig.instance().cfg = before
 
     def _refuse_shared_process(self, job: DictConfig) -> None:
         """Refuse jobs on several devices inside this process: Lightning would repeat the sweep for each."""
