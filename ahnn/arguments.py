@@ -135,6 +135,17 @@ def type_hints(target: Callable[..., Any]) -> dict[str, Any]:
         return {}
 
 
+def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested plain values under dotted keys; lists and tuples compare alike."""
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            flat |= flatten(value, f"{prefix}{key}.")
+        else:
+            flat[f"{prefix}{key}"] = list(value) if isinstance(value, tuple) else value
+    return flat
+
+
 def nearest(name: str, known: Any) -> str:
     """Return '; did you mean ...?' with the closest known name, or the list of names."""
     names = [str(k) for k in known]

@@ -14,6 +14,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
+from ahnn.arguments import flatten
 from ahnn.errors import UserError
 from ahnn.files import write_atomically
 
@@ -142,14 +143,3 @@ def require_same(who: str, expected: dict[str, Any], received: dict[str, Any]) -
     if rows:
         message = f"{who}: it belongs to another training:\n" + "\n".join(rows)
         raise UserError(message)
-
-
-def flatten(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested plain values under dotted keys; lists and tuples compare alike."""
-    flat: dict[str, Any] = {}
-    for key, value in values.items():
-        if isinstance(value, dict):
-            flat |= flatten(value, f"{prefix}{key}.")
-        else:
-            flat[f"{prefix}{key}"] = list(value) if isinstance(value, tuple) else value
-    return flat

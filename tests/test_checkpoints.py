@@ -7,7 +7,8 @@ import pickle
 import pytest
 import torch
 
-from ahnn.checkpoints import flatten, read_checkpoint, require_same
+from ahnn.arguments import flatten
+from ahnn.checkpoints import read_checkpoint, require_same
 from ahnn.errors import UserError
 
 

@@ -1,4 +1,4 @@
-"""The command line, compared with what can be chosen and set before Hydra sees it.
+"""The command line, composed before Hydra sees it, so that every mistake in it is one message.
 
 Options and keys are those of the search path: this package's conf/, `--config-dir`, `hydra.searchpath` and
 the plugins that extend it, so that options of one's own are found and offered too.
@@ -10,6 +10,7 @@ import shlex
 from argparse import Namespace
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
+from itertools import islice
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -17,13 +18,13 @@ from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.utils import create_config_search_path, get_args_parser
 from hydra.core.config_search_path import SearchPathQuery
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import ChoiceSweep, Override, QuotedString
+from hydra.core.override_parser.types import IntervalSweep, Override
 from hydra.core.utils import setup_globals
-from hydra.errors import HydraException
+from hydra.errors import HydraException, MissingConfigException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from ahnn.arguments import nearest
+from ahnn.arguments import flatten, nearest
 from ahnn.errors import UserError
 from ahnn.paths import conf_dir
 
@@ -58,133 +59,102 @@ def parse(text: str) -> Override:
         UserError: it is not written as one; the message shows how to quote its value.
     """
     key, equals, value = text.partition("=")
+    message = f"{text!r}: expected KEY=VALUE, for example seed=7"
     try:
-        return OverridesParser.create().parse_override(text)
+        override = OverridesParser.create().parse_override(text)
     except HydraException as error:
-        message = f"{text!r}: expected KEY=VALUE, for example seed=7"
         if equals and key:
             escaped = value.replace("\\", "\\\\").replace('"', '\\"')
             quoted = shlex.quote(f'{key}="{escaped}"')
             message = f"{text!r}: special characters in a value need quotes. Type {quoted}"
         raise UserError(message) from error
+    if not override.key_or_group:
+        raise UserError(message)
+    return override
 
 
-def config_loader(args: Namespace, overrides: Iterable[Override] = ()) -> ConfigLoaderImpl:
-    """Return Hydra's loader over the search path of a command line.
+def config_loader(folder: str | None = None) -> ConfigLoaderImpl:
+    """Return Hydra's loader over the search path, with a folder of one's own before it.
 
     Raises:
-        UserError: `--config-dir` names no folder.
+        UserError: it is no folder.
     """
     setup_globals()
     path = create_config_search_path(str(conf_dir()))
-    places: list[str] = []
-    if args.config_dir is not None:
-        if not Path(args.config_dir).is_dir():
-            message = f"--config-dir: expected a folder; received {args.config_dir!r}"
+    if folder is not None:
+        if not Path(folder).is_dir():
+            message = f"--config-dir: expected a folder; received {folder!r}"
             raise UserError(message)
-        places.append(f"file://{Path(args.config_dir).resolve()}")
-    for override in overrides:
-        if override.get_key_element() == "hydra.searchpath" and isinstance(override.value(), list):
-            places += map(str, override.value())  # pyright: ignore[reportArgumentType]
-    for place in places:
+        place = f"file://{Path(folder).resolve()}"
         path.prepend("command-line", place, SearchPathQuery(provider="schema"))
     return ConfigLoaderImpl(path)
 
 
 def check(args: Namespace, config_name: str) -> None:
-    """Compare every override of a command line with the groups, options and keys that there are.
+    """Compose what a command line asks for, each swept option of a group with the first of all others.
 
     Raises:
         UserError: an option or key that is unknown, options that do not go together, or a sweep without -m.
     """
     if args.config_path or args.experimental_rerun or args.shell_completion:
         return
+    loader, name = config_loader(args.config_dir), args.config_name or config_name
     overrides = [parse(text) for text in args.overrides]
-    loader = config_loader(args, overrides)
     sweeps = args.multirun or any(o.key_or_group == "hydra.mode" for o in overrides)
-    chosen, swept, keys = [], [], []
-    for override in overrides:
-        if override.is_sweep_override() and not sweeps:
-            message = f"{override.input_line!r}: expected one value; received several. Add -m to run them all"
-            raise UserError(message)
-        if not override.key_or_group:
-            message = f"expected KEY=VALUE; received {override.input_line!r}"
-            raise UserError(message)
-        if override.is_delete() and "." not in override.key_or_group:
-            message = f"{override.input_line}: every training needs {override.key_or_group}. Leave out the ~"
-            raise UserError(message)
-        if not loader.repository.group_exists(override.key_or_group):
-            keys.append(override)
-            continue
-        texts = _choices(override, loader)
-        (swept if len(texts) > 1 else chosen).append(texts)
-    first = [texts[0] for texts in (*chosen, *swept) if texts]
-    name = args.config_name or config_name
-    known: set[str] = set()
-    for alternative in [[], *([text] for texts in swept for text in texts[1:])]:
-        known |= {*dotted_keys(_compose(loader, name, [*first, *alternative]))}
-    for override in keys:
-        _check_key(override, known, loader.list_groups(""))
+    values = [alternatives(o, loader) for o in overrides]
+    if several := [o for o in overrides if o.is_sweep_override() and not sweeps]:
+        message = f"{several[0].input_line!r}: expected one value; received several. Add -m to run them all"
+        raise UserError(message)
+    first = [options[0] for options in values]
+    compose(loader, name, first)
+    for place, options in enumerate(values):
+        for option in options[1:]:
+            compose(loader, name, [*first[:place], option, *first[place + 1 :]])
 
 
-def _choices(override: Override, loader: ConfigLoaderImpl) -> list[str]:
-    """Return what is chosen of a group, a sweep as several overrides; none where it cannot be told."""
-    group, value = override.key_or_group, override.value()
-    if override.is_delete() or (override.is_sweep_override() and not isinstance(value, ChoiceSweep)):
-        return []
-    options = loader.get_group_options(group)
-    names = value.list if isinstance(value, ChoiceSweep) else [value]
-    for name in (n for item in names for n in (item if isinstance(item, list) else [item])):
-        plain = name.text if isinstance(name, QuotedString) else name
-        if not isinstance(plain, str):
-            message = f"{group}: expected one of {', '.join(options)}; received {override.input_line!r}"
-            raise UserError(message)
-        if plain not in options and not loader.repository.config_exists(f"{group}/{plain}"):
-            message = f"{group}: unknown option {plain!r}{nearest(plain, options)}"
-            raise UserError(message)
-    if not isinstance(value, ChoiceSweep):
-        return [str(override.input_line)]
-    return [f"{override.get_key_element()}={str(name).replace(chr(39), '')}" for name in names]
-
-
-def _compose(loader: ConfigLoaderImpl, name: str, chosen: list[str]) -> DictConfig:
-    """Return the configuration of the chosen options.
+def alternatives(override: Override, loader: ConfigLoaderImpl) -> list[str]:
+    """Return the override for each option of a group that it names, for the first value of a key.
 
     Raises:
-        UserError: they do not go together.
+        UserError: what it names of a group is no option.
+    """
+    group, value, key = override.key_or_group, override.value(), override.get_key_element()
+    is_group = loader.repository.group_exists(group)
+    if isinstance(value, IntervalSweep):
+        return [f"{key}={value.start}"]
+    if override.is_discrete_sweep():
+        override.config_loader = loader
+        return [f"{key}={text}" for text in islice(override.sweep_string_iterator(), None if is_group else 1)]
+    if is_group and not override.is_delete() and not isinstance(value, str | list):
+        options = ", ".join(loader.get_group_options(group))
+        message = f"{group}: expected one of {options}; received {override.input_line!r}"
+        raise UserError(message)
+    return [str(override.input_line)]
+
+
+def compose(loader: ConfigLoaderImpl, name: str, overrides: list[str]) -> DictConfig:
+    """Return the configuration of some overrides.
+
+    Raises:
+        UserError: an unknown option or key, or options that do not go together.
     """
     try:
-        return loader.load_configuration(name, chosen, RunMode.RUN)
-    except HydraException as error:
-        for text in chosen:
-            group = text.partition("=")[0]
-            others = [other for other in chosen if other != text]
-            if group in _groups_of(loader, name, others):
-                continue
-            beside = " ".join(others) or "the defaults"
-            message = f"{group}: expected options that have a {group}; received {beside}. Leave out {text}"
-            raise UserError(message) from error
-        message = f"{' '.join(chosen)}: these options do not go together; {first_line(error).split('. ')[0]}"
+        return loader.load_configuration(name, overrides, RunMode.RUN)
+    except MissingConfigException as error:
+        group, _, option = str(error.missing_cfg_file).rpartition("/")
+        message = f"{group}: unknown option {option!r}{nearest(option, error.options or ())}"
         raise UserError(message) from error
-
-
-def _groups_of(loader: ConfigLoaderImpl, name: str, chosen: list[str]) -> set[str]:
-    try:
-        cfg = loader.load_configuration(name, chosen, RunMode.RUN)
-    except HydraException:
-        return set(loader.list_groups(""))
-    return {str(key).partition("@")[0] for key in (*cfg.hydra.runtime.choices, "callbacks")}
-
-
-def _check_key(override: Override, known: set[str], groups: Sequence[str]) -> None:
-    key = override.key_or_group
-    if override.is_add() and key in known:
-        message = f"{override.input_line}: expected a new key; {key} is there already. Leave out the +"
-        raise UserError(message)
-    if override.is_add() or override.is_force_add() or override.package is not None or key in known:
-        return
-    message = f"configuration: unknown key {key!r}{nearest_key(key, {*known, *groups})}"
-    raise UserError(message)
+    except HydraException as error:
+        groups = [text for text in overrides if loader.repository.group_exists(text.partition("=")[0])]
+        if groups == overrides:
+            message = f"{' '.join(groups)}: these options do not go together; {first_line(error)}"
+            raise UserError(message) from error
+        plain: Any = OmegaConf.to_container(compose(loader, name, groups))
+        message = f"configuration: {first_line(error)}"
+        if key := getattr(error.__cause__, "full_key", None):
+            hint = nearest_key(key, {*plain, *flatten(plain), *loader.list_groups("")})
+            message = f"configuration: unknown key {key!r}{hint}"
+        raise UserError(message) from error
 
 
 def nearest_key(wrong: str, known: Iterable[str]) -> str:
@@ -200,16 +170,6 @@ def nearest_key(wrong: str, known: Iterable[str]) -> str:
         if same:
             return f"; did you mean {get_close_matches(wrong, same, n=1, cutoff=0)[0]!r}?"
     return nearest(wrong, [key for key in known if "." not in key])
-
-
-def dotted_keys(cfg: Any, prefix: str = "") -> Iterable[str]:
-    """Yield every key of a nested configuration, dotted; places of a list count as keys."""
-    content = OmegaConf.to_container(cfg, resolve=False) if OmegaConf.is_config(cfg) else cfg
-    items = content.items() if isinstance(content, dict) else enumerate(content)  # pyright: ignore
-    for name, value in items:
-        yield f"{prefix}{name}"
-        if isinstance(value, dict | list):
-            yield from dotted_keys(value, f"{prefix}{name}.")
 
 
 def first_line(error: BaseException) -> str:

@@ -63,7 +63,7 @@ def show_help(args: Namespace) -> None:
     Raises:
         UserError: no such option.
     """
-    loader = config_loader(args)
+    loader = config_loader(args.config_dir)
     pairs = [parse(text) for text in args.overrides]
     if pairs:
         for pair in pairs:

@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, final
 
+from ahnn.arguments import flatten
 from ahnn.evaluation.case import Findings
 from ahnn.evaluation.results import Results
-from ahnn.evaluation.sinks.base import TensorBoardLike, flatten
+from ahnn.evaluation.sinks.base import TensorBoardLike
 from ahnn.evaluation.table import QUANTITIES
 from ahnn.evaluation.titles import metric_name
 
