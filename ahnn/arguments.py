@@ -207,7 +207,7 @@ def describe(hint: Any) -> str:
     if origin is Annotated:
         return " ".join([describe(inner[0]), *(str(limit) for limit in inner[1:])])
     if origin is Literal:
-        return "one of " + ", ".join(str(option) for option in inner)
+        return ("one of " if inner[1:] else "") + ", ".join(str(option) for option in inner)
     if origin in (Union, UnionType):
         names = {describe(option) for option in inner}  # the order of a union is that of whoever came first
         return " or ".join(sorted(names, key=lambda name: (name == "None", name.lower())))

@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hydra.core.hydra_config import HydraConfig
-from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from ahnn.cli.build import plain_config
@@ -91,8 +90,14 @@ def prepare(cfg: DictConfig, source: Source | None = None) -> Parts:
     import torch
     from lightning import seed_everything
 
-    from ahnn.cli.before import check_training
-    from ahnn.cli.parts import build_data, build_model, build_plugins, build_source, build_trainer
+    from ahnn.cli.parts import (
+        build_data,
+        build_model,
+        build_plugins,
+        build_source,
+        build_trainer,
+        check_together,
+    )
     from ahnn.cli.resume import resume_point
 
     torch.set_num_threads(cfg.threads)
@@ -101,7 +106,7 @@ def prepare(cfg: DictConfig, source: Source | None = None) -> Parts:
     model = build_model(cfg, data)
     plugins = build_plugins(cfg, data.splits)
     trainer = build_trainer(cfg)
-    check_training(trainer, cfg.window, data, model, multirun=is_multirun())
+    check_together(trainer, model)
     checkpoint = resume_point(cfg.ckpt, model, trainer, Path(cfg.folder) / "checkpoints")
     return Parts(data, model, plugins, trainer, checkpoint)
 
@@ -143,7 +148,6 @@ def fit(
 ) -> float:
     """Train and return the seconds that it took."""
     from ahnn.checkpoints import read_checkpoint
-    from ahnn.cli.announce import announce
     from ahnn.cli.stops import interruptible
     from ahnn.files import write_atomically
 
@@ -156,11 +160,29 @@ def fit(
     if trainer.is_global_zero:
         write_atomically(folder / "config.yaml", stored(cfg))
         done = 0 if checkpoint is None else read_checkpoint(checkpoint)["global_step"]
-        announce(trainer, data, model, cfg.label, done)
+        announce(cfg.label, trainer, data, model, done)
     started = time.monotonic()
     with interruptible(trainer, lambda: go_on(cfg)):
         trainer.fit(model, data, ckpt_path=checkpoint)
     return time.monotonic() - started
+
+
+def announce(label: str, trainer: Trainer, data: WindowDataModule, model: AbstractModel, done: int) -> None:
+    """Say how many optimiser steps are left after those that are done, and about how long they take."""
+    from ahnn.training.outlook import expected_seconds
+
+    per_epoch = -(-len(data.train_dataloader()) // trainer.accumulate_grad_batches)
+    epochs = range(done // per_epoch, int(trainer.max_epochs or 1))
+    seconds = expected_seconds(trainer, data, model, per_epoch, epochs)
+    log.info(
+        "training %s on %s: %s optimiser steps of %d windows in %d epochs, about %s on this machine",
+        label,
+        data.source.space.name,
+        f"{per_epoch * epochs.stop - done:,}",
+        data.batch_size,
+        len(epochs),
+        f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.1f} min",
+    )
 
 
 def begin_at(model: AbstractModel, run: str) -> None:
@@ -211,13 +233,10 @@ def judge(
     return loss
 
 
-def is_multirun() -> bool:
-    """Return whether this job is one of several."""
-    return HydraConfig.initialized() and HydraConfig.get().mode is RunMode.MULTIRUN
-
-
 def go_on(cfg: DictConfig) -> str:
     """Return how to resume a training that was stopped."""
+    from ahnn.cli.parts import is_multirun
+
     if cfg.get("trial") is not None:
         return "the same command continues the search"
     if not (Path(cfg.folder) / "checkpoints" / "last.ckpt").exists():

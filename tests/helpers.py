@@ -104,6 +104,7 @@ def ready_model(name: str, data: WindowDataModule, seed: int = 0, **changes: Any
     """A tiny model in the precision of its data, calibrated, with AdamW."""
     torch.manual_seed(seed)
     model = build_model(name, data.source.truth, **({"window": data.window} | changes)).to(data.dtype)
+    data.require_span(model.curriculum.span)
     model.calibrate(data.statistics())
     model.optimisation = Optimisation(partial(torch.optim.AdamW, lr=1e-2), None)
     space = data.source.space

@@ -339,10 +339,10 @@ def test_a_training_that_ends_before_its_first_validation_is_judged(tmp_path):
 
 
 REFUSED = {
-    "recipe=second_order integrator=gl4": "integrator gl4: expected an explicit method",
+    "recipe=second_order integrator=gl4": "integrator: expected an explicit method",
     "+plugins.x._target_=fractions.Fraction": "plugins.x: expected EvaluationPlugin; received Fraction",
     "callbacks=[default,pfl] callbacks.pfl.monitor=nonsense": "callbacks.pfl.monitor: expected one of val/",
-    "optimizer=levenberg_marquardt": "data.precision: expected 64 with levenberg_marquardt",
+    "optimizer=levenberg_marquardt": "data.precision: expected 64, for the digits",
     "hamiltonian=central_body": "central_body: expected at least 2 degrees of freedom",
     "data.emphasis=1e30": "data.emphasis: expected float from 0 to 4; received 1e+30",
     "model.network.width=1000000": "width and depth: expected weights that fit into",
@@ -350,7 +350,7 @@ REFUSED = {
     "data.trajectories=1000000000000": "data.trajectories, system.steps: expected trajectories that fit into",
     "+trainer.check_val_every_n_epoch=0": "check_val_every_n_epoch: expected int >= 1; received 0",
     "+trainer.strategy=ddp": "received ddp. Use trainer=ddp",
-    "+trainer.fast_dev_run=true": "trainer.fast_dev_run: expected false",
+    "+trainer.fast_dev_run=true": "trainer.fast_dev_run: expected False",
     "callbacks.best.monitor=foo": "callbacks.best.monitor: expected one of val/loss, val/one_step",
     "folder=null": "folder: expected str; received None",
     "system=[molniya,1]": "system: expected one of",

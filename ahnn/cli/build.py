@@ -114,11 +114,6 @@ def plain_config(cfg: Any, who: str = "configuration") -> dict[str, Any]:
     return OmegaConf.to_container(cfg, resolve=True)  # pyright: ignore[reportReturnType]
 
 
-def stencil(loss: DictConfig) -> int:
-    """Return the steps that a training window must span for the derivatives of a loss; resolver of YAML."""
-    return loss.order if loss.derivative and isinstance(loss.order, int) else 1
-
-
 def new_folder(path: str) -> str:
     """Make a folder of this name, or with a number behind it, that no other process has; resolver of YAML."""
     if {"--cfg", "-c"} & {*sys.argv}:  # which only looks
@@ -131,5 +126,4 @@ def new_folder(path: str) -> str:
     raise AssertionError
 
 
-OmegaConf.register_new_resolver("stencil", stencil, replace=True)
 OmegaConf.register_new_resolver("new_folder", new_folder, replace=True, use_cache=True)

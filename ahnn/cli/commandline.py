@@ -18,7 +18,7 @@ from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.utils import create_config_search_path, get_args_parser
 from hydra.core.config_search_path import SearchPathQuery
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import IntervalSweep, Override
+from hydra.core.override_parser.types import ChoiceSweep, IntervalSweep, Override, QuotedString, Sweep
 from hydra.core.utils import setup_globals
 from hydra.errors import HydraException, MissingConfigException
 from hydra.types import RunMode
@@ -120,15 +120,17 @@ def alternatives(override: Override, loader: ConfigLoaderImpl) -> list[str]:
     """
     group, value, key = override.key_or_group, override.value(), override.get_key_element()
     is_group = loader.repository.group_exists(group)
+    names = value.list if isinstance(value, ChoiceSweep) else value if isinstance(value, list) else [value]
+    plain = all(isinstance(name, str | QuotedString | Sweep) for name in names)
+    if is_group and not plain and not override.is_delete():
+        options = ", ".join(loader.get_group_options(group))
+        message = f"{group}: expected one of {options}; received {override.input_line!r}"
+        raise UserError(message)
     if isinstance(value, IntervalSweep):
         return [f"{key}={value.start}"]
     if override.is_discrete_sweep():
         override.config_loader = loader
         return [f"{key}={text}" for text in islice(override.sweep_string_iterator(), None if is_group else 1)]
-    if is_group and not override.is_delete() and not isinstance(value, str | list):
-        options = ", ".join(loader.get_group_options(group))
-        message = f"{group}: expected one of {options}; received {override.input_line!r}"
-        raise UserError(message)
     return [str(override.input_line)]
 
 

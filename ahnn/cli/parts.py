@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import check_arguments
 from ahnn.checkpoints import FORMAT
 from ahnn.cli.build import build, build_all, plain_config
 from ahnn.data import Simulated, Source, SplitData
+from ahnn.errors import UserError
 from ahnn.runs import about_space
 from ahnn.systems import System
 
@@ -44,7 +47,7 @@ def build_splits(cfg: DictConfig, source: Source) -> SplitData:
 def build_data(cfg: DictConfig, source: Source) -> WindowDataModule:
     """Build the DataModule of a training."""
     options = {key: value for key, value in plain_config(cfg.data).items() if key not in SIMULATION}
-    return build(OmegaConf.create(options), "data", source=source)
+    return build(OmegaConf.create(options), "data", source=source, window=cfg.window)
 
 
 def build_model(cfg: DictConfig, data: WindowDataModule) -> AbstractModel:
@@ -52,7 +55,9 @@ def build_model(cfg: DictConfig, data: WindowDataModule) -> AbstractModel:
     from ahnn.models import Optimisation
 
     space = data.source.space
-    model = build(cfg.model, "model", dof=space.dof, inertia=space.inertia).to(data.dtype)
+    given = {"dof": space.dof, "inertia": space.inertia, "window": cfg.window}
+    model = build(cfg.model, "model", **given).to(data.dtype)
+    data.require_span(model.curriculum.span)
     scheduler = build(cfg.scheduler, "scheduler") if cfg.scheduler else None
     model.optimisation = Optimisation(build(cfg.optimizer, "optimizer"), scheduler)
     known = {"recipe": data.source.recipe(), "split": list(data.splits.fractions)}
@@ -70,8 +75,8 @@ def settings_of(cfg: DictConfig) -> dict[str, Any]:
     """Return all that determines a training besides its data: what a resumed one must share."""
     parts = {name: plain_config(cfg[name]) for name in ("model", "loss", "optimizer", "scheduler", "data")}
     parts["data"] = {key: value for key, value in parts["data"].items() if key not in SIMULATION}
-    chosen = {key: OmegaConf.select(cfg, key) for key in CHOOSING}
-    return {**parts, **chosen, "seed": cfg.seed, "trainer": {key: cfg.trainer.get(key) for key in DECISIVE}}
+    parts |= {key: OmegaConf.select(cfg, key) for key in (*CHOOSING, "window", "seed")}
+    return {**parts, "trainer": {key: cfg.trainer.get(key) for key in DECISIVE}}
 
 
 def build_plugins(cfg: DictConfig, splits: SplitData) -> dict[str, EvaluationPlugin]:
@@ -93,7 +98,11 @@ def report_options(cfg: DictConfig) -> dict[str, Any]:
 
 
 def build_trainer(cfg: DictConfig) -> Trainer:
-    """Build the Lightning trainer with its callbacks and loggers."""
+    """Build the Lightning trainer with its callbacks and loggers.
+
+    Raises:
+        UserError: several devices inside the process of a sweep, which the first job would not give back.
+    """
     from lightning import Callback, Trainer
     from lightning.pytorch.loggers import Logger
 
@@ -102,4 +111,25 @@ def build_trainer(cfg: DictConfig) -> Trainer:
     callbacks = list(build_all(cfg.callbacks, "callbacks", Callback).values())
     logger = list(build_all(cfg.logger, "logger", Logger).values())
     parts = {"callbacks": callbacks, "logger": logger, "default_root_dir": cfg.folder}
-    return build(cfg.trainer, "trainer", Trainer, plugins=[AtomicCheckpointIO()], **parts)
+    trainer = build(cfg.trainer, "trainer", Trainer, plugins=[AtomicCheckpointIO()], **parts)
+    environment = getattr(trainer.strategy, "cluster_environment", None)
+    own = environment is not None and environment.creates_processes_externally
+    if trainer.world_size > 1 and is_multirun() and not own:
+        message = (
+            "trainer: expected one device, or a process for each job of the sweep; received "
+            f"{trainer.world_size} devices inside the process of the sweep. Add hydra/launcher=ahnn_process"
+        )
+        raise UserError(message)
+    return trainer
+
+
+def check_together(trainer: Trainer, model: AbstractModel) -> None:
+    """Let model and callbacks refuse, by a method `check`, what they cannot work with; raises UserError."""
+    for part in (model, *trainer.callbacks):  # pyright: ignore[reportAttributeAccessIssue]
+        if check := getattr(part, "check", None):
+            check(trainer)
+
+
+def is_multirun() -> bool:
+    """Return whether this job is one of several."""
+    return HydraConfig.initialized() and HydraConfig.get().mode is RunMode.MULTIRUN

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -18,7 +18,7 @@ class Settings:
 
     seed: Seed
     threads: Annotated[int, Within(1, 1024)]
-    window: int
+    window: Count
     label: str
     ckpt: str | None
     weights: str | None
@@ -33,6 +33,7 @@ class Training:
     max_epochs: Count
     accumulate_grad_batches: Count = 1
     check_val_every_n_epoch: Count = 1
+    fast_dev_run: Literal[False] = False  # it keeps no weights to judge
 
 
 @dataclass(frozen=True, kw_only=True)

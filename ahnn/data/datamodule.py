@@ -11,7 +11,7 @@ from ahnn.arguments import Count, Seed, Within, checked
 from ahnn.data.loader import WindowLoader
 from ahnn.data.sources import Source
 from ahnn.data.splits import Split, SplitData
-from ahnn.data.windows import Windows
+from ahnn.data.windows import Windows, require_span
 from ahnn.memory import require_memory
 from ahnn.statistics import Statistics
 from ahnn.types import Trajectories
@@ -25,7 +25,6 @@ class WindowDataModule(LightningDataModule):
         source: where the trajectories come from.
         split: fractions of train, val and test.
         window: W, steps of a window.
-        stencil: steps that a training window spans at least; derivatives need more than W.
         batch_size: windows of an optimiser step.
         windows_per_epoch: windows drawn in each epoch, others each time; None takes all.
         emphasis: 0 draws training windows alike; above, up to 4, in proportion to this power of the speed at
@@ -41,7 +40,6 @@ class WindowDataModule(LightningDataModule):
         *,
         split: list[float],
         window: Count,
-        stencil: Count,
         batch_size: Count,
         windows_per_epoch: Count | None,
         emphasis: Annotated[float, Within(0, 4)],
@@ -52,10 +50,21 @@ class WindowDataModule(LightningDataModule):
         super().__init__()
         self.source = source
         self.splits = SplitData(source, split)
-        self.window, self.stencil, self.batch_size = window, stencil, batch_size
+        self.window, self.span, self.batch_size = window, window, batch_size
         self.windows_per_epoch, self.val_windows = windows_per_epoch, val_windows
         self.dtype = {32: torch.float32, 64: torch.float64}[precision]
         self.emphasis, self.order_seed = emphasis, order_seed
+
+    def require_span(self, steps: int) -> None:
+        """Let training windows span at least so many steps: derivatives need more than W.
+
+        Raises:
+            UserError: the trajectories, as far as their length is known before they are made, are shorter.
+        """
+        self.span = max(self.window, steps)
+        truth: Any = self.source.truth
+        if truth is not None and getattr(truth, "periods", None) is None:
+            require_span(self.span, truth.steps)
 
     def trajectories(self, split: Split) -> Trajectories:
         """Return the whole trajectories of a split."""
@@ -67,8 +76,7 @@ class WindowDataModule(LightningDataModule):
 
     def train_dataloader(self) -> WindowLoader:
         """Return shuffled training batches."""
-        span = max(self.window, self.stencil)
-        return self._loader("train", span, self.windows_per_epoch, self.order_seed, self.emphasis)
+        return self._loader("train", self.span, self.windows_per_epoch, self.order_seed, self.emphasis)
 
     def val_dataloader(self) -> WindowLoader:
         """Return the validation batches, the same in every epoch."""

@@ -29,13 +29,7 @@ class Windows:
     def __init__(self, trajectories: Trajectories, steps: int, dtype: torch.dtype) -> None:
         firsts, lengths = stretches(trajectories.present)
         counts = (lengths - steps).clamp(min=0)
-        if steps < 1 or int(counts.sum()) == 0:
-            longest = int(lengths.max()) - 1 if len(lengths) else 0
-            message = (
-                f"window: expected 1 <= W <= {longest} steps, the longest stretch of samples without a gap; "
-                f"received W={steps}"
-            )
-            raise UserError(message)
+        require_span(steps, int(lengths.max()) - 1 if len(lengths) else 0)
         self.ends = counts.cumsum(0)
         self.firsts = firsts - (self.ends - counts)
         self.flat = trajectories.states.reshape(-1, trajectories.states.shape[-1])
@@ -74,6 +68,16 @@ class Windows:
         """Move samples and index tables to a device, once; batches are then gathered there."""
         for name in ("flat", "times", "ends", "firsts", "offsets"):
             setattr(self, name, getattr(self, name).to(device))
+
+
+def require_span(steps: int, longest: int) -> None:
+    """Raise UserError for windows of no step, or of more than the longest stretch of samples has."""
+    if not 1 <= steps <= longest:
+        message = (
+            f"window, loss.order: expected windows of 1 to {longest} steps, the longest stretch of samples "
+            f"without a gap; received {steps}. Shorten the windows, or set loss.derivative=0"
+        )
+        raise UserError(message)
 
 
 def stretches(present: Tensor) -> tuple[Tensor, Tensor]:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple, cast
 
 import torch
-from lightning import LightningModule
+from lightning import LightningModule, Trainer
+from lightning.pytorch.strategies import DDPStrategy
 from torch import Tensor, nn
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
 from ahnn.arguments import check_arguments
 from ahnn.dynamics import Dynamics
+from ahnn.errors import UserError
 from ahnn.statistics import Statistics
 from ahnn.training import (
     FirstOrder,
@@ -91,6 +94,29 @@ class AbstractModel(LightningModule, ABC):
             return optimizer
         scheduler = self.optimisation.scheduler(optimizer)
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": scheduler, "interval": "epoch"}}
+
+    def check(self, trainer: Trainer) -> None:
+        """Try optimiser and scheduler before anything is generated, and let the stepper look at the trainer.
+
+        Raises:
+            UserError: settings that do not go together.
+        """
+        configured = self.configure_optimizers()
+        self.stepper.check(trainer, self.dynamics)
+        if isinstance(trainer.strategy, DDPStrategy) and not trainer.strategy._ddp_kwargs:
+            message = (
+                "trainer.strategy: expected one that allows unused parameters; received ddp. Use trainer=ddp"
+            )
+            raise UserError(message)
+        if not isinstance(configured, dict):
+            return
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # that the optimiser took no step before
+                configured["lr_scheduler"]["scheduler"].step()
+        except (ArithmeticError, TypeError, ValueError) as error:
+            message = f"scheduler: it cannot take a step with these settings: {error}"
+            raise UserError(message) from error
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Add what the dynamics are and were trained on, and the latest validation loss, as plain values."""

@@ -7,10 +7,13 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
+import torch
 from torch import Tensor
 from torch.optim import Optimizer
 
 from ahnn.dynamics import Dynamics
+from ahnn.errors import UserError
+from ahnn.integrators import GaussLegendre4
 from ahnn.training.least_squares import LeastSquares
 from ahnn.training.loss import Loss
 from ahnn.training.objectives import Objective
@@ -32,6 +35,10 @@ class Stepper(Protocol):
 
     automatic: bool
 
+    def check(self, trainer: Any, dynamics: Dynamics) -> None:
+        """Raise UserError for settings of a training that cannot work with this stepper."""
+        ...
+
     def step(
         self, objective: Objective, loss: Loss, dynamics: Dynamics, batch: Window, optimizer: Any
     ) -> Tensor:
@@ -43,6 +50,9 @@ class FirstOrder:
     """The loss of the batch, whose gradient somebody else steps on."""
 
     automatic = True
+
+    def check(self, trainer: Any, dynamics: Dynamics) -> None:
+        """Anything can be trained by gradients."""
 
     def step(
         self, objective: Objective, loss: Loss, dynamics: Dynamics, batch: Window, optimizer: Any
@@ -57,6 +67,29 @@ class SecondOrder:
     """A step on a fifth of the batch as a least-squares problem, checked on the rest."""
 
     automatic = False
+
+    def check(self, trainer: Any, dynamics: Dynamics) -> None:
+        """Refuse what only gradients can do, and what leaves least squares without their digits.
+
+        Raises:
+            UserError: names the setting and its remedy.
+        """
+        wide = next(dynamics.parameters()).dtype == torch.float64
+        explicit = not isinstance(getattr(dynamics, "integrator", None), GaussLegendre4)
+        clip, batches = trainer.gradient_clip_val or 0, trainer.accumulate_grad_batches
+        for name, fits, expected, received in (
+            ("data.precision", wide, "64, for the digits of least squares,", 32),
+            ("integrator", explicit, "an explicit method, to differentiate through,", "gl4"),
+            ("trainer.devices", trainer.world_size == 1, "one", trainer.world_size),
+            ("trainer.gradient_clip_val", clip == 0, "none, since it takes its own steps,", clip),
+            ("trainer.accumulate_grad_batches", batches == 1, "1, since it takes its own steps,", batches),
+        ):
+            if not fits:
+                message = (
+                    f"{name}: expected {expected} with levenberg_marquardt; received {received}. "
+                    "Change it, or choose recipe=first_order"
+                )
+                raise UserError(message)
 
     def step(
         self, objective: Objective, loss: Loss, dynamics: Dynamics, batch: Window, optimizer: Any
