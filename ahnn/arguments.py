@@ -15,122 +15,158 @@ import functools
 import inspect
 import math
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import is_dataclass
 from difflib import get_close_matches
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    NamedTuple,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from ahnn.errors import UserError
 
-T = TypeVar("T", bound=type)
+T = TypeVar("T", bound=Callable[..., Any])
 
 
 class Within(NamedTuple):
-    """Limits of a number, both included; infinity and NaN are never within."""
+    """Limits of a number; infinity and NaN are never within.
+
+    Attributes:
+        least, most: limits that are included.
+        above, below: limits that are not.
+        multiple: what it must be a multiple of; 0 takes any.
+    """
 
     least: float = -math.inf
     most: float = math.inf
+    above: float = -math.inf
+    below: float = math.inf
+    multiple: int = 0
 
     def __contains__(self, value: Any) -> bool:
-        return math.isfinite(value) and self.least <= value <= self.most
+        limited = self.least <= value <= self.most and self.above < value < self.below
+        return math.isfinite(value) and limited and not (self.multiple and value % self.multiple)
 
     def __str__(self) -> str:
-        if self.most == math.inf:
-            return f">= {self.least:g}"
-        return f"from {self.least} to {self.most}"
+        if math.isfinite(self.least) and math.isfinite(self.most):
+            return f"from {self.least} to {self.most}"
+        signs = {">=": self.least, ">": self.above, "<=": self.most, "<": self.below}
+        words = [f"{sign} {limit:g}" for sign, limit in signs.items() if math.isfinite(limit)]
+        words += [f"a multiple of {self.multiple}"] if self.multiple else []
+        return " and ".join(words) or "(finite)"
+
+
+class Interval(NamedTuple):
+    """Limits of both ends of a range [low, high], low <= high."""
+
+    ends: Within = Within()
+
+    def __contains__(self, value: Any) -> bool:
+        return len(value) == 2 and value[0] <= value[1] and all(end in self.ends for end in value)
+
+    def __str__(self) -> str:
+        return f"a range [low, high], low <= high, of numbers {self.ends}"
 
 
 Count = Annotated[int, Within(1)]
 Seed = Annotated[int, Within(0, 2**32 - 1)]
+Finite = Annotated[float, Within()]
+Positive = Annotated[float, Within(above=0)]
+Range = Annotated[tuple[float, float] | list[float], Interval()]
 
 
-def checked(cls: T) -> T:
-    """Let a class refuse wrong arguments by the annotations of its constructor, before it runs.
+def checked(target: T) -> T:
+    """Let a class or a function refuse wrong arguments by its annotations, before it runs.
 
-    The constructor then raises UserError: a value of another type or beyond its limits.
+    It then raises UserError: a value of another type or beyond its limits.
     """
-    init = cls.__init__
-    signature = inspect.signature(init)
+    call = target.__init__ if inspect.isclass(target) else target
+    signature, skipped = inspect.signature(call), int(inspect.isclass(target))
 
-    @functools.wraps(init)
-    def __init__(self: Any, *args: Any, **kwargs: Any) -> None:
-        named = dict(list(signature.bind(self, *args, **kwargs).arguments.items())[1:])
-        kinds = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
-        plain = {k: v for k, v in named.items() if signature.parameters[k].kind not in kinds}
-        check_arguments("", cls, plain)
-        init(self, *args, **kwargs)
+    @functools.wraps(call)
+    def checked_call(*args: Any, **kwargs: Any) -> Any:
+        named = list(signature.bind(*args, **kwargs).arguments.items())[skipped:]
+        check_values("", target, dict(named))
+        return call(*args, **kwargs)
 
-    cls.__init__ = __init__
-    return cls
-
-
-def check_arguments(who: str, target: Callable[..., Any], arguments: Mapping[str, Any]) -> None:
-    """Compare keyword arguments with the annotations of a class or function.
-
-    Args:
-        who: name of the configuration node, for the message; "" names the argument alone.
-        target: what the arguments will be passed to.
-        arguments: plain values; objects that are built already pass unchecked.
-
-    Raises:
-        UserError: an unknown name or a value of another type.
-    """
-    parameters = inspect.signature(target).parameters
-    hints = type_hints(target)
-    open_ended = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
-    for name, value in arguments.items():
-        if name not in parameters and not open_ended:
-            message = f"{who}: unknown key {name!r}{nearest(name, parameters)}".removeprefix(": ")
-            raise UserError(message)
-        hint = hints.get(name)
-        default = value is None and name in parameters and parameters[name].default is None
-        if hint is not None and not default and not fits(value, hint):
-            kind = "" if fits(value, bare(hint)) else f" ({type(value).__name__})"
-            message = f"{who}.{name}: expected {describe(hint)}; received {value!r}{kind}".removeprefix(".")
-            raise UserError(message)
+    if not inspect.isclass(target):
+        return cast(T, checked_call)
+    target.__init__ = checked_call
+    return cast(T, target)
 
 
-def check_names(
+def check_arguments(
     who: str,
     target: Callable[..., Any],
-    names: Collection[str],
+    arguments: Mapping[str, Any],
     given: Collection[str] = (),
     *,
     partial: bool = False,
 ) -> None:
-    """Check that the names of arguments are all that a class or function needs from a configuration.
+    """Check that keyword arguments are all that a class or function needs, and within their limits.
 
     Args:
-        who: name of the configuration node, for the message.
+        who: name of the configuration node, for the message; "" names the argument alone.
         target: what the arguments will be passed to.
-        names: of the arguments that are in the configuration.
-        given: of those that are not the user's to set.
+        arguments: plain values.
+        given: names of those that are not the user's to set.
         partial: whether the first argument follows later.
 
     Raises:
-        UserError: a name that is unknown or not the user's, or one that is missing.
+        UserError: a name that is unknown, missing or not the user's, or a value of another type.
     """
     parameters = inspect.signature(target).parameters.values()
     open_ended = any(p.kind is p.VAR_KEYWORD for p in parameters)
     named = [p for p in parameters if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)]
     own = {p.name: p for p in named[int(partial) :] if p.name not in given}
     others = {p.name for p in named} - own.keys()
-    for name in names:
+    message = None
+    for name in arguments:
         if name in others or (name not in own and not open_ended):
-            message = f"{who}: unknown key {name!r}{nearest(name, own)}".removeprefix(": ")
-            raise UserError(message)
+            message = message or f"{who}: unknown key {name!r}{nearest(name, own)}"
     for name, parameter in own.items():
-        if parameter.default is parameter.empty and name not in names:
-            message = f"{who}: expected key {name!r}; received {', '.join(names) or 'no key'}".removeprefix(
-                ": "
-            )
+        if parameter.default is parameter.empty and name not in arguments:
+            received = ", ".join(arguments) or "no key"
+            message = message or f"{who}: expected key {name!r}; received {received}"
+    if message:
+        raise UserError(message.removeprefix(": "))
+    check_values(who, target, arguments)
+
+
+def check_values(who: str, target: Callable[..., Any], arguments: Mapping[str, Any]) -> None:
+    """Compare arguments with the annotations of a class or function.
+
+    None passes where it is the default. Objects that are built already pass, and nodes that will be.
+
+    Raises:
+        UserError: a value of another type, or beyond its limits.
+    """
+    parameters, hints = inspect.signature(target).parameters, type_hints(target)
+    for name, value in arguments.items():
+        hint = hints.get(name)
+        default = value is None and name in parameters and parameters[name].default is None
+        later = isinstance(value, Mapping) and "_target_" in value
+        if hint is not None and not default and not later and not fits(value, hint):
+            kind = "" if fits(value, type_hints(target, limits=False)[name]) else f" ({type(value).__name__})"
+            message = f"{who}.{name}: expected {describe(hint)}; received {value!r}{kind}".removeprefix(".")
             raise UserError(message)
 
 
-def type_hints(target: Callable[..., Any]) -> dict[str, Any]:
+def type_hints(target: Callable[..., Any], *, limits: bool = True) -> dict[str, Any]:
     """Return the annotations of a class's constructor or a function; none if they cannot be resolved."""
+    fields = is_dataclass(target) or hasattr(target, "_fields")
+    source = target.__init__ if inspect.isclass(target) and not fields else target
     try:
-        return get_type_hints(target.__init__ if inspect.isclass(target) else target, include_extras=True)
+        return get_type_hints(source, include_extras=limits)
     except (NameError, TypeError):  # other libraries import some names for type checkers alone
         return {}
 
@@ -157,7 +193,7 @@ def fits(value: Any, hint: Any) -> bool:
     """Return whether a plain value is of an annotated type; types other than plain ones always fit."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        limits = [limit for limit in inner[1:] if isinstance(limit, Within)]
+        limits = [limit for limit in inner[1:] if isinstance(limit, Within | Interval)]
         return fits(value, inner[0]) and all(value in limit for limit in limits)
     if origin is Literal:
         return value in inner
@@ -186,16 +222,6 @@ def fits(value: Any, hint: Any) -> bool:
     return hint.__module__ in ("builtins", "collections.abc", "numbers") and isinstance(value, hint)
 
 
-def bare(hint: Any) -> Any:
-    """Return an annotation without its limits."""
-    origin, inner = get_origin(hint), get_args(hint)
-    if origin is Annotated:
-        return inner[0]
-    if origin in (Union, UnionType):
-        return Union[tuple(bare(option) for option in inner)]  # noqa: UP007
-    return hint
-
-
 def repeats(hint: Any) -> bool:
     """Return whether the annotation of a list or tuple holds for any length."""
     return get_origin(hint) is not tuple or get_args(hint)[1:] == (...,)
@@ -205,7 +231,7 @@ def describe(hint: Any) -> str:
     """Return an annotation in words a user reads: `int`, `one of a, b`, `float or None`."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        return " ".join([describe(inner[0]), *(str(limit) for limit in inner[1:])])
+        return str(inner[1]) if isinstance(inner[1], Interval) else f"{describe(inner[0])} {inner[1]}"
     if origin is Literal:
         return ("one of " if inner[1:] else "") + ", ".join(str(option) for option in inner)
     if origin in (Union, UnionType):

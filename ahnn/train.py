@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from ahnn.evaluation import EvaluationPlugin
     from ahnn.models import AbstractModel
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("ahnn")  # `__name__` is `__main__` where this is run as a module
 
 
 def train(cfg: DictConfig) -> float:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from math import inf, nan
 from typing import Annotated, Any, Literal
 
 import pytest
 
-from ahnn.arguments import Count, Within, check_arguments, check_names, checked, describe, fits, nearest
+from ahnn.arguments import Count, Interval, Within, check_arguments, checked, describe, fits, nearest
 from ahnn.errors import UserError
 from ahnn.systems import MassSpring
 
@@ -38,7 +39,7 @@ def target(
     ],
 )
 def test_fitting_values_pass(good):
-    check_arguments("group", target, good)
+    check_arguments("group", target, {"count": 1} | good)
 
 
 @pytest.mark.parametrize(
@@ -60,12 +61,12 @@ def test_fitting_values_pass(good):
 )
 def test_other_values_are_refused_with_who_expected_and_received(wrong, expected):
     with pytest.raises(UserError, match=expected):
-        check_arguments("group", target, wrong)
+        check_arguments("group", target, {"count": 1} | wrong)
 
 
 def test_a_class_is_checked_by_its_constructor_inherited_fields_included():
-    with pytest.raises(UserError, match=r"system\.dt: expected float; received '1s'"):
-        check_arguments("system", MassSpring, {"dt": "1s"})
+    with pytest.raises(UserError, match=r"system\.dt: expected float > 0; received '1s'"):
+        check_arguments("system", MassSpring, {"name": "s", "steps": 3, "dt": "1s"})
     with pytest.raises(UserError, match="did you mean 'stiffness'"):
         check_arguments("system", MassSpring, {"stifness": 5.0})
 
@@ -88,33 +89,67 @@ def built(parent, *, size: int, pair: tuple[float, float] = (0.0, 1.0)) -> None:
 
 
 @pytest.mark.parametrize(
-    ("names", "options", "expected"),
+    ("arguments", "options", "expected"),
     [
-        (["size"], {}, "group: expected key 'parent'; received size"),
-        ([], {"partial": True}, "group: expected key 'size'; received no key"),
-        (["size", "parent"], {"partial": True}, "group: unknown key 'parent'"),
-        (["size", "parent"], {"given": ["parent"]}, "group: unknown key 'parent'; did you mean 'pair'"),
-        (["siz"], {"partial": True}, "group: unknown key 'siz'; did you mean 'size'"),
+        ({"size": 1}, {}, "group: expected key 'parent'; received size"),
+        ({}, {"partial": True}, "group: expected key 'size'; received no key"),
+        ({"size": 1, "parent": 2}, {"partial": True}, "group: unknown key 'parent'"),
+        ({"size": 1, "parent": 2}, {"given": ["parent"]}, "group: unknown key 'parent'; did you mean 'pair'"),
+        ({"siz": 1}, {"partial": True}, "group: unknown key 'siz'; did you mean 'size'"),
     ],
 )
-def test_missing_names_and_those_that_are_not_the_users_are_refused(names, options, expected):
+def test_missing_names_and_those_that_are_not_the_users_are_refused(arguments, options, expected):
     with pytest.raises(UserError, match=expected):
-        check_names("group", built, names, **options)
+        check_arguments("group", built, arguments, **options)
 
 
 def test_names_that_are_all_there_pass():
-    check_names("group", built, ["size", "pair"], partial=True)
-    check_names("group", built, ["size"], ["parent"])
-    check_names("group", lambda **_: None, ["anything"])
+    check_arguments("group", built, {"size": 1, "pair": [0.0, 1.0]}, partial=True)
+    check_arguments("group", built, {"size": 1}, ["parent"])
+    check_arguments("group", lambda **_: None, {"anything": 1})
+
+
+def test_a_node_that_will_be_built_passes_any_type():
+    check_arguments("group", built, {"size": {"_target_": "x"}}, partial=True)
 
 
 def test_the_length_of_a_pair_and_the_kind_of_a_value_that_is_none_are_checked():
     for wrong in ({"pair": [1.0]}, {"pair": [1.0, 2.0, 3.0]}, {"pair": 1.0}):
         with pytest.raises(UserError, match="expected a list of 2 float"):
-            check_arguments("group", built, wrong)
+            check_arguments("group", built, {"size": 1} | wrong, partial=True)
     assert fits([1, 2], tuple[float, ...])
     assert not fits(None, MassSpring)
     assert fits(None, Any)
+
+
+def test_limits_say_themselves_what_they_admit():
+    for limit, words, inside, outside in (
+        (Within(0, 1), "from 0 to 1", (0, 1), (-0.1, 1.1, nan)),
+        (Within(above=0), "> 0", (1e-9,), (0, inf)),
+        (Within(0, below=1), ">= 0 and < 1", (0,), (1,)),
+        (Within(2, multiple=2), ">= 2 and a multiple of 2", (2, 12), (0, 3)),
+        (Within(), "(finite)", (-1e300,), (inf, nan)),
+        (
+            Interval(),
+            "a range [low, high], low <= high, of numbers (finite)",
+            ((0, 0), [-1, 2]),
+            ((1, 0), (0,)),
+        ),
+    ):
+        assert str(limit) == words
+        assert all(value in limit for value in inside)
+        assert not any(value in limit for value in outside)
+
+
+@checked
+def halved(size: Count) -> float:
+    return size / 2
+
+
+def test_functions_are_checked_too():
+    assert halved(3) == 1.5
+    with pytest.raises(UserError, match=r"^size: expected int >= 1; received 0$"):
+        halved(size=0)
 
 
 @checked

@@ -88,7 +88,7 @@ MADE = "expected a key that acts on a finished run; received one that belongs to
         ("plugins=3", r"plugins: expected the name of an option; received 3"),
         ("plugins=ufk", r"ufk"),
         ("system.stifness=9", r"unknown key 'system\.stifness'; did you mean 'system\.stiffness'"),
-        ("system.stiffness=nan", r"system mass_spring: stiffness: expected a finite number > 0"),
+        ("system.stiffness=nan", r"system\.stiffness: expected float > 0; received nan"),
         (
             "data.split=[0.2,0.2,0.6]",
             r"test trajectories that the training has not seen.*11 of 12 are part of it",

@@ -15,7 +15,7 @@ from hydra.errors import HydraException, InstantiationException
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from ahnn.arguments import check_arguments, check_names
+from ahnn.arguments import check_arguments
 from ahnn.errors import TrainingError, UserError
 
 
@@ -45,9 +45,7 @@ def build(node: Any, who: str, kind: type = object, **offered: Any) -> Any:
         reason = " ".join(str(error).split())
         message = f"{who}: expected _target_ to name a class or function; received {target!r} ({reason})"
         raise UserError(message) from error
-    check_names(who, function, arguments, offered, partial=partial)
-    built = {name for name, value in arguments.items() if isinstance(value, dict) and "_target_" in value}
-    check_arguments(who, function, {k: v for k, v in arguments.items() if k not in built})
+    check_arguments(who, function, arguments, offered, partial=partial)
     with blaming(who):
         made = instantiate(node, _convert_="all", _partial_=True)
     taken = inspect.signature(function).parameters

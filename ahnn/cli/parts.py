@@ -33,7 +33,7 @@ def build_source(cfg: DictConfig) -> Source:
     if not isinstance(built, System):
         return built
     options = {name: cfg.data[name] for name in SIMULATION}
-    check_arguments("data", Simulated, options)
+    check_arguments("data", Simulated, options, ("system",))
     source = Simulated(built, **options)
     source.check()
     return source

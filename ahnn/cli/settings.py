@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from omegaconf import DictConfig, OmegaConf
 
-from ahnn.arguments import Count, Seed, Within, check_arguments, check_names
+from ahnn.arguments import Count, Seed, Within, check_arguments
 from ahnn.cli.build import plain_config
 from ahnn.errors import UserError
 
@@ -80,7 +80,6 @@ def _check(schemas: dict[str, type], cfg: DictConfig) -> None:
             raise UserError(message)
         keys = node if schema is Evaluation else schema.__annotations__
         values = plain_config(OmegaConf.create({str(key): node[key] for key in keys if key in node}))
-        check_names(who, schema, values)
         check_arguments(who, schema, values)
 
 

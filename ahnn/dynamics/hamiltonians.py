@@ -7,12 +7,12 @@ may be integrated by symplectic compositions.
 
 from __future__ import annotations
 
-import math
-from typing import Any, Literal, cast, get_args
+from typing import Any, Literal, cast
 
 import torch
 from torch import Tensor, nn
 
+from ahnn.arguments import Positive, checked
 from ahnn.dynamics.energies import CentralBody, Energy, NetworkEnergy, Quadratic, energy_units
 from ahnn.dynamics.inputs import Cartesian, InputName, position_inputs
 from ahnn.dynamics.networks import make_network
@@ -99,12 +99,13 @@ class SeparableHamiltonian(nn.Module):
 Hamiltonian = GenericHamiltonian | SeparableHamiltonian
 
 
+@checked
 def make_hamiltonian(
     structure: Structure,
     dof: int,
     *,
     mass: float,
-    mu: float | None,
+    mu: Positive | None,
     inputs: InputName,
     scaling: Kind,
     network: dict[str, Any],
@@ -124,14 +125,8 @@ def make_hamiltonian(
     Raises:
         UserError: unknown structure, mu for a structure without a central body, or mu that is not positive.
     """
-    if structure not in get_args(Structure):
-        message = f"hamiltonian: expected one of {', '.join(get_args(Structure))}; received {structure!r}"
-        raise UserError(message)
     if mu is not None and structure != "central_body":
-        message = f"model.mu: expected null, since {structure} has no central body; received {mu}"
-        raise UserError(message)
-    if mu is not None and not 0 < mu < math.inf:
-        message = f"model.mu: expected a positive number, or null to learn it; received {mu}"
+        message = f"mu: expected None, since {structure} has no central body; received {mu}"
         raise UserError(message)
     if structure == "central_body" and dof < 2:
         message = "hamiltonian central_body: expected at least 2 degrees of freedom; received 1"

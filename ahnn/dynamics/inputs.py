@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import Literal
 
 import torch
 from torch import Tensor, nn
 
+from ahnn.arguments import checked
 from ahnn.dynamics.scaling import Affine, Kind
 from ahnn.errors import UserError
 from ahnn.statistics import Statistics
@@ -97,15 +98,13 @@ class Cartesian(nn.Module):
 InputMap = Cartesian | Isotropic
 
 
+@checked
 def position_inputs(name: InputName, dof: int, scaling: Kind) -> InputMap:
     """Return the input map of the positions.
 
     Raises:
         UserError: unknown name, or isotropic inputs in one dimension.
     """
-    if name not in get_args(InputName):
-        message = f"inputs: expected one of {', '.join(get_args(InputName))}; received {name!r}"
-        raise UserError(message)
     if name == "cartesian":
         return Cartesian(dof, scaling, 0)
     if dof < 2:

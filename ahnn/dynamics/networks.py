@@ -15,8 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ahnn.arguments import check_arguments
-from ahnn.errors import UserError
+from ahnn.arguments import Count, check_arguments, checked
 from ahnn.memory import require_memory
 
 ActivationName = Literal["gelu", "tanh", "silu", "sine"]
@@ -58,6 +57,7 @@ ACTIVATIONS: dict[str, Activation] = {
 }
 
 
+@checked
 class Perceptron(nn.Module):
     """Fully connected network with smooth activations.
 
@@ -69,16 +69,9 @@ class Perceptron(nn.Module):
     """
 
     def __init__(
-        self, inputs: int, outputs: int, *, width: int, depth: int, activation: ActivationName = "gelu"
+        self, inputs: int, outputs: int, *, width: Count, depth: Count, activation: ActivationName = "gelu"
     ) -> None:
         super().__init__()
-        if activation not in ACTIVATIONS:
-            names = ", ".join(ACTIVATIONS)
-            message = f"network: activation: expected a smooth one of {names}; received {activation!r}"
-            raise UserError(message)
-        if width < 1 or depth < 1:
-            message = f"network: expected width >= 1 and depth >= 1; received width={width}, depth={depth}"
-            raise UserError(message)
         require_memory("network: width and depth", "weights", 8.0 * width * (inputs + width * (depth - 1)))
         self.activation = ACTIVATIONS[activation]
         self.hidden = nn.ModuleList(nn.Linear(inputs if i == 0 else width, width) for i in range(depth))
@@ -110,5 +103,5 @@ class Perceptron(nn.Module):
 
 def make_network(inputs: int, outputs: int, options: dict[str, Any]) -> Perceptron:
     """Return a perceptron from the options width, depth and activation; raises UserError for any other."""
-    check_arguments("model.network", Perceptron, options)
+    check_arguments("model.network", Perceptron, options, ("inputs", "outputs"))
     return Perceptron(inputs, outputs, **options)

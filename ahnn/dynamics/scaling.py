@@ -7,16 +7,18 @@ scaling per component, which is not canonical by itself in more than one dimensi
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import Literal
 
 import torch
 from torch import Tensor, nn
 
+from ahnn.arguments import checked
 from ahnn.errors import UserError
 
 Kind = Literal["minmax", "block", "none"]
 
 
+@checked
 class Affine(nn.Module):
     """z = (x - shift) / scale, with constants that travel with the checkpoint.
 
@@ -31,9 +33,6 @@ class Affine(nn.Module):
 
     def __init__(self, kind: Kind, size: int) -> None:
         super().__init__()
-        if kind not in get_args(Kind):
-            message = f"scaling: expected one of {', '.join(get_args(Kind))}; received {kind!r}"
-            raise UserError(message)
         self.kind = kind
         self.register_buffer("shift", torch.zeros(size))
         self.register_buffer("scale", torch.ones(size))

@@ -56,12 +56,8 @@ def make_integrator(name: str, **options: Any) -> Integrator:
     if name != "gl4":
         message = f"integrator {name}: unknown option {sorted(options)[0]!r}; it takes none. gl4 has options"
         raise UserError(message)
-
-    def settings(*, tolerance: float = 1e-14, max_iterations: int = 50) -> GaussLegendre4:
-        return GaussLegendre4(tolerance, max_iterations)
-
-    check_arguments(f"integrator {name}", settings, options)
-    return settings(**options)
+    check_arguments(f"integrator {name}", GaussLegendre4, options, ("name", "order"))
+    return GaussLegendre4(**options)
 
 
 __all__ = [

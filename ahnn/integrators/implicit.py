@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
 from torch import Tensor
 
+from ahnn.arguments import Count, Within, checked
 from ahnn.errors import UserError
 from ahnn.integrators.base import Integrator, column
 from ahnn.types import TimeStep, VectorField
@@ -17,6 +19,7 @@ _A12 = 0.25 - math.sqrt(3) / 6
 _A21 = 0.25 + math.sqrt(3) / 6
 
 
+@checked
 @dataclass(frozen=True)
 class GaussLegendre4(Integrator):
     """Gauss-Legendre Runge-Kutta of order 4, its stages solved by fixed-point iteration.
@@ -27,19 +30,10 @@ class GaussLegendre4(Integrator):
         max_iterations: sweeps after which an unsolved member is an error.
     """
 
-    tolerance: float = 1e-14
-    max_iterations: int = 50
+    tolerance: Annotated[float, Within(above=0, below=1)] = 1e-14
+    max_iterations: Count = 50
     name: str = "gl4"
     order: int = 4
-
-    def __post_init__(self) -> None:
-        """Refuse settings under which nothing could converge."""
-        if not 0 < self.tolerance < 1 or self.max_iterations < 1:
-            message = (
-                "integrator gl4: expected 0 < tolerance < 1 and max_iterations >= 1; received "
-                f"tolerance={self.tolerance}, max_iterations={self.max_iterations}"
-            )
-            raise UserError(message)
 
     def increment(self, field: VectorField, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the increment of one step, shape (..., D).

@@ -2,54 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from dataclasses import dataclass, fields
+from typing import Annotated, ClassVar
 
 import torch
 from torch import Generator, Tensor
 
-from ahnn.errors import UserError
+from ahnn.arguments import Count, Interval, Positive, Range, Within, check_values
 from ahnn.types import Space, Units
 
-Range = tuple[float, float] | list[float]
-"""Closed interval [low, high] from which a parameter of the initial states is drawn uniformly."""
-
-
-class Limit(NamedTuple):
-    """What a parameter must be besides finite, or both ends of a range.
-
-    Attributes:
-        words: for the message, after "finite number".
-        holds: whether a finite number is that.
-    """
-
-    words: str
-    holds: Callable[[float], bool]
-
-
-FINITE = Limit("", math.isfinite)
-POSITIVE = Limit(" > 0", lambda value: value > 0)
-ELLIPTIC = Limit(" >= 0 and < 1", lambda value: 0 <= value < 1)
-"""Eccentricities of orbits that come back."""
-
-
-def require(who: str, value: float | Range, limit: Limit) -> None:
-    """Check a parameter, or a range and both its ends.
-
-    Raises:
-        UserError: it is not finite or not within its limit, or the range is not [low, high] with low <= high.
-    """
-    if isinstance(value, list | tuple):
-        expected, numbers = f"a range [low, high] of finite numbers{limit.words}, low <= high", value
-        shaped = len(value) == 2 and value[0] <= value[1]
-    else:
-        expected, numbers, shaped = f"a finite number{limit.words}", [value], True
-    if not shaped or not all(math.isfinite(number) and limit.holds(number) for number in numbers):
-        message = f"{who}: expected {expected}; received {value}"
-        raise UserError(message)
+Eccentricity = Annotated[tuple[float, float] | list[float], Interval(Within(0, below=1))]
+"""A range of eccentricities of orbits that come back."""
 
 
 @dataclass(frozen=True)
@@ -86,25 +50,19 @@ class System(ABC):
     """
 
     name: str
-    dt: float
-    steps: int
+    dt: Positive
+    steps: Count
 
     dof: ClassVar[int]
     components: ClassVar[tuple[str, ...]]
     units: ClassVar[Units]
     integrator: ClassVar[str]
     noise: ClassVar[FilterNoise]
-    mass: float = 1.0
+    mass: Positive = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse parameters that make no trajectory; None is left to mean what it means."""
-        for name, limit in self.limits().items():
-            if getattr(self, name) is not None:
-                require(f"system {self.name}: {name}", getattr(self, name), limit)
-
-    def limits(self) -> dict[str, Limit]:
-        """Return what parameters must be, by name; a subclass adds its own."""
-        return {"dt": POSITIVE, "steps": Limit(" >= 1", lambda value: value >= 1), "mass": POSITIVE}
+        """Refuse parameters that make no trajectory; raises UserError that names the first of them."""
+        check_values("", type(self), {field.name: getattr(self, field.name) for field in fields(self)})
 
     @abstractmethod
     def energy(self, x: Tensor) -> Tensor:
@@ -147,12 +105,7 @@ class System(ABC):
         return blocks.repeat_interleave(self.dof)
 
 
-def uniform(interval: Range, count: int, generator: Generator, *, name: str) -> Tensor:
-    """Draw `count` numbers uniformly from a closed interval, shape (count,), float64.
-
-    Raises:
-        UserError: the interval is not [low, high] with finite low <= high.
-    """
-    require(f"system: {name}", interval, FINITE)
+def uniform(interval: Range, count: int, generator: Generator) -> Tensor:
+    """Draw `count` numbers uniformly from a closed interval, shape (count,), float64."""
     low, high = interval
     return low + (high - low) * torch.rand(count, generator=generator, dtype=torch.float64)

@@ -8,7 +8,8 @@ from typing import final
 import torch
 from torch import Generator, Tensor
 
-from ahnn.systems.base import FINITE, FilterNoise, Limit, Range, System, Units, uniform
+from ahnn.arguments import Range
+from ahnn.systems.base import FilterNoise, System, Units, uniform
 
 
 @final
@@ -30,10 +31,6 @@ class HenonHeiles(System):
     integrator = "kahan_li8"
     noise = FilterNoise(position=1e-3, velocity=1e-3, measurement=1e-3)
 
-    def limits(self) -> dict[str, Limit]:
-        """Return what parameters must be, by name."""
-        return super().limits() | {"amplitude": FINITE}
-
     def energy(self, x: Tensor) -> Tensor:
         """Return the Hénon-Heiles Hamiltonian, shape (...)."""
         q, p = x.chunk(2, dim=-1)
@@ -48,5 +45,5 @@ class HenonHeiles(System):
 
     def initial_states(self, count: int, generator: Generator) -> Tensor:
         """Draw all four components uniformly, shape (count, 4)."""
-        draws = uniform(self.amplitude, 4 * count, generator, name="amplitude")
+        draws = uniform(self.amplitude, 4 * count, generator)
         return draws.reshape(count, 4)

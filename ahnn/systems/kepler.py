@@ -8,7 +8,7 @@ from typing import final
 import torch
 from torch import Generator, Tensor
 
-from ahnn.systems.base import ELLIPTIC, FilterNoise, Limit, Range, System, Units, uniform
+from ahnn.systems.base import Eccentricity, FilterNoise, System, Units, uniform
 from ahnn.systems.orbits import Elements, state_at_periapsis
 
 
@@ -21,17 +21,13 @@ class Kepler(System):
         eccentricity: range, dimensionless.
     """
 
-    eccentricity: Range = (0.0, 0.5)
+    eccentricity: Eccentricity = (0.0, 0.5)
 
     dof = 2
     components = ("x", "y", "px", "py")
     units = Units(time="1", position="1", velocity="1", energy="1")
     integrator = "kahan_li8"
     noise = FilterNoise(position=1e-3, velocity=1e-3, measurement=1e-3)
-
-    def limits(self) -> dict[str, Limit]:
-        """Return what parameters must be, by name."""
-        return super().limits() | {"eccentricity": ELLIPTIC}
 
     def energy(self, x: Tensor) -> Tensor:
         """Return p^2 / 2m - m / r, shape (...)."""
@@ -44,8 +40,8 @@ class Kepler(System):
 
     def initial_states(self, count: int, generator: Generator) -> Tensor:
         """Draw eccentricity and direction of periapsis uniformly, shape (count, 4)."""
-        e = uniform(self.eccentricity, count, generator, name="eccentricity")
-        direction = uniform((0.0, 360.0), count, generator, name="direction")
+        e = uniform(self.eccentricity, count, generator)
+        direction = uniform((0.0, 360.0), count, generator)
         zero = torch.zeros_like(e)
         x = state_at_periapsis(Elements(1 - e, e, zero, zero, direction), 1.0, self.mass)
         return x[:, [0, 1, 3, 4]]

@@ -8,7 +8,8 @@ from typing import final
 import torch
 from torch import Generator, Tensor
 
-from ahnn.systems.base import FINITE, POSITIVE, FilterNoise, Limit, Range, System, Units, uniform
+from ahnn.arguments import Positive, Range
+from ahnn.systems.base import FilterNoise, System, Units, uniform
 
 
 @final
@@ -21,7 +22,7 @@ class MassSpring(System):
         q0, p0: ranges of the initial position (m) and momentum (kg m/s).
     """
 
-    stiffness: float = 5.0
+    stiffness: Positive = 5.0
     q0: Range = (-1.0, 1.0)
     p0: Range = (-1.0, 1.0)
 
@@ -30,10 +31,6 @@ class MassSpring(System):
     units = Units(time="s", position="m", velocity="m/s", energy="J")
     integrator = "gl4"
     noise = FilterNoise(position=1e-7**0.5, velocity=1e-7**0.5, measurement=1e-7**0.5)
-
-    def limits(self) -> dict[str, Limit]:
-        """Return what parameters must be, by name."""
-        return super().limits() | {"stiffness": POSITIVE, "q0": FINITE, "p0": FINITE}
 
     def energy(self, x: Tensor) -> Tensor:
         """Return p^2 / 2m + k q^2 / 2 in J, shape (...)."""
@@ -46,6 +43,6 @@ class MassSpring(System):
 
     def initial_states(self, count: int, generator: Generator) -> Tensor:
         """Draw (q0, p0) uniformly, shape (count, 2)."""
-        q = uniform(self.q0, count, generator, name="q0")
-        p = uniform(self.p0, count, generator, name="p0")
+        q = uniform(self.q0, count, generator)
+        p = uniform(self.p0, count, generator)
         return torch.stack((q, p), dim=-1)

@@ -8,7 +8,9 @@ from typing import final
 import torch
 from torch import Generator, Tensor
 
-from ahnn.systems.base import ELLIPTIC, FINITE, POSITIVE, FilterNoise, Limit, Range, System, Units, uniform
+from ahnn.arguments import Finite, Positive, Range
+from ahnn.errors import UserError
+from ahnn.systems.base import Eccentricity, FilterNoise, System, Units, uniform
 from ahnn.systems.orbits import Elements, period, state_at_periapsis
 
 
@@ -29,15 +31,15 @@ class Molniya(System):
         periods: length of each trajectory in its own two-body periods; None means `steps` for all.
     """
 
-    mu: float = 398600.4418
-    r_eq: float = 6378.1363
-    j2: float = 1.0826e-3
+    mu: Positive = 398600.4418
+    r_eq: Positive = 6378.1363
+    j2: Finite = 1.0826e-3
     altitude: Range = (540.0, 560.0)
-    eccentricity: Range = (0.7, 0.8)
+    eccentricity: Eccentricity = (0.7, 0.8)
     inclination: Range = (60.0, 66.0)
     raan: Range = (0.0, 0.0)
     argument_of_periapsis: Range = (270.0, 270.0)
-    periods: float | None = None
+    periods: Positive | None = None
 
     dof = 3
     components = ("x", "y", "z", "px", "py", "pz")
@@ -45,13 +47,12 @@ class Molniya(System):
     integrator = "kahan_li8"
     noise = FilterNoise(position=10.0**0.5, velocity=1e-3**0.5, measurement=1.0)
 
-    def limits(self) -> dict[str, Limit]:
-        """Return what parameters must be, by name."""
-        above_the_centre = Limit(f" > -r_eq = {-self.r_eq}", lambda value: value > -self.r_eq)
-        angles = dict.fromkeys(("inclination", "raan", "argument_of_periapsis"), FINITE)
-        of_the_planet = {"mu": POSITIVE, "r_eq": POSITIVE, "j2": FINITE}
-        of_the_orbit = {"altitude": above_the_centre, "eccentricity": ELLIPTIC, "periods": POSITIVE}
-        return super().limits() | of_the_planet | of_the_orbit | angles
+    def __post_init__(self) -> None:
+        """Refuse what makes no orbit; raises UserError."""
+        super().__post_init__()
+        if self.altitude[0] <= -self.r_eq:
+            message = f"altitude: expected orbits above the centre, -{self.r_eq} km; received {self.altitude}"
+            raise UserError(message)
 
     def energy(self, x: Tensor) -> Tensor:
         """Return T + V with V = -mu/r (1 - J2 (r_eq/r)^2 (3 z^2/r^2 - 1)/2), shape (...)."""
@@ -73,15 +74,13 @@ class Molniya(System):
 
     def initial_states(self, count: int, generator: Generator) -> Tensor:
         """Draw orbits uniformly in their elements and return their states at periapsis, shape (count, 6)."""
-        altitude = uniform(self.altitude, count, generator, name="altitude")
+        altitude = uniform(self.altitude, count, generator)
         elements = Elements(
             periapsis=self.r_eq + altitude,
-            eccentricity=uniform(self.eccentricity, count, generator, name="eccentricity"),
-            inclination=uniform(self.inclination, count, generator, name="inclination"),
-            raan=uniform(self.raan, count, generator, name="raan"),
-            argument_of_periapsis=uniform(
-                self.argument_of_periapsis, count, generator, name="argument_of_periapsis"
-            ),
+            eccentricity=uniform(self.eccentricity, count, generator),
+            inclination=uniform(self.inclination, count, generator),
+            raan=uniform(self.raan, count, generator),
+            argument_of_periapsis=uniform(self.argument_of_periapsis, count, generator),
         )
         return state_at_periapsis(elements, self.mu, self.mass)
 

@@ -8,7 +8,8 @@ from typing import final
 import torch
 from torch import Generator, Tensor
 
-from ahnn.systems.base import FINITE, POSITIVE, FilterNoise, Limit, Range, System, Units, uniform
+from ahnn.arguments import Positive, Range
+from ahnn.systems.base import FilterNoise, System, Units, uniform
 
 
 @final
@@ -22,8 +23,8 @@ class Pendulum(System):
         q0: range of the initial angle in rad; the pendulum starts at rest.
     """
 
-    length: float = 1.0
-    gravity: float = 9.81
+    length: Positive = 1.0
+    gravity: Positive = 9.81
     q0: Range = (-2.0, 2.0)
 
     dof = 1
@@ -31,10 +32,6 @@ class Pendulum(System):
     units = Units(time="s", position="rad", velocity="rad/s", energy="J")
     integrator = "kahan_li8"
     noise = FilterNoise(position=1e-3, velocity=1e-3, measurement=1e-3)
-
-    def limits(self) -> dict[str, Limit]:
-        """Return what parameters must be, by name."""
-        return super().limits() | {"length": POSITIVE, "gravity": POSITIVE, "q0": FINITE}
 
     def energy(self, x: Tensor) -> Tensor:
         """Return p^2 / 2 m l^2 + m g l (1 - cos q) in J, shape (...)."""
@@ -52,5 +49,5 @@ class Pendulum(System):
 
     def initial_states(self, count: int, generator: Generator) -> Tensor:
         """Draw the angle uniformly, at rest, shape (count, 2)."""
-        q = uniform(self.q0, count, generator, name="q0")
+        q = uniform(self.q0, count, generator)
         return torch.stack((q, torch.zeros_like(q)), dim=-1)

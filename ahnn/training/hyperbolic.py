@@ -8,9 +8,11 @@ from typing import Any
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
+from ahnn.arguments import Count, Finite, Positive, checked
 from ahnn.errors import UserError
 
 
+@checked
 class ExpHyperbolicLR(LRScheduler):
     """eta(n) = eta_0 (eta_0 / eta_inf)^(h(n) - h(0)), h(n) = sqrt((N - n)/U (2 - (N + n)/U)).
 
@@ -28,19 +30,13 @@ class ExpHyperbolicLR(LRScheduler):
     """
 
     def __init__(
-        self, optimizer: Optimizer, *, max_epochs: int, upper_bound: float, infimum_lr: float
+        self, optimizer: Optimizer, *, max_epochs: Count, upper_bound: Finite, infimum_lr: Positive
     ) -> None:
         initial = [float(group["lr"]) for group in optimizer.param_groups]
-        if upper_bound < max_epochs or max_epochs < 1:
+        if upper_bound < max_epochs or infimum_lr >= min(initial):
             message = (
-                "scheduler: expected upper_bound >= max_epochs >= 1; "
-                f"received upper_bound={upper_bound}, max_epochs={max_epochs}"
-            )
-            raise UserError(message)
-        if not 0 < infimum_lr < min(initial):
-            message = (
-                "scheduler: expected 0 < infimum_lr < optimizer.lr; "
-                f"received infimum_lr={infimum_lr}, optimizer.lr={min(initial)}"
+                f"scheduler: expected upper_bound >= max_epochs and infimum_lr < optimizer.lr; received "
+                f"{upper_bound=}, {max_epochs=}, {infimum_lr=}, optimizer.lr={min(initial)}"
             )
             raise UserError(message)
         self.max_epochs, self.upper_bound, self.infimum_lr = max_epochs, upper_bound, infimum_lr

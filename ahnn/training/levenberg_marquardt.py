@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 from torch.optim import Optimizer
 
-from ahnn.errors import UserError
+from ahnn.arguments import Positive, checked
 from ahnn.training.least_squares import LeastSquares
 from ahnn.training.normal_equations import damped_step, gradient_norm, normal_equations, promised_decrease
 from ahnn.training.steppers import SecondOrder
@@ -22,6 +22,7 @@ ATTEMPTS = 6
 """Dampings tried on one batch before the next one is drawn."""
 
 
+@checked
 class LevenbergMarquardt(Optimizer):
     """Damped Gauss-Newton steps (Marquardt 1963; gain ratio of Nielsen 1999) on random batches.
 
@@ -38,13 +39,9 @@ class LevenbergMarquardt(Optimizer):
 
     stepper = SecondOrder()
 
-    def __init__(self, params: Iterable[nn.Parameter], damping: float = 1e-2, tolerance: float = 0.3) -> None:
-        if not (damping > 0 and tolerance > 0):
-            message = (
-                "optimizer levenberg_marquardt: expected damping > 0 and tolerance > 0; "
-                f"received damping={damping}, tolerance={tolerance}"
-            )
-            raise UserError(message)
+    def __init__(
+        self, params: Iterable[nn.Parameter], damping: Positive = 1e-2, tolerance: Positive = 0.3
+    ) -> None:
         super().__init__(params, {"damping": damping, "tolerance": tolerance})
 
     @torch.no_grad()

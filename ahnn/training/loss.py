@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Literal
+from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ahnn.errors import UserError
+from ahnn.arguments import Positive, Within, checked
 from ahnn.statistics import Statistics
 
 FLOOR = 0.03
 """Local increments below this fraction of the typical one are not weighted up any further."""
 
 
+@checked
 @dataclass(frozen=True)
 class LossOptions:
     """What training minimises, and when.
@@ -33,20 +34,10 @@ class LossOptions:
     """
 
     scale: Literal["increment", "state"] = "increment"
-    delta: float = 1.0
-    balance: float = 0.0
-    derivative: float = 0.0
-    order: int = 12
-
-    def __post_init__(self) -> None:
-        """Refuse what no loss can be made of."""
-        possible = self.delta > 0 and 0 <= self.balance <= 1 and 0 <= self.derivative <= 1
-        if not possible or self.order < 2 or self.order % 2 or self.scale not in ("increment", "state"):
-            message = (
-                "loss: expected scale increment or state, delta > 0, balance and derivative in [0, 1], "
-                f"and an even order >= 2; received {asdict(self)}"
-            )
-            raise UserError(message)
+    delta: Positive = 1.0
+    balance: Annotated[float, Within(0, 1)] = 0.0
+    derivative: Annotated[float, Within(0, 1)] = 0.0
+    order: Annotated[int, Within(2, multiple=2)] = 12
 
 
 class Loss(nn.Module):

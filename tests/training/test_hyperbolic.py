@@ -90,9 +90,9 @@ def test_each_group_has_its_own_initial_rate():
     ("change", "received"),
     [
         ({"upper_bound": 9.0}, "upper_bound=9.0"),
-        ({"max_epochs": 0, "upper_bound": 5.0}, "max_epochs=0"),
+        ({"max_epochs": 0, "upper_bound": 5.0}, "max_epochs: expected int >= 1; received 0"),
         ({"infimum_lr": 1e-3}, "infimum_lr=0.001"),
-        ({"infimum_lr": 0.0}, "infimum_lr=0.0"),
+        ({"infimum_lr": 0.0}, "infimum_lr: expected float > 0; received 0.0"),
     ],
 )
 def test_impossible_settings_are_refused_with_what_came(change, received):

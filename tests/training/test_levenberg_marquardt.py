@@ -111,5 +111,5 @@ def test_a_non_finite_problem_changes_no_weight():
 @pytest.mark.parametrize("options", [{"damping": 0.0}, {"tolerance": -1.0}])
 def test_impossible_settings_are_refused_by_name(options):
     ((name, value),) = options.items()
-    with pytest.raises(UserError, match=f"{name}={value}"):
+    with pytest.raises(UserError, match=f"^{name}: expected float > 0; received {value}"):
         LevenbergMarquardt([nn.Parameter(torch.zeros(1))], **options)
