@@ -85,8 +85,12 @@ def build_plugins(cfg: DictConfig, splits: SplitData) -> dict[str, EvaluationPlu
 
     plugins = build_all(cfg.plugins, "plugins", EvaluationPlugin)
     source = splits.source
-    for plugin in plugins.values():
-        plugin.check(source.truth, source.space, source.steps())
+    for name, plugin in plugins.items():
+        try:
+            plugin.check(source.truth, source.space, source.steps())
+        except UserError as error:
+            message = f"plugins.{name}: {error}"
+            raise UserError(message) from error
     return plugins
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import lightning as L
 import optuna
@@ -19,6 +19,7 @@ from ahnn.errors import UserError
 from ahnn.training.callbacks import require_monitored
 from ahnn_plugins.pfl.decision import Decision, Settings, checked, decide
 from ahnn_plugins.pfl.log import DecisionLog
+from ahnn_plugins.pfl.predictor import FitName
 from ahnn_plugins.pfl.pruner import PFLPruner
 from ahnn_plugins.pfl.record import Record
 
@@ -47,8 +48,8 @@ class PFLCallback(L.Callback):
         self,
         run_dir: str,
         monitor: str = "val/loss",
-        fit: str = "log_linear",
-        use: str = "first",
+        fit: FitName = "log_linear",
+        use: Literal["first", "all"] = "first",
         fit_epochs: int = 10,
         target_epoch: int = 50,
         top_k: int = 10,

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
+from ahnn.arguments import Count, Within, check_values
 from ahnn.errors import UserError
-from ahnn_plugins.pfl.predictor import FITS, Forecast
+from ahnn_plugins.pfl.predictor import FITS, FitName, Forecast
 
 
 class Settings(NamedTuple):
@@ -21,11 +22,11 @@ class Settings(NamedTuple):
         top_k: number of best complete models that set the threshold; fewer of them prune nothing.
     """
 
-    fit: str = "log_linear"
-    use: str = "first"
-    fit_epochs: int = 10
-    target_epoch: int = 50
-    top_k: int = 10
+    fit: FitName = "log_linear"
+    use: Literal["first", "all"] = "first"
+    fit_epochs: Annotated[int, Within(4)] = 10
+    target_epoch: Count = 50
+    top_k: Count = 10
 
 
 class Decision(NamedTuple):
@@ -85,21 +86,12 @@ def checked(settings: Settings) -> Settings:
     Raises:
         UserError: for an unknown fit or use, or counts that leave nothing to fit or to forecast.
     """
-    if settings.fit not in FITS:
-        message = f"PFL pruner: expected fit to be one of {', '.join(FITS)}; received {settings.fit!r}"
-        raise UserError(message)
-    if settings.use not in ("first", "all"):
-        message = f"PFL pruner: expected use to be 'first' or 'all'; received {settings.use!r}"
-        raise UserError(message)
-    if not 4 <= settings.fit_epochs <= settings.target_epoch:
+    check_values("", Settings, settings._asdict())
+    if settings.fit_epochs > settings.target_epoch:
         message = (
-            "PFL pruner: expected 4 <= fit_epochs <= target_epoch; received "
-            f"fit_epochs={settings.fit_epochs}, target_epoch={settings.target_epoch}; "
-            "set target_epoch to the last epoch of a run and fit_epochs below it"
+            f"fit_epochs: expected at most target_epoch, {settings.target_epoch}, the last epoch of a run; "
+            f"received {settings.fit_epochs}"
         )
-        raise UserError(message)
-    if settings.top_k < 1:
-        message = f"PFL pruner: expected top_k >= 1; received {settings.top_k}"
         raise UserError(message)
     return settings
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
+from typing import Literal
 
 Forecast = float | None
 """A finite loss, or None where the curve allows no forecast."""
@@ -85,7 +86,8 @@ def shifted_exponential(losses: Sequence[float], target_epoch: int) -> Forecast:
     return _finite(smooth[j] + amplitude * change)
 
 
-FITS: Mapping[str, Callable[[Sequence[float], int], Forecast]] = MappingProxyType(
+FitName = Literal["log_linear", "power_law", "shifted"]
+FITS: Mapping[FitName, Callable[[Sequence[float], int], Forecast]] = MappingProxyType(
     {"log_linear": log_linear, "power_law": power_law, "shifted": shifted_exponential}
 )
 """The fits by the name that a configuration gives."""

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Literal
 
 from optuna.pruners import BasePruner
 from optuna.study import Study
 from optuna.trial import FrozenTrial, TrialState
 
 from ahnn_plugins.pfl.decision import Decision, Settings, checked, decide
+from ahnn_plugins.pfl.predictor import FitName
 
 
 class PFLPruner(BasePruner):
@@ -31,8 +33,8 @@ class PFLPruner(BasePruner):
     def __init__(
         self,
         max_epochs: int,
-        fit: str = "log_linear",
-        use: str = "first",
+        fit: FitName = "log_linear",
+        use: Literal["first", "all"] = "first",
         fit_epochs: int = 10,
         target_epoch: int = 50,
         top_k: int = 10,

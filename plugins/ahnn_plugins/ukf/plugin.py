@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from functools import partial
-from typing import Any, Literal, cast, final
+from typing import Annotated, Any, Literal, cast, final
 
 import torch
 from torch import Tensor
 
-from ahnn.arguments import check_arguments
+from ahnn.arguments import Count, Finite, Positive, Within, check_arguments, checked
 from ahnn.errors import UserError
 from ahnn.estimation.gate import Gate
 from ahnn.estimation.scenario import Problem, Setting, perturbed_arcs, simulated
@@ -27,16 +26,19 @@ from ahnn_plugins.ukf.outcome import Outcome, filtered, numbers, rows, smoothed
 from ahnn_plugins.ukf.process_noise import fitted_process_noise
 from ahnn_plugins.ukf.series import moving_averages
 from ahnn_plugins.ukf.setting import make_setting
+from ahnn_plugins.ukf.sigma_points import unscented_weights
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
 from ahnn_plugins.ukf.standard import STANDARD
 from ahnn_plugins.ukf.tuning import Tuning, tuned_once
 from ahnn_plugins.ukf.types import UnscentedParameters
 
+Deviation = Annotated[float, Within(0)]
 FITTING = 20
 """Validation trajectories on which the scale of Q is chosen."""
 
 
 @final
+@checked
 class UKFEvaluation:
     """Unscented Kalman filter with the model as its process model, beside one with the exact dynamics.
 
@@ -65,32 +67,30 @@ class UKFEvaluation:
     def __init__(
         self,
         *,
-        cadence: int,
+        cadence: Count,
         times: list[float] | None,
         measurement: Measurement | dict[str, Any] | Literal["position", "state"],
-        measurement_sd: float | list[float] | None,
-        start_sd: list[float] | None,
-        process_noise: Literal["fitted"] | list[float],
-        alpha: float,
-        beta: float,
-        kappa: float,
+        measurement_sd: Positive | list[Positive] | None,
+        start_sd: tuple[Positive, Positive] | None,
+        process_noise: Literal["fitted"] | tuple[Deviation, Deviation],
+        alpha: Finite,
+        beta: Finite,
+        kappa: Finite,
         form: Literal["square_root", "standard"],
-        gate: float | None,
-        patience: int,
+        gate: Annotated[float, Within(above=0, below=1)] | None,
+        patience: Count,
         smoother: bool,
         tuning: dict[str, Any] | None,
         seed: int,
     ) -> None:
         _check_measurement(measurement)
-        _check_noise(process_noise)
-        _check_gate(gate, patience)
         self.seed, self.smoother, self.process_noise = seed, smoother, process_noise
         self.parameters = UnscentedParameters(alpha, beta, kappa)
         self.form = {"square_root": SQUARE_ROOT, "standard": STANDARD}[form]
         self.gate = None if gate is None else Gate(gate, patience)
         self.tuning = None
         if tuning is not None:
-            check_arguments("plugins.ukf.tuning", Tuning, tuning)
+            check_arguments("tuning", Tuning, tuning)
             self.tuning = Tuning(**tuning)
         self._setting = partial(
             make_setting,
@@ -116,17 +116,11 @@ class UKFEvaluation:
         setting = self._setting(system, steps)
         if self.tuning is not None and (self.tuning.steps or steps) < setting.first:
             message = (
-                f"plugins.ukf.tuning.steps: expected at least {setting.first}, when the first measurement "
+                f"tuning.steps: expected at least {setting.first}, when the first measurement "
                 f"comes; received {self.tuning.steps}"
             )
             raise UserError(message)
-        alpha, beta, kappa = self.parameters
-        if not (0 < abs(alpha) < math.inf and math.isfinite(beta) and -2 * system.dof < kappa < math.inf):
-            message = (
-                f"plugins.ukf: expected alpha other than 0, a finite beta and kappa > {-2 * system.dof}; "
-                f"received alpha={alpha}, beta={beta} and kappa={kappa}"
-            )
-            raise UserError(message)
+        unscented_weights(self.parameters, 2 * system.dof)
 
     @torch.no_grad()
     def __call__(self, case: Case) -> Findings:
@@ -189,7 +183,7 @@ class UKFEvaluation:
 
     def _process_noise(self, case: Case, setting: Setting, model: Filter, findings: Findings) -> Tensor:
         """Return Q of the model and write down where it comes from."""
-        if isinstance(self.process_noise, list):
+        if not isinstance(self.process_noise, str):
             position, velocity = self.process_noise
             blocks = torch.tensor([position, velocity * case.space.inertia], dtype=torch.float64)
             q = torch.diag(blocks.repeat_interleave(case.space.dof) ** 2)
@@ -240,7 +234,7 @@ def _known(truth: System | None, space: Space) -> System:
         UserError: its equations are not known.
     """
     if truth is None:
-        message = f"plugins.ukf: expected a system whose equations are known; received data of {space.name}"
+        message = f"system: expected one whose equations are known; received data of {space.name}"
         raise UserError(message)
     return truth
 
@@ -250,32 +244,14 @@ def _check_measurement(measurement: Any) -> None:
         return
     if isinstance(measurement, dict):
         message = (
-            "plugins.ukf.measurement: expected position, state or a node with _target_; received keys "
+            "measurement: expected position, state or a node with _target_; received keys "
             f"{', '.join(measurement)}"
         )
         raise UserError(message)
     missing = [name for name in ("names", "units", "residual") if not hasattr(measurement, name)]
     if missing:
         message = (
-            "plugins.ukf.measurement: expected a measurement model with names, units, residual; "
+            "measurement: expected a measurement model with names, units, residual; "
             f"{type(measurement).__name__} has no {', '.join(missing)}"
         )
-        raise UserError(message)
-
-
-def _check_noise(given: str | list[float]) -> None:
-    if isinstance(given, list) and not (len(given) == 2 and all(0 <= sd < math.inf for sd in given)):
-        message = (
-            f"plugins.ukf.process_noise: expected `fitted` or two standard deviations [position, "
-            f"velocity] >= 0; received {given}"
-        )
-        raise UserError(message)
-
-
-def _check_gate(probability: float | None, patience: int) -> None:
-    if probability is not None and not 0 < probability < 1:
-        message = f"plugins.ukf.gate: expected a probability in (0, 1); received {probability}"
-        raise UserError(message)
-    if not 1 <= patience < math.inf:
-        message = f"plugins.ukf.patience: expected at least 1 refusal; received {patience}"
         raise UserError(message)

@@ -9,20 +9,22 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
+from ahnn.arguments import Count, Positive, checked
 from ahnn.errors import UserError
 from ahnn.estimation.scenario import Setting
 from ahnn.measurements import Measurement, Position, State
 from ahnn.systems import System
 
 
+@checked
 def make_setting(
     system: System,
     steps: int,
     *,
     measurement: Measurement | Literal["position", "state"],
-    measurement_sd: float | Sequence[float] | None,
-    start_sd: Sequence[float] | None,
-    cadence: int,
+    measurement_sd: Positive | list[Positive] | None,
+    start_sd: tuple[Positive, Positive] | None,
+    cadence: Count,
     times: Sequence[float] | None,
 ) -> Setting:
     """Return the setting of a system from the options of `UKFEvaluation`.
@@ -55,11 +57,8 @@ def named(measurement: str, system: System) -> Measurement:
 
 
 def _cadence(cadence: int, steps: int) -> tuple[int, ...]:
-    if not 1 <= cadence <= steps:
-        message = (
-            f"plugins.ukf.cadence: expected at least 1 and at most {steps}, the steps of a trajectory; "
-            f"received {cadence}"
-        )
+    if cadence > steps:
+        message = f"cadence: expected at most {steps}, the steps of a trajectory; received {cadence}"
         raise UserError(message)
     return tuple(range(cadence, steps + 1, cadence))
 
@@ -70,7 +69,7 @@ def _samples(times: Sequence[float], dt: float, steps: int) -> tuple[int, ...]:
     there = all(abs(k * dt - t) <= 1e-6 * dt and 1 <= k <= steps for k, t in zip(samples, times, strict=True))
     if not samples or not there or samples != sorted(set(samples)):
         message = (
-            f"plugins.ukf.times: expected increasing multiples of dt = {dt:g}, from {dt:g} to "
+            f"times: expected increasing multiples of dt = {dt:g}, from {dt:g} to "
             f"{steps * dt:g}; received {list(times)}"
         )
         raise UserError(message)
@@ -81,11 +80,8 @@ def _deviations(model: Measurement, given: float | Sequence[float] | None) -> Te
     """Return the standard deviations of the measurement noise, (M,)."""
     names = [f"{n} [{u}]" for n, u in zip(model.names, model.units, strict=True)]
     values = list(given) if isinstance(given, Sequence) else [given or 0.0] * len(names)
-    if len(values) != len(names) or not all(0 < value < math.inf for value in values):
-        message = (
-            f"plugins.ukf.measurement_sd: expected one number > 0 for each of {', '.join(names)}; "
-            f"received {given}"
-        )
+    if len(values) != len(names) or 0.0 in values:
+        message = f"measurement_sd: expected one number > 0 for each of {', '.join(names)}; received {given}"
         raise UserError(message)
     return torch.tensor(values, dtype=torch.float64)
 
@@ -94,12 +90,6 @@ def _start(system: System, given: Sequence[float] | None) -> Tensor:
     """Return the standard deviations of the initial error, (D,)."""
     if given is None:
         return system.deviations()
-    if len(given) != 2 or not all(0 < value < math.inf for value in given):
-        message = (
-            f"plugins.ukf.start_sd: expected two numbers > 0, [position {system.units.position}, velocity "
-            f"{system.units.velocity}]; received {list(given)}"
-        )
-        raise UserError(message)
     blocks = torch.tensor([given[0], given[1] * system.inertia], dtype=torch.float64)
     return blocks.repeat_interleave(system.dof)
 
@@ -110,7 +100,7 @@ def _try(measurement: Any, system: System, time: float) -> None:
     mass = getattr(measurement, "mass", system.inertia)
     if mass != system.inertia:
         message = (
-            f"plugins.ukf.measurement: expected {type(measurement).__name__} with mass={system.inertia:g}, "
+            f"measurement: expected {type(measurement).__name__} with mass={system.inertia:g}, "
             f"that of the system, whose momenta it reads; received mass={mass:g}"
         )
         raise UserError(message)
@@ -119,10 +109,10 @@ def _try(measurement: Any, system: System, time: float) -> None:
         shape = tuple(measurement(x, time).shape)
     except (RuntimeError, IndexError, ValueError) as error:
         message = (
-            f"plugins.ukf.measurement: expected a model of states with {x.shape[-1]} components; "
+            f"measurement: expected a model of states with {x.shape[-1]} components; "
             f"{type(measurement).__name__} failed: {error}"
         )
         raise UserError(message) from error
     if shape != expected:
-        message = f"plugins.ukf.measurement: expected measurements {expected}; received {shape}"
+        message = f"measurement: expected measurements {expected}; received {shape}"
         raise UserError(message)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from ahnn.errors import UserError
 from ahnn.estimation.belief import Belief
 from ahnn.numbers import as_float64
 from ahnn_plugins.ukf.types import UnscentedParameters, Weights
@@ -28,7 +29,7 @@ def unscented_weights(
         batch: B.
 
     Raises:
-        ValueError: if a parameter is not finite or not of length 1 or B, or D + lambda = alpha² (D + kappa)
+        UserError: a parameter is not finite or not of length 1 or B, or D + lambda = alpha² (D + kappa)
             is not positive.
     """
     alpha, beta, kappa = torch.broadcast_tensors(*_checked(parameters, device, batch))
@@ -59,7 +60,7 @@ def _checked(parameters: UnscentedParameters, device: torch.device | None, batch
                 f"unscented_weights: expected {name} to be one finite number or one for each of {batch} "
                 f"members; received {column.tolist()}"
             )
-            raise ValueError(message)
+            raise UserError(message)
         columns.append(column.reshape(-1, 1, 1))
     return columns
 
@@ -72,7 +73,7 @@ def _check_total(total: Tensor, alpha: Tensor, kappa: Tensor, size: int) -> None
             "unscented_weights: expected L + lambda = alpha² (L + kappa) > 0; received "
             "{:g} with alpha = {:g}, kappa = {:g}, L = {}; choose alpha != 0 and kappa > -L"
         ).format(*received, size)
-        raise ValueError(message)
+        raise UserError(message)
 
 
 def draw(belief: Belief, weights: Weights) -> Tensor:

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import warnings
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from ahnn.arguments import fits, nearest
+from ahnn.arguments import Count, Interval, Range, Seed, Within, check_arguments, checked
 from ahnn.errors import UserError
 from ahnn.estimation.belief import Status
 from ahnn.estimation.scenario import Problem, Setting
@@ -30,15 +29,24 @@ if TYPE_CHECKING:
     from optuna import Study
     from optuna.distributions import BaseDistribution
 
-NAMES = ("alpha", "beta", "kappa", "scale_q", "scale_r")
-"""What may be searched; the last two are factors of Q and R."""
-
 LOGARITHMIC = ("alpha", "scale_q", "scale_r")
 
+Factors = Annotated[tuple[float, float] | list[float], Interval(Within(above=0))]
 LOST = 1e12
 """Objective of a trial that loses a member: finite, so that the sampler learns from it."""
 
 
+class Ranges(NamedTuple):
+    """What may be searched, [low, high]; the last two are factors of Q and R."""
+
+    alpha: Factors | None = None
+    beta: Range | None = None
+    kappa: Range | None = None
+    scale_q: Factors | None = None
+    scale_r: Factors | None = None
+
+
+@checked
 @dataclass(frozen=True)
 class Tuning:
     """How much is searched.
@@ -53,21 +61,15 @@ class Tuning:
     """
 
     ranges: dict[str, list[float]]
-    trials: int
-    trajectories: int
-    steps: int | None
-    batch: int
-    seed: int
+    trials: Count
+    trajectories: Count
+    steps: Count | None
+    batch: Count
+    seed: Seed
 
     def __post_init__(self) -> None:
-        """Refuse counts below one, and ranges that are none."""
-        counts = {"trials": self.trials, "trajectories": self.trajectories, "batch": self.batch}
-        for name, value in (counts | {"steps": self.steps or 1}).items():
-            if value < 1:
-                message = f"plugins.ukf.tuning.{name}: expected at least 1; received {value}"
-                raise UserError(message)
-        for name, interval in self.ranges.items():
-            _check_range(name, interval)
+        """Refuse ranges that are none; raises UserError."""
+        check_arguments("ranges", Ranges, self.ranges)
 
     def space(self) -> dict[str, BaseDistribution]:
         """Return the search space."""
@@ -77,18 +79,6 @@ class Tuning:
             name: FloatDistribution(*interval, log=name in LOGARITHMIC)
             for name, interval in self.ranges.items()
         }
-
-
-def _check_range(name: str, interval: Any) -> None:
-    if name not in NAMES:
-        message = f"plugins.ukf.tuning.ranges: unknown key {name!r}{nearest(name, NAMES)}"
-        raise UserError(message)
-    least = 0.0 if name in LOGARITHMIC else -math.inf
-    plain = fits(interval, list[float]) and len(interval) == 2
-    if not plain or not least < interval[0] < interval[1] < math.inf:
-        words = "0 < low < high" if name in LOGARITHMIC else "low < high"
-        message = f"plugins.ukf.tuning.ranges.{name}: expected [low, high], {words}; received {interval}"
-        raise UserError(message)
 
 
 class Tuned(NamedTuple):
@@ -147,7 +137,7 @@ def _begin(chosen: Filter, options: Tuning) -> dict[str, float]:
     for name, (low, high) in options.ranges.items():
         if not low <= own[name] <= high:
             message = (
-                f"plugins.ukf.tuning.ranges.{name}: expected a range with the untuned {own[name]:g} in it, "
+                f"tuning.ranges.{name}: expected a range with the untuned {own[name]:g} in it, "
                 f"where the search begins; received {[low, high]}"
             )
             raise UserError(message)

@@ -67,7 +67,7 @@ def test_zero_loss_is_no_reason_to_prune():
     "wrong", [{"fit": "cubic"}, {"use": "last"}, {"fit_epochs": 60}, {"fit_epochs": 1}, {"top_k": 0}]
 )
 def test_wrong_settings_name_what_is_expected(wrong: dict):
-    with pytest.raises(ValueError, match="PFL pruner"):
+    with pytest.raises(ValueError, match=r"^(fit|use|fit_epochs|top_k): expected"):
         checked(Settings(**wrong))
 
 

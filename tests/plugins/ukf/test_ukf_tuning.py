@@ -98,11 +98,14 @@ def test_only_what_has_a_range_is_searched(search: tuple) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"batch": 0}, "tuning.batch: expected at least 1; received 0"),
+        ({"batch": 0}, "batch: expected int >= 1; received 0"),
         ({"ranges": {"alfa": [0, 1]}}, "ranges: unknown key 'alfa'; did you mean 'alpha'"),
-        ({"ranges": {"alpha": [0.0, 1.0]}}, r"ranges.alpha: expected \[low, high\], 0 < low < high"),
-        ({"ranges": {"kappa": [2.0, 1.0]}}, r"ranges.kappa: expected \[low, high\], low < high"),
-        ({"ranges": {"kappa": "wide"}}, "ranges.kappa: expected .* received wide"),
+        (
+            {"ranges": {"alpha": [0.0, 1.0]}},
+            r"ranges.alpha: expected a range \[low, high\], .* > 0",
+        ),
+        ({"ranges": {"kappa": [2.0, 1.0]}}, r"ranges.kappa: expected a range \[low, high\], low <= high"),
+        ({"ranges": {"kappa": "wide"}}, "ranges.kappa: expected .* received 'wide'"),
     ],
 )
 def test_mistakes_are_named(change: dict, message: str) -> None:
@@ -154,5 +157,5 @@ def test_the_smallest_search_is_one_trial_of_one_step():
     one = Tuning({}, trials=1, trajectories=1, steps=1, batch=1, seed=0)
     assert one.space() == {}
     for name in ("trials", "trajectories", "steps", "batch"):
-        with pytest.raises(UserError, match=f"{name}: expected at least 1; received -1"):
+        with pytest.raises(UserError, match=f"{name}: expected int >= 1"):
             Tuning(**{**vars(one), name: -1})
