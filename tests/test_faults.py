@@ -277,7 +277,7 @@ def test_a_finished_run_has_no_steps_left(finished, tmp_path, capfd):
 
 WRONG_JOBS = {
     "callbacks.pfl.patience=-1": "did you mean 'callbacks.pfl",
-    "callbacks.pfl.top_k=-1": "PFL pruner: expected",
+    "callbacks.pfl.top_k=-1": "top_k: expected int >= 1",
     "callbacks.pfl.monitor=nonsense": "callbacks.pfl.monitor: expected one of val/loss, val/one_step",
     "data.trajectories=-1": "data.trajectories: expected int >= 1",
     "callbacks.best.monitor=nonsense": "callbacks.best.monitor: expected one of val/loss, val/one_step",
