@@ -378,3 +378,22 @@ def test_a_cluster_that_asks_for_several_tasks_is_one_message(tmp_path, capfd, m
     monkeypatch.setenv("SLURM_NTASKS", "4")
     assert call("ahnn.train", *FIRST, f"run={tmp_path / 'run'}") == 2
     assert "ntasks" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("odd", ["MPLBACKEND=nonsense", "RANK=x", "LOCAL_RANK=x", "TORCH_LOGS="])
+def test_a_library_that_cannot_be_imported_is_one_message(tmp_path, monkeypatch, odd):
+    monkeypatch.setenv(*odd.split("="))
+    job = started(tmp_path, *FIRST, f"run={tmp_path / 'run'}")
+    said, _ = job.communicate(timeout=60)
+    assert job.returncode == 2
+    assert "ahnn: environment: a library cannot be imported: " in said
+    assert "Traceback" not in said
+
+
+def test_a_command_needs_no_streams(tmp_path):
+    words = [sys.executable, "-m", "ahnn.train", *FIRST, "trainer.max_epochs=1", f"run={tmp_path / 'run'}"]
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    shell = ["bash", "-c", 'exec "$@" >&- <&-', "bash", *words]
+    done = subprocess.run(shell, stderr=subprocess.PIPE, text=True, env=env, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "run" / "metrics.json").exists()

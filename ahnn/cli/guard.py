@@ -7,7 +7,9 @@ n, which is 130 for Ctrl-C, 143 for SIGTERM and 129 for SIGHUP.
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
+import traceback
 from collections.abc import Callable
 from typing import Any
 
@@ -17,6 +19,9 @@ from ahnn.errors import Stopped, TrainingError, UserError
 
 def guard(entry: Callable[[], Any]) -> int:
     """Call an entry point and return its exit code."""
+    for name in ("stdout", "stderr"):  # a service may have closed them
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 - as long as the process
     for stream in (sys.stdout, sys.stderr):  # a terminal that knows ASCII alone shows ? for ²
         with contextlib.suppress(AttributeError):
             stream.reconfigure(errors="replace")  # pyright: ignore[reportAttributeAccessIssue]
@@ -38,11 +43,21 @@ def guard(entry: Callable[[], Any]) -> int:
             return report(
                 str(cause) if isinstance(cause, UserError | TrainingError) else configured(error), 2
             )
+        if in_library(error):
+            said = " ".join(f"{type(error).__name__}: {error}".split())
+            return report(f"environment: a library cannot be imported: {said}. Look at its variables", 2)
         if not isinstance(error, OSError):
             raise
         place = f"file {error.filename}" if error.filename else "files"
         return report(f"{place}: {error.strerror or error}", 2)
     return 0
+
+
+def in_library(error: Exception) -> bool:
+    """Return whether an exception comes from the body of a module that is not ours: its import failed."""
+    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
+    bodies = any(frame.f_code.co_name == "<module>" for frame in frames)
+    return bodies and not frames[-1].f_globals.get("__name__", "").startswith("ahnn")
 
 
 def configured(error: Exception) -> str:
