@@ -47,10 +47,18 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
             "Take another one, or train again"
         )
         raise UserError(message) from error
-    if not isinstance(content, dict) or "state_dict" not in content or "ahnn" not in content:
+    if not isinstance(content, dict) or "state_dict" not in content or not _is_plain(content.get("ahnn")):
         message = f"checkpoint {path}: expected a checkpoint written by ahnn; received something else"
         raise UserError(message)
     return content
+
+
+def _is_plain(about: Any) -> bool:
+    """Return whether nested values have no tensors in them, which compare as nothing else does."""
+    try:
+        return isinstance(about, dict) and bool(json.dumps(about))
+    except (TypeError, ValueError):
+        return False
 
 
 def require_intact(path: Path) -> None:

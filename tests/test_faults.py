@@ -255,6 +255,18 @@ SPOILED = {
         "received others of loss.unit",
     ),
     "a weight too many": (lambda c: c["state_dict"].update({"x": torch.ones(1)}), "received others of x"),
+    "steps that are no number": (
+        lambda c: c.update(global_step=torch.tensor(torch.nan)),
+        "received one without global_step",
+    ),
+    "a version that is none": (
+        lambda c: c.update({"pytorch-lightning_version": "x"}),
+        "received one that is not whole: ",
+    ),
+    "a tensor among what is known": (
+        lambda c: c["ahnn"]["data"]["recipe"].update(seed=torch.zeros(3)),
+        "expected a checkpoint written by ahnn",
+    ),
     "no loops": (lambda c: c.pop("loops"), "received one without loops"),
     "no optimiser": (lambda c: c.pop("optimizer_states"), "received one without optimizer_states"),
 }

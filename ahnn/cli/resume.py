@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from ahnn.models import AbstractModel
 
 STATES = "optimizer_states"
-NEEDED = ("state_dict", STATES, "lr_schedulers", "loops", "callbacks", "epoch", "global_step")
+NEEDED = {"state_dict": dict, STATES: list, "lr_schedulers": list, "loops": dict, "callbacks": dict}
+NEEDED |= {"epoch": int, "global_step": int}
 """What Lightning takes from a checkpoint without asking whether it is there."""
 
 
@@ -40,7 +41,7 @@ def resume_point(ckpt: str | None, model: AbstractModel, trainer: Trainer, folde
         return None
     path = folder / f"{ckpt}.ckpt" if ckpt in ("last", "best") else Path(ckpt)
     content = read_checkpoint(path)
-    if missing := [key for key in NEEDED if key not in content]:
+    if missing := [key for key, kind in NEEDED.items() if not isinstance(content.get(key), kind)]:
         message = f"checkpoint {path}: expected one to resume from; received one without {', '.join(missing)}"
         raise UserError(message)
     parts = ("data", "settings")
@@ -58,6 +59,8 @@ def _try(path: Path, model: AbstractModel, trainer: Trainer, content: dict[str, 
     Raises:
         UserError: a tensor is of another name, shape or type, or something else is not there.
     """
+    from lightning.pytorch.utilities.migration import migrate_checkpoint
+
     fresh, stepped = _optimisation(model), _optimisation(model)
     try:
         _step(stepped[0])
@@ -78,6 +81,7 @@ def _try(path: Path, model: AbstractModel, trainer: Trainer, content: dict[str, 
             if part.state_key in content["callbacks"]:
                 part.load_state_dict(content["callbacks"][part.state_key])
         trainer.fit_loop.load_state_dict(content["loops"]["fit_loop"])
+        migrate_checkpoint({"pytorch-lightning_version": content["pytorch-lightning_version"]})
     except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
         if isinstance(error, UserError):
             raise
