@@ -113,6 +113,29 @@ def test_a_scheduler_that_ends_a_training_loses_nothing(tmp_path, number, code):
     assert read_checkpoint(last)["global_step"] > 0
 
 
+@pytest.mark.parametrize("moment", [0.02, 0.1, 0.3, 1.0, 2.0])
+def test_ctrl_c_is_no_traceback_however_early(tmp_path, moment):
+    job = started(tmp_path, *FIRST, "trainer.max_epochs=2000")
+    time.sleep(moment)
+    job.send_signal(signal.SIGINT)
+    said, _ = job.communicate(timeout=60)
+    assert job.returncode in (130, -signal.SIGINT)
+    assert "Traceback" not in said
+
+
+def test_ctrl_c_in_a_search_says_that_the_search_goes_on(tmp_path):
+    search = ["-m", "sweep=quick", "hydra/launcher=ahnn_process", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
+    job = started(tmp_path, *search)
+    while not (tmp_path / "sweep" / "0" / "console.log").exists():
+        assert job.poll() is None
+        time.sleep(0.05)
+    job.send_signal(signal.SIGINT)
+    said, _ = job.communicate(timeout=60)
+    assert job.returncode == 130
+    assert "ahnn: stopped by Ctrl-C; the same command continues the search\n" in said
+    assert "from the beginning" not in said
+
+
 def test_a_scheduler_that_ends_a_sweep_ends_all_of_it(tmp_path):
     jobs = ["-m", "seed=7,201", *FIRST, "trainer.max_epochs=2000", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
     job = started(tmp_path, *jobs)
@@ -127,39 +150,6 @@ def test_a_scheduler_that_ends_a_sweep_ends_all_of_it(tmp_path):
 
 # Checkpoints
 
-WRITER = """
-import sys, torch
-from ahnn.training.checkpoint_io import AtomicCheckpointIO
-io, n = AtomicCheckpointIO(), 0
-while True:
-    n += 1
-    w = torch.full((200_000,), float(n))
-    io.save_checkpoint({"state_dict": {"w": w}, "ahnn": {}, "n": n}, sys.argv[1])
-    print(n, flush=True)
-"""
-
-
-@pytest.mark.parametrize("kills", [8, pytest.param(100, marks=pytest.mark.slow)])
-def test_a_kill_during_a_write_loses_no_checkpoint(tmp_path, kills):
-    path = tmp_path / "run" / "last.ckpt"
-    draw = torch.Generator().manual_seed(0)
-    env = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "TMPDIR": "/dev/shm"}
-    job, latest = None, 0
-    for _ in range(kills):
-        job = subprocess.Popen(
-            [sys.executable, "-c", WRITER, path], env=env, stdout=subprocess.PIPE, text=True
-        )
-        assert job.stdout is not None
-        written = int(job.stdout.readline())
-        time.sleep(0.05 * float(torch.rand((), generator=draw)))
-        job.kill()
-        written = max([written, *(int(line) for line in job.communicate()[0].split())])
-        latest = read_checkpoint(path)["n"]
-        assert latest >= written
-        assert float(read_checkpoint(path)["state_dict"]["w"][0]) == latest
-    AtomicCheckpointIO().save_checkpoint({"state_dict": {}, "ahnn": {}}, path)
-    assert [p.name for p in path.parent.iterdir()] == ["last.ckpt"]  # what the kills left is gone
-
 
 def test_a_full_disk_leaves_the_checkpoint_that_was_there(tmp_path, monkeypatch):
     io, path = AtomicCheckpointIO(), tmp_path / "best.ckpt"
@@ -173,6 +163,25 @@ def test_a_full_disk_leaves_the_checkpoint_that_was_there(tmp_path, monkeypatch)
         io.save_checkpoint({"state_dict": {}, "ahnn": {}, "n": 2}, path)
     assert read_checkpoint(path)["n"] == 1
     assert [p.name for p in tmp_path.iterdir()] == ["best.ckpt"]
+
+
+def test_a_full_disk_in_a_training_is_one_message_that_names_the_file(tmp_path, monkeypatch, capfd):
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    assert call("ahnn.train", *FIRST, "trainer.max_epochs=1", f"run={tmp_path / 'cached'}") == 0
+    monkeypatch.setattr(os, "fsync", full)
+    assert call("ahnn.train", *FIRST, f"run={tmp_path / 'run'}") == 2
+    last = capfd.readouterr().err.splitlines()[-1]
+    assert last == f"ahnn: file {tmp_path / 'run' / 'config.yaml'}: No space left on device"
+
+
+def test_a_training_without_events_says_nothing_of_tensorboard(tmp_path, capfd):
+    few = [*FIRST, "trainer.max_epochs=1"]
+    assert call("ahnn.train", *few, f"run={tmp_path / 'without'}") == 0
+    assert "TensorBoard" not in capfd.readouterr().err
+    assert call("ahnn.train", *few, "logger=tensorboard", f"run={tmp_path / 'with'}") == 0
+    assert "TensorBoard: tensorboard --logdir" in capfd.readouterr().err
 
 
 def test_files_have_the_permissions_that_the_user_chose(tmp_path):
@@ -364,6 +373,9 @@ REFUSED = {
     "+trainer.strategy=ddp": "received ddp. Use trainer=ddp",
     "+trainer.fast_dev_run=true": "trainer.fast_dev_run: expected False",
     "callbacks.best.monitor=foo": "callbacks.best.monitor: expected one of val/loss, val/one_step",
+    "+callbacks.best.save_top_k=3": "callbacks.best: unknown key 'save_top_k'",
+    "+callbacks.best.filename=x": "callbacks.best: unknown key 'filename'",
+    "plugins=ukf_tuned plugins.ukf.tuning.steps=0": "tuning.steps: expected int >= 1",
     "folder=null": "folder: expected str; received None",
     "system=[molniya,1]": "system: expected one of",
     "seed=99999999999999999999999": "seed: expected int from 0 to 4294967295",

@@ -105,6 +105,7 @@ def test_a_mistake_is_one_message_and_leaves_nothing(mistake, tmp_path, capfd, m
     assert err.count("\n") == 1
     assert MISTAKES[mistake] in err
     assert "Traceback" not in out + err
+    assert "pkg://" not in err
     assert list(tmp_path.iterdir()) == []
     assert not GlobalHydra.instance().is_initialized()
 

@@ -5,6 +5,7 @@ dataclasses, and it imports Optuna inside functions because every start of every
 """
 
 import logging
+import signal
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -18,7 +19,7 @@ from hydra.plugins.sweeper import Sweeper
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from ahnn.errors import UserError
+from ahnn.errors import Stopped, UserError
 from ahnn.files import write_atomically
 
 if TYPE_CHECKING:
@@ -87,11 +88,17 @@ class AhnnOptunaSweeper(Sweeper):
             HydraException: for a search space, storage or study that does not fit, and at the end, if a
                 trial failed for another reason than pruning. Hydra shows it as a message without a
                 traceback, exit code 1.
+            Stopped: by a signal; the message says that the search goes on.
         """
         try:
             failed = self._sweep(arguments)
         except UserError as error:
             raise HydraException(str(error)) from error
+        except (KeyboardInterrupt, Stopped) as stop:
+            number = stop.signal if isinstance(stop, Stopped) else signal.SIGINT
+            word = "Ctrl-C" if number == signal.SIGINT else number.name
+            message = str(stop) or f"stopped by {word}; the same command continues the search"
+            raise Stopped(number, message) from None
         if failed:
             message = f"{failed} of {self.n_trials} trials failed; the table above names them"
             raise HydraException(message)

@@ -1,0 +1,32 @@
+"""The campaign of faults in small, and kills during writes, on a disk and in memory."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+CAMPAIGN = Path(__file__).parent / "campaign"
+
+
+@pytest.mark.parametrize("cases", [60, pytest.param(1500, marks=pytest.mark.slow)])
+def test_no_case_of_a_campaign_fails(cases):
+    words = [sys.executable, str(CAMPAIGN / "run.py"), "--seed", "1", "--cases", str(cases)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.splitlines()[-1].split()[:2] == ["all", str(cases)]
+
+
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+@pytest.mark.parametrize("place", ["disk", "/dev/shm"])
+@pytest.mark.parametrize("kills", [8, pytest.param(100, marks=pytest.mark.slow)])
+def test_a_kill_during_a_write_loses_no_checkpoint_and_leaves_nothing(tmp_path, monkeypatch, kills, place):
+    monkeypatch.syspath_prepend(CAMPAIGN)
+    from families.kills import checkpoint
+
+    draw = torch.Generator().manual_seed(kills)
+    for _ in range(kills):
+        checkpoint(tmp_path if place == "disk" else Path(place), float(torch.rand((), generator=draw)))
