@@ -21,6 +21,7 @@ import sys
 from typing import Any
 
 from ahnn.cli.guard import guard
+from ahnn.cli.stops import held
 
 log = logging.getLogger("ahnn")
 
@@ -33,14 +34,15 @@ def evaluate(arguments: list[str]) -> None:
     Raises:
         UserError: no such run, or an override that has no effect on a finished one.
     """
-    from ahnn.cli.again import Request, provenance_note, run_config
-    from ahnn.cli.parts import build_plugins, build_source, build_splits, report_options
-    from ahnn.cli.settings import check_again
-    from ahnn.evaluation import evaluation_folder, load_results, report
-    from ahnn.evaluation.prepare import make_case
-    from ahnn.evaluation.sinks import TensorBoardSink
-    from ahnn.evaluation.sinks.board import Board
-    from ahnn.runs import load
+    with held():
+        from ahnn.cli.again import Request, provenance_note, run_config
+        from ahnn.cli.parts import build_plugins, build_source, build_splits, report_options
+        from ahnn.cli.settings import check_again
+        from ahnn.evaluation import evaluation_folder, load_results, report
+        from ahnn.evaluation.prepare import make_case
+        from ahnn.evaluation.sinks import TensorBoardSink
+        from ahnn.evaluation.sinks.board import Board
+        from ahnn.runs import load
 
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
     log.setLevel(logging.INFO)

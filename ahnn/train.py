@@ -66,10 +66,12 @@ def check(cfg: DictConfig) -> None:
         UserError: a job that cannot work.
     """
     from ahnn.cli.before import quiet
+    from ahnn.cli.stops import held
 
     quiet()
     check_settings(cfg)
-    prepare(of_seed(cfg, cfg.seeds[0]) if cfg.seeds else cfg)
+    with held():
+        prepare(of_seed(cfg, cfg.seeds[0]) if cfg.seeds else cfg)
 
 
 train.check = check  # pyright: ignore[reportFunctionMemberAccess] - all that reaches a sweeper is this function
@@ -120,11 +122,12 @@ def train_once(cfg: DictConfig, source: Source | None = None) -> float:
         cfg: one job.
         source: of the trajectories; None takes the system of the configuration.
     """
-    from ahnn.cli.stops import interruptible
+    from ahnn.cli.stops import held, interruptible
     from ahnn.files import claimed, require_writable
 
     folder = Path(cfg.folder)
-    data, model, plugins, trainer, checkpoint = prepare(cfg, source)
+    with held():
+        data, model, plugins, trainer, checkpoint = prepare(cfg, source)
     data.train_dataloader()  # the last that may be refused: from here on files are written
 
     require_writable(folder)

@@ -6,6 +6,7 @@ import logging
 import warnings
 from pathlib import Path
 
+from ahnn.cli.stops import held
 from ahnn.errors import UserError
 
 HINTS = (
@@ -21,7 +22,8 @@ HINTS = (
 
 def quiet() -> None:
     """Silence Lightning's warnings about what is intended."""
-    from lightning.pytorch.utilities import rank_zero_only
+    with held():
+        from lightning.pytorch.utilities import rank_zero_only
 
     for name in ("lightning.pytorch", "lightning.fabric"):
         logging.getLogger(name).setLevel(logging.WARNING)

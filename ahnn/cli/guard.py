@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import sys
 import traceback
 from collections.abc import Callable
@@ -23,21 +24,20 @@ def guard(entry: Callable[[], Any]) -> int:
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 - as long as the process
     for stream in (sys.stdout, sys.stderr):  # a terminal that knows ASCII alone shows ? for ²
-        with contextlib.suppress(AttributeError):
+        with contextlib.suppress(AttributeError, OSError, ValueError):
             stream.reconfigure(errors="replace")  # pyright: ignore[reportAttributeAccessIssue]
     listen()
     try:
         entry()
-    except Stopped as stop:
-        again = "the same command starts again from the beginning"
-        return report(str(stop) or f"stopped by {stop.signal.name}; {again}", stop.code)
-    except KeyboardInterrupt:
-        return report("stopped by Ctrl-C; the same command starts again from the beginning", 130)
+    except (Stopped, KeyboardInterrupt) as stop:
+        return end(stop)
     except TrainingError as error:
         return report(str(error), 3)
     except UserError as error:
         return report(str(error), 2)
     except Exception as error:
+        if stop := stop_behind(error):
+            return end(stop)
         if type(error).__module__.partition(".")[0] in ("hydra", "omegaconf"):  # some of them are OSErrors
             cause = error.__cause__
             return report(
@@ -51,6 +51,24 @@ def guard(entry: Callable[[], Any]) -> int:
         place = f"file {error.filename}" if error.filename else "files"
         return report(f"{place}: {error.strerror or error}", 2)
     return 0
+
+
+def end(stop: BaseException) -> int:
+    """Say what stopped the command and return the exit code."""
+    known = stop if isinstance(stop, Stopped) else Stopped(signal.SIGINT)
+    word = "Ctrl-C" if known.signal == signal.SIGINT else known.signal.name
+    return report(
+        str(known) or f"stopped by {word}; the same command starts again from the beginning", known.code
+    )
+
+
+def stop_behind(error: BaseException) -> BaseException | None:
+    """Return the stop in whose clean-up another error came up, which took its place."""
+    while error.__context__ is not None:
+        error = error.__context__
+        if isinstance(error, Stopped | KeyboardInterrupt):
+            return error
+    return None
 
 
 def in_library(error: Exception) -> bool:

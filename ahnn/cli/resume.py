@@ -59,7 +59,7 @@ def _try(path: Path, model: AbstractModel, trainer: Trainer, content: dict[str, 
     Raises:
         UserError: a tensor is of another name, shape or type, or something else is not there.
     """
-    from lightning.pytorch.utilities.migration import migrate_checkpoint
+    from lightning.pytorch.utilities.migration.utils import migrate_checkpoint
 
     fresh, stepped = _optimisation(model), _optimisation(model)
     try:

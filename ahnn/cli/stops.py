@@ -32,6 +32,24 @@ def listen() -> None:
 
 
 @contextlib.contextmanager
+def held() -> Iterator[None]:
+    """Let signals wait: an exception in the middle of an import leaves libraries that recurse or abort."""
+    waiting: list[int] = []
+    before: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                before[number] = signal.signal(number, lambda number, _: waiting.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if waiting:
+            signal.raise_signal(waiting[0])
+
+
+@contextlib.contextmanager
 def interruptible(trainer: Trainer, how_to_go_on: Callable[[], str]) -> Iterator[None]:
     """Turn what ends a fit or an evaluation early into one message.
 

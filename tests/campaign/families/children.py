@@ -117,5 +117,6 @@ def same_weights(one: Path, other: Path) -> None:
 
 def plain(text: str) -> None:
     """Assert that a message is one for a user."""
-    assert "Traceback" not in text, text[-400:]
+    start = text.find("Traceback")
+    assert start < 0, f"{text[max(0, start - 80) : start + 300]} ... {text[-300:]}"
     assert "None:" not in text, text[-400:]

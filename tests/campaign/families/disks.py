@@ -7,6 +7,7 @@ import os
 import resource
 import shutil
 import subprocess
+import sys
 import tempfile
 from functools import partial
 from pathlib import Path
@@ -104,8 +105,9 @@ def _apart(work, log) -> int:
     pid = os.fork()
     if not pid:
         os.close(read)
-        for number in (1, 2):
+        for number, name in ((1, "stdout"), (2, "stderr")):
             os.dup2(write, number)
+            setattr(sys, name, os.fdopen(number, "w", buffering=1, closefd=False))
         try:
             work()
             code = 0
