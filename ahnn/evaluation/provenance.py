@@ -39,9 +39,12 @@ def commit(root: Path) -> str | None:
     """Return the commit of a checkout, with `-dirty` where files differ from it; None for another folder."""
     if not (root / ".git").exists():
         return None
-    describe = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    # `git describe --dirty` locks the index, and killed with this process it would leave the lock.
+    status = ["git", "-C", str(root), "--no-optional-locks", "status", "--porcelain=v2", "--branch", "-uno"]
     try:
-        done = subprocess.run(describe, capture_output=True, text=True, timeout=5, check=True)
+        done = subprocess.run(status, capture_output=True, text=True, timeout=5, check=True)
     except (OSError, subprocess.SubprocessError):
         return None
-    return done.stdout.strip() or None
+    lines = done.stdout.splitlines()
+    heads = [line.removeprefix("# branch.oid ") for line in lines if line.startswith("# branch.oid ")]
+    return "".join(heads) + "-dirty" * any(not line.startswith("#") for line in lines) or None

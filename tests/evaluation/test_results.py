@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import subprocess
 
 import pytest
 from cases import MODEL, make_case, make_results, scores
@@ -164,3 +166,20 @@ def test_a_run_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "evaluations").write_text("a file")
     with pytest.raises(UserError, match="evaluations: expected a place for a new folder"):
         evaluation_folder(tmp_path)
+
+
+def test_the_commit_is_read_without_a_lock_on_the_repository(tmp_path):
+    git = ["git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a@b"]
+    (tmp_path / "file").write_text("a")
+    for words in (["init", "-q"], ["add", "file"], ["commit", "-qm", "a"]):
+        subprocess.run([*git, *words], check=True)
+    head = subprocess.run(
+        [*git, "rev-parse", "HEAD"], check=True, capture_output=True, text=True
+    ).stdout.strip()
+    index = tmp_path / ".git" / "index"
+    os.utime(tmp_path / "file", (1, 1))  # the index is out of date, git would write it anew
+    before = index.stat().st_ino
+    assert commit(tmp_path) == head
+    assert index.stat().st_ino == before
+    (tmp_path / "file").write_text("b")
+    assert commit(tmp_path) == f"{head}-dirty"
