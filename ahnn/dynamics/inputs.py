@@ -59,7 +59,7 @@ class Isotropic(nn.Module):
 
     def pullback(self, q: Tensor, gradient: Tensor) -> Tensor:
         """Return the gradient with respect to q, shape (..., n), from the one with respect to z."""
-        inverse = 1 / q.norm(dim=-1, keepdim=True)
+        inverse = q.norm(dim=-1, keepdim=True).reciprocal()
         direction = q * inverse
         g = gradient[..., :-1]
         radial = gradient[..., -1:] / self.spread - (direction * g).sum(-1, keepdim=True)

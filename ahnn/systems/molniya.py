@@ -13,6 +13,9 @@ from ahnn.errors import UserError
 from ahnn.systems.base import Eccentricity, FilterNoise, System, Units, uniform
 from ahnn.systems.orbits import Elements, period, state_at_periapsis
 
+POLAR = torch.tensor([0.0, 0.0, 2.0], dtype=torch.float64)
+"""How much of the oblateness acts along the polar axis besides."""
+
 
 @final
 @dataclass(frozen=True, kw_only=True)
@@ -65,12 +68,12 @@ class Molniya(System):
     def force(self, q: Tensor) -> Tensor:
         """Return the attraction of the oblate planet, shape (..., 3) (Vallado, section 8.7.1)."""
         square = q * q
-        inverse = 1 / square.sum(-1, keepdim=True)
+        inverse = square.sum(-1, keepdim=True).reciprocal()
         sine2 = square[..., 2:3] * inverse
         oblateness = (1.5 * self.j2 * self.r_eq**2) * inverse
         central = inverse * inverse.sqrt() * (-self.mass * self.mu)
         planar = 1 + oblateness * (1 - 5 * sine2)
-        return central * torch.cat((q[..., :2] * planar, q[..., 2:3] * (planar + 2 * oblateness)), dim=-1)
+        return central * (q * torch.addcmul(planar, oblateness, POLAR.to(q)))
 
     def initial_states(self, count: int, generator: Generator) -> Tensor:
         """Draw orbits uniformly in their elements and return their states at periapsis, shape (count, 6)."""
