@@ -35,7 +35,7 @@ def evaluate(arguments: list[str]) -> None:
         UserError: no such run, or an override that has no effect on a finished one.
     """
     with held():
-        from ahnn.cli.again import Request, provenance_note, run_config
+        from ahnn.cli.again import Request, run_config
         from ahnn.cli.parts import build_plugins, build_source, build_splits, report_options
         from ahnn.cli.settings import check_again
         from ahnn.evaluation import evaluation_folder, load_results, report
@@ -53,7 +53,7 @@ def evaluate(arguments: list[str]) -> None:
     set_threads(cfg.threads)
     splits = build_splits(cfg, build_source(cfg))
     plugins = build_plugins(cfg, splits)
-    note = provenance_note(run, splits)
+    note = splits.beside(run.about.get("data"))
     training = load_results(run.folder).training if (run.folder / "metrics.json").exists() else {}
     options = report_options(cfg)
     folder = evaluation_folder(request.folder, request.name)

@@ -42,7 +42,8 @@ def train(cfg: DictConfig) -> float:
 
     Several `seeds` train in folders of their own, seed_7 and so on, inside the run folder.
     """
-    from ahnn.cli.before import quiet, require_new
+    from ahnn.cli.before import quiet
+    from ahnn.cli.resume import require_new
 
     quiet()
     check_settings(cfg)

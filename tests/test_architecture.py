@@ -98,6 +98,7 @@ LIGHTNING = {
     "training/callbacks",
     "training/profiler.py",
     "training/checkpoint_io.py",
+    "training/restore.py",
     "models",
     "data/datamodule.py",
 }

@@ -65,7 +65,7 @@ def refused(folder, capfd, *arguments):
     return err
 
 
-MADE = "expected a key that acts on a finished run; received one that belongs to its training"
+MADE = "expected a key that acts on a finished run and not on its training; "
 
 
 @pytest.mark.parametrize(
@@ -78,16 +78,16 @@ MADE = "expected a key that acts on a finished run; received one that belongs to
         ("window=3", rf"window: {MADE}"),
         ("seed=3", rf"seed: {MADE}"),
         ("data.batch_size=3", rf"data\.batch_size: {MADE}"),
-        ("system=molniya", r"system: expected a single key, system\.KEY=VALUE; received 'molniya'"),
-        ("data=null", r"data: expected a single key, data\.KEY=VALUE; received None"),
+        ("system=molniya", rf"system: {MADE}"),
+        ("data=null", rf"data: {MADE}"),
         ("label=[a", r"'label=\[a': special characters in a value need quotes"),
         ("seed=1,2", r"'seed=1,2': expected key=value with one value"),
         ("~plugins", "usage"),
         ("+label=a", r"'\+label=a': expected key=value with one value"),
-        ("measurement=null", r"measurement: expected the name of an option; received None"),
-        ("plugins=3", r"plugins: expected the name of an option; received 3"),
+        ("measurement=null", r"measurement: expected one of .*; received 'measurement=null'"),
+        ("plugins=3", r"plugins: expected one of none, ukf.*; received 'plugins=3'"),
         ("plugins=ufk", r"ufk"),
-        ("system.stifness=9", r"unknown key 'system\.stifness'; did you mean 'system\.stiffness'"),
+        ("system.stifness=9", r"system\.stifness: expected .*; did you mean 'system\.stiffness'"),
         ("system.stiffness=nan", r"system\.stiffness: expected float > 0; received nan"),
         (
             "data.split=[0.2,0.2,0.6]",

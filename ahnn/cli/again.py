@@ -7,14 +7,10 @@ from typing import Any, NamedTuple
 
 from omegaconf import DictConfig, OmegaConf
 
-from ahnn.arguments import nearest
+from ahnn.arguments import flatten, nearest
 from ahnn.cli.trust import read_plain, require_trusted
-from ahnn.data import SplitData
-from ahnn.data.splits import split_sizes
 from ahnn.errors import UserError
-from ahnn.paths import conf_dir
 from ahnn.pretrained import shipped
-from ahnn.runs import Run
 
 OWN = ("run", "pretrained", "ckpt", "name")
 GROUPS = ("plugins", "measurement")
@@ -52,8 +48,9 @@ class Request(NamedTuple):
             UserError: neither a run nor a shipped model is named, or an argument is not key=value.
         """
         given = [argument for argument in arguments if argument != "--trust"]
-        own = dict(a.split("=", 1) for a in given if a.split("=", 1)[0] in OWN and "=" in a)
-        if not own.keys() & {"run", "pretrained"} or not all("=" in argument for argument in given):
+        pairs = [argument.split("=", 1) for argument in given]
+        own = {pair[0]: pair[-1] for pair in pairs if pair[0] in OWN}
+        if not own.keys() & {"run", "pretrained"} or not all(len(pair) == 2 for pair in pairs):
             message = f"{usage}; received: {' '.join(arguments) or 'nothing'}"
             raise UserError(message)
         name = own.get("pretrained")
@@ -63,11 +60,10 @@ class Request(NamedTuple):
                 f"run {folder}: expected a folder for pretrained={name}; received another run. Name a new one"
             )
             raise UserError(message)
-        overrides = [a for a in given if a.split("=", 1)[0] not in OWN]
+        overrides = ["=".join(pair) for pair in pairs if pair[0] not in OWN]
         source = folder if name is None else shipped(name)
-        return cls(
-            source, folder, own.get("ckpt", "best"), own.get("name"), overrides, len(given) < len(arguments)
-        )
+        trust = len(given) < len(arguments)
+        return cls(source, folder, own.get("ckpt", "best"), own.get("name"), overrides, trust)
 
 
 def run_config(folder: Path, request: Request) -> DictConfig:
@@ -87,108 +83,35 @@ def run_config(folder: Path, request: Request) -> DictConfig:
     if not request.trust:
         require_trusted(path, content, (*NODES, *KEYS))
     cfg = OmegaConf.create({key: content[key] for key in (*NODES, *KEYS)})
-    pairs = [parsed(text) for text in request.overrides]
-    groups = [f"{key}={chosen(key, value)}" for key, value in pairs if key in GROUPS]
-    if groups:
-        anew = composed(groups)
-        for key in {group.partition("=")[0] for group in groups}:
-            cfg[key] = anew[key]
-    for key, value in pairs:
-        if key not in GROUPS:
-            change(cfg, content, key, value)
+    return chosen_again(cfg, request.overrides) if request.overrides else cfg
+
+
+def chosen_again(cfg: DictConfig, texts: list[str]) -> DictConfig:
+    """Return the configuration of a run with overrides, those of groups first.
+
+    Raises:
+        UserError: an override is no key=value, names no option, or acts on no finished run.
+    """
+    from ahnn.cli import commandline
+
+    overrides = [commandline.parse(text) for text in texts]
+    for override in overrides:
+        if override.is_sweep_override() or override.get_key_element() != override.key_or_group:
+            message = f"override {override.input_line!r}: expected key=value with one value"
+            raise UserError(message)
+    if groups := [o for o in overrides if o.key_or_group in GROUPS]:
+        loader = commandline.config_loader()
+        options = [text for o in groups for text in commandline.alternatives(o, loader)]
+        anew = commandline.compose(loader, "train", options)
+        for override in groups:
+            cfg[override.key_or_group] = anew[override.key_or_group]
+    known: Any = flatten(OmegaConf.to_container(cfg))  # pyright: ignore[reportArgumentType]
+    for override in overrides:
+        key, value = override.key_or_group, override.value()
+        if key in known:
+            OmegaConf.update(cfg, key, value)
+        elif override not in groups:
+            hint = nearest(key, [*known, *GROUPS])
+            message = f"{key}: expected a key that acts on a finished run and not on its training{hint}"
+            raise UserError(message)
     return cfg
-
-
-def change(cfg: DictConfig, content: dict[str, Any], key: str, value: Any) -> None:
-    """Set a key of a run's configuration.
-
-    Raises:
-        UserError: it is unknown, a whole node, or belongs to the training.
-    """
-    top, _, rest = key.partition(".")
-    made = top == "data" and rest and rest.split(".")[0] not in DATA
-    known = [name for name in dotted(OmegaConf.to_container(cfg)) if not name.startswith("data.")]
-    known += [f"data.{name}" for name in DATA]
-    if key in known:
-        OmegaConf.update(cfg, key, value)
-        return
-    if (top in content and top not in (*NODES, *KEYS)) or made:
-        message = (
-            f"{key}: expected a key that acts on a finished run; received one that belongs to its training"
-        )
-    elif top in NODES and not rest:
-        message = (
-            f"{top}: expected a single key, {top}.KEY=VALUE; received {value!r}. "
-            f"Train again for another {top}"
-        )
-    else:
-        message = f"configuration: unknown key {key!r}{nearest(key, known)}"
-    raise UserError(message)
-
-
-def dotted(values: Any, prefix: str = "") -> list[str]:
-    """Return the dotted names of all leaves of nested values."""
-    if not isinstance(values, dict):
-        return [prefix[:-1]]
-    return [name for key, value in values.items() for name in dotted(value, f"{prefix}{key}.")]
-
-
-def parsed(text: str) -> tuple[str, Any]:
-    """Return key and value of an override, written as for a training; raises UserError for anything else."""
-    from hydra.core.override_parser.types import OverrideType
-
-    from ahnn.cli.commandline import parse
-
-    override = parse(text)
-    if override.type is not OverrideType.CHANGE or override.is_sweep_override():
-        message = f"override {text!r}: expected key=value with one value; a finished run takes no other"
-        raise UserError(message)
-    return override.key_or_group, override.value()
-
-
-def chosen(group: str, value: Any) -> str:
-    """Return what is chosen of a group; null chooses none where a group has that.
-
-    Raises:
-        UserError: the value is no name.
-    """
-    if value is None and (conf_dir() / group / "none.yaml").exists():
-        return "none"
-    if not isinstance(value, str):
-        message = f"configuration: {group}: expected the name of an option; received {value!r}"
-        raise UserError(message)
-    return value
-
-
-def composed(groups: list[str]) -> DictConfig:
-    """Return the configuration that Hydra composes of some groups."""
-    from hydra import compose, initialize_config_dir
-
-    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
-        return compose("train", [*groups, "folder=."])
-
-
-def provenance_note(run: Run, splits: SplitData) -> str:
-    """Return how the test trajectories relate to those of the training.
-
-    Raises:
-        UserError: some of them are the same.
-    """
-    known, recipe = run.about.get("data"), splits.source.recipe()
-    if known is None:
-        return "unknown training data"
-    if known["recipe"] != recipe:
-        return "other trajectories than those of the training"
-    if known["split"] == list(splits.fractions):
-        return "the test split of the training's data"
-    count = len(splits.source.read().states)
-    then, now = (split_sizes(count, fractions) for fractions in (known["split"], list(splits.fractions)))
-    if now[0] + now[1] < then[0] + then[1]:
-        seen = then[0] + then[1] - now[0] - now[1]
-        message = (
-            f"data.split: expected test trajectories that the training has not seen; received "
-            f"{splits.fractions}: {seen} of {now[2]} are part of it. Keep the training's "
-            f"{known['split']}, or draw others with data.seed"
-        )
-        raise UserError(message)
-    return "a part of the test split of the training's data"

@@ -1,28 +1,33 @@
-"""The checkpoint to resume from: whole, of the same training, and of a shape that its optimiser takes."""
+"""Where a training begins: in a new folder, or at the checkpoint of the same training."""
 
 from __future__ import annotations
 
-import copy
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import torch
-from torch import Tensor
-from torch.optim import Optimizer
+from typing import TYPE_CHECKING
 
 from ahnn.checkpoints import read_checkpoint, require_same
 from ahnn.errors import UserError
-from ahnn.training import stepper_of
+from ahnn.training.restore import require_restorable
 
 if TYPE_CHECKING:
     from lightning import Trainer
 
     from ahnn.models import AbstractModel
 
-STATES = "optimizer_states"
-NEEDED = {"state_dict": dict, STATES: list, "lr_schedulers": list, "loops": dict, "callbacks": dict}
-NEEDED |= {"epoch": int, "global_step": int}
-"""What Lightning takes from a checkpoint without asking whether it is there."""
+
+def require_new(folder: Path, ckpt: str | None) -> None:
+    """Check that a training from the start replaces no other.
+
+    Raises:
+        UserError: the folder holds checkpoints.
+    """
+    found = sorted(path.name for path in (folder / "checkpoints").glob("*.ckpt"))
+    if found and ckpt is None:
+        message = (
+            f"run {folder}: expected a folder without checkpoints; received one with {', '.join(found)}. "
+            "Resume with ckpt=last, or choose another run="
+        )
+        raise UserError(message)
 
 
 def resume_point(ckpt: str | None, model: AbstractModel, trainer: Trainer, folder: Path) -> Path | None:
@@ -41,75 +46,8 @@ def resume_point(ckpt: str | None, model: AbstractModel, trainer: Trainer, folde
         return None
     path = folder / f"{ckpt}.ckpt" if ckpt in ("last", "best") else Path(ckpt)
     content = read_checkpoint(path)
-    if missing := [key for key, kind in NEEDED.items() if not isinstance(content.get(key), kind)]:
-        message = f"checkpoint {path}: expected one to resume from; received one without {', '.join(missing)}"
-        raise UserError(message)
     parts = ("data", "settings")
     wanted, received = ({k: known.get(k, {}) for k in parts} for known in (model.about, content["ahnn"]))
     require_same(f"checkpoint {path}", wanted, received)
-    _try(path, model, trainer, content)
+    require_restorable(f"checkpoint {path}", model, trainer, content)
     return path
-
-
-def _try(path: Path, model: AbstractModel, trainer: Trainer, content: dict[str, Any]) -> None:
-    """Restore a checkpoint into copies and take a step; tensors are compared before any of them is loaded.
-
-    Fused kernels do not look at shapes: a wrong one overwrites foreign memory.
-
-    Raises:
-        UserError: a tensor is of another name, shape or type, or something else is not there.
-    """
-    from lightning.pytorch.utilities.migration.utils import migrate_checkpoint
-
-    fresh, stepped = _optimisation(model), _optimisation(model)
-    try:
-        _step(stepped[0])
-        known = layout(dict(model.state_dict())) | layout([stepped[0].state_dict()], STATES)
-        found = layout(content["state_dict"]) | layout(content[STATES], STATES)
-        owners = {name.rpartition(".")[0] for name in found}  # a parameter without gradients has no state
-        needed = {n for n in known if not n.startswith(STATES) or n.rpartition(".")[0] in owners}
-        wrong = sorted(name for name in needed | found.keys() if known.get(name) != found.get(name))
-        if wrong:
-            message = (
-                f"checkpoint {path}: expected the shapes of this model; received others of {', '.join(wrong)}"
-            )
-            raise UserError(message)
-        for part, states in zip(fresh, (content[STATES], content["lr_schedulers"]), strict=False):
-            part.load_state_dict(states[0])
-        _step(fresh[0])
-        for part in trainer.callbacks:  # pyright: ignore[reportAttributeAccessIssue]
-            if part.state_key in content["callbacks"]:
-                part.load_state_dict(content["callbacks"][part.state_key])
-        trainer.fit_loop.load_state_dict(content["loops"]["fit_loop"])
-        migrate_checkpoint({"pytorch-lightning_version": content["pytorch-lightning_version"]})
-    except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
-        if isinstance(error, UserError):
-            raise
-        message = f"checkpoint {path}: expected one to resume from; received one that is not whole: {error!r}"
-        raise UserError(message) from error
-
-
-def layout(value: Any, name: str = "") -> dict[str, tuple[torch.Size, torch.dtype]]:
-    """Return shape and type of every tensor in nested values, by its dotted name."""
-    if isinstance(value, Tensor):
-        return {name: (value.shape, value.dtype)}
-    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    parts = (layout(item, f"{name}.{key}".removeprefix(".")) for key, item in items)
-    return {key: found for part in parts for key, found in part.items()}
-
-
-def _optimisation(model: AbstractModel) -> list[Any]:
-    """Return a new optimiser of a copy of the model, and its scheduler if it has one."""
-    configured = copy.deepcopy(model).configure_optimizers()
-    if not isinstance(configured, dict):
-        return [configured]
-    return [configured["optimizer"], configured["lr_scheduler"]["scheduler"]]
-
-
-def _step(optimizer: Optimizer) -> None:
-    """Take a step without a gradient, where gradients are what it takes."""
-    if stepper_of(optimizer).automatic:
-        for group in optimizer.param_groups:
-            for parameter in group["params"]:
-                parameter.grad = torch.zeros_like(parameter)
-        optimizer.step()

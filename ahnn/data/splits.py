@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 from ahnn.data.sources import Source
 from ahnn.errors import UserError
@@ -35,6 +35,32 @@ class SplitData:
                 self._parts[name] = data.part(slice(begin, begin + size))
                 begin += size
         return self._parts[split]
+
+    def beside(self, known: dict[str, Any] | None) -> str:
+        """Return how the test trajectories relate to the data of a training.
+
+        Args:
+            known: `recipe` and `split` of the training; None if nobody wrote them down.
+
+        Raises:
+            UserError: some of them are the same.
+        """
+        if known is None:
+            return "unknown training data"
+        if known["recipe"] != self.source.recipe():
+            return "other trajectories than those of the training"
+        if known["split"] == list(self.fractions):
+            return "the test split of the training's data"
+        count = len(self.source.read().states)
+        then, now = (split_sizes(count, fractions) for fractions in (known["split"], self.fractions))
+        if (seen := then[0] + then[1] - now[0] - now[1]) > 0:
+            message = (
+                f"split: expected test trajectories that the training has not seen; received "
+                f"{self.fractions}: {seen} of {now[2]} are part of it. Keep the training's "
+                f"{known['split']}, or draw others with another seed"
+            )
+            raise UserError(message)
+        return "a part of the test split of the training's data"
 
 
 def check_fractions(fractions: list[float]) -> None:

@@ -1,0 +1,88 @@
+"""Whether a checkpoint can be gone on from, found out on copies before the training itself is touched."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import torch
+from lightning.pytorch.utilities.migration.utils import migrate_checkpoint
+from torch import Tensor
+from torch.optim import Optimizer
+
+from ahnn.errors import UserError
+from ahnn.training.steppers import stepper_of
+
+STATES = "optimizer_states"
+NEEDED = {"state_dict": dict, STATES: list, "lr_schedulers": list, "loops": dict, "callbacks": dict}
+NEEDED |= {"epoch": int, "global_step": int}
+"""What Lightning takes from a checkpoint without asking whether it is there."""
+
+
+def require_restorable(who: str, model: Any, trainer: Any, content: dict[str, Any]) -> None:
+    """Restore a checkpoint into copies and take a step; tensors are compared before any of them is loaded.
+
+    Fused kernels do not look at shapes: a wrong one overwrites foreign memory.
+
+    Args:
+        who: name of the checkpoint, for messages.
+        model: what is going to be trained; it stays as it is.
+        trainer: what is going to train it; its callbacks and loops take their states.
+        content: of the checkpoint, as Lightning wrote it.
+
+    Raises:
+        UserError: a tensor is of another name, shape or type, or a part is missing.
+    """
+    if missing := [key for key, kind in NEEDED.items() if not isinstance(content.get(key), kind)]:
+        message = f"{who}: expected one to resume from; received one without {', '.join(missing)}"
+        raise UserError(message)
+    fresh, stepped = _optimisation(model), _optimisation(model)
+    try:
+        _step(stepped[0])
+        known = layout(dict(model.state_dict())) | layout([stepped[0].state_dict()], STATES)
+        found = layout(content["state_dict"]) | layout(content[STATES], STATES)
+        owners = {name.rpartition(".")[0] for name in found}  # a parameter without gradients has no state
+        needed = {n for n in known if not n.startswith(STATES) or n.rpartition(".")[0] in owners}
+        wrong = sorted(name for name in needed | found.keys() if known.get(name) != found.get(name))
+        if wrong:
+            message = f"{who}: expected the shapes of this model; received others of {', '.join(wrong)}"
+            raise UserError(message)
+        for part, states in zip(fresh, (content[STATES], content["lr_schedulers"]), strict=False):
+            part.load_state_dict(states[0])
+        _step(fresh[0])
+        for part in trainer.callbacks:
+            if part.state_key in content["callbacks"]:
+                part.load_state_dict(content["callbacks"][part.state_key])
+        trainer.fit_loop.load_state_dict(content["loops"]["fit_loop"])
+        migrate_checkpoint({"pytorch-lightning_version": content["pytorch-lightning_version"]})
+    except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
+        if isinstance(error, UserError):
+            raise
+        message = f"{who}: expected one to resume from; received one that is not whole: {error!r}"
+        raise UserError(message) from error
+
+
+def layout(value: Any, name: str = "") -> dict[str, tuple[torch.Size, torch.dtype]]:
+    """Return shape and type of every tensor in nested values, by its dotted name."""
+    if isinstance(value, Tensor):
+        return {name: (value.shape, value.dtype)}
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    parts = (layout(item, f"{name}.{key}".removeprefix(".")) for key, item in items)
+    return {key: found for part in parts for key, found in part.items()}
+
+
+def _optimisation(model: Any) -> list[Any]:
+    """Return a new optimiser of a copy of the model, and its scheduler if it has one."""
+    configured = copy.deepcopy(model).configure_optimizers()
+    if not isinstance(configured, dict):
+        return [configured]
+    return [configured["optimizer"], configured["lr_scheduler"]["scheduler"]]
+
+
+def _step(optimizer: Optimizer) -> None:
+    """Take a step without a gradient, where gradients are what it takes."""
+    if stepper_of(optimizer).automatic:
+        for group in optimizer.param_groups:
+            for parameter in group["params"]:
+                parameter.grad = torch.zeros_like(parameter)
+        optimizer.step()
