@@ -5,13 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from hydra import compose, initialize_config_dir
-from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 
-from ahnn.errors import UserError
-from ahnn.paths import conf_dir
+from ahnn.cli.commandline import alternatives, compose, config_loader, parse
 
 
 def compose_job(overrides: Sequence[str], folder: Path) -> DictConfig:
@@ -20,13 +16,12 @@ def compose_job(overrides: Sequence[str], folder: Path) -> DictConfig:
     Raises:
         UserError: overrides that do not compose.
     """
-    defaults = [] if any(o.startswith("plugins=") for o in overrides) else ["plugins=none"]
-    try:
-        with initialize_config_dir(str(conf_dir()), version_base="1.3"):
-            cfg = compose("train", [*defaults, *overrides])
-    except (HydraException, OmegaConfBaseException) as error:
-        message = f"overrides: {' '.join(str(error).split())}"
-        raise UserError(message) from error
+    loader = config_loader()
+    for text in overrides:
+        alternatives(parse(text), loader)
+    defaults = [] if any(text.startswith("plugins=") for text in overrides) else ["plugins=none"]
+    cfg = compose(loader, "train", [*defaults, *overrides])
     OmegaConf.set_struct(cfg, False)
+    del cfg["hydra"]
     cfg.folder = str(folder)
     return cfg

@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from inspect import signature
+from typing import Annotated, Literal
 
 from omegaconf import DictConfig, OmegaConf
 
-from ahnn.arguments import Count, Seed, Within, check_arguments
+from ahnn.arguments import Count, Seed, Within, check_arguments, flatten
 from ahnn.cli.build import plain_config
 from ahnn.errors import UserError
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class Again:
+    """What a finished run takes besides its groups."""
+
+    label: str
+    threads: Annotated[int, Within(1, 1024)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings(Again):
     """The top level beside the groups."""
 
     seed: Seed
-    threads: Annotated[int, Within(1, 1024)]
     window: Count
-    label: str
     ckpt: str | None
     weights: str | None
     folder: str
@@ -46,14 +53,6 @@ class Evaluation:
     detail: bool = False
 
 
-@dataclass(frozen=True, kw_only=True)
-class Again:
-    """What a finished run takes besides its groups."""
-
-    label: str
-    threads: Annotated[int, Within(1, 1024)]
-
-
 def check_again(cfg: DictConfig) -> None:
     """Check what an evaluation of a finished run is given; raises UserError for a wrong type or value."""
     _check({"": Again, "evaluation": Evaluation}, cfg)
@@ -69,28 +68,22 @@ def check_settings(cfg: DictConfig) -> None:
     if cfg.get("seeds") and len({*cfg.seeds}) < len(cfg.seeds):
         message = f"seeds: expected different ones; received {list(cfg.seeds)}"
         raise UserError(message)
-    _check_required(cfg, plain_config(cfg.get("required") or OmegaConf.create()))
+    required = plain_config(cfg.get("required") or OmegaConf.create())  # what the choice of a model implies
+    for key, value in flatten(required).items():
+        if (received := OmegaConf.select(cfg, key)) != value:
+            message = (
+                f"{key}: expected {value} with model {cfg.label}; received {received}. Choose another model"
+            )
+            raise UserError(message)
 
 
 def _check(schemas: dict[str, type], cfg: DictConfig) -> None:
     for who, schema in schemas.items():
         node = cfg[who] if who else cfg
-        if not isinstance(node, DictConfig):
-            message = f"{who}: expected keys with values; received {node!r}"
-            raise UserError(message)
-        keys = node if schema is Evaluation else schema.__annotations__
-        values = plain_config(OmegaConf.create({str(key): node[key] for key in keys if key in node}))
-        check_arguments(who, schema, values)
+        own = node if schema is Evaluation or not isinstance(node, DictConfig) else _part(node, schema)
+        check_arguments(who, schema, plain_config(own, who))
 
 
-def _check_required(cfg: DictConfig, required: dict[str, Any], prefix: str = "") -> None:
-    """Compare values with those that the choice of a model implies, `required` in its file."""
-    for name, value in required.items():
-        key = f"{prefix}{name}"
-        if isinstance(value, dict):
-            _check_required(cfg, value, f"{key}.")
-        elif (received := OmegaConf.select(cfg, key)) != value:
-            message = (
-                f"{key}: expected {value} with model {cfg.label}; received {received}. Choose another model"
-            )
-            raise UserError(message)
+def _part(node: DictConfig, schema: type) -> DictConfig:
+    """Return the keys of a node that belong to a schema, where others belong to somebody else."""
+    return OmegaConf.create({key: node[key] for key in signature(schema).parameters if key in node})

@@ -95,44 +95,34 @@ def checked_sensor(
     return Sensor(measurement, chol_r, thresholds(gate, width, device), gate.patience)
 
 
-def checked_rows(measurements: Numbers, batch: int, width: int, device: torch.device) -> Tensor:
-    """Return measurements (B, T, M), T >= 1, as float64.
+def checked_rows(values: Numbers, who: str, shape: tuple[int | str, ...], device: torch.device) -> Tensor:
+    """Return measurements as float64.
+
+    Args:
+        values: of the shape, NaN where a component is missing.
+        who: what they are called in messages.
+        shape: what they must have; the letter T stands for any length of at least 1.
+        device: of the result.
 
     Raises:
         ValueError: another shape, or infinite values.
     """
-    rows = as_float64(measurements, "measurements", device)
-    shape = tuple(rows.shape)
-    if rows.ndim != 3 or shape[0] != batch or shape[2] != width or shape[1] == 0:
-        message = f"measurements: expected shape ({batch}, T, {width}) with T >= 1; received {shape}"
+    rows = as_float64(values, who, device)
+    received = tuple(rows.shape)
+    same = [n == m or (m == "T" and n > 0) for n, m in zip(received, shape, strict=False)]
+    if len(received) != len(shape) or not all(same):
+        words = f"({', '.join(map(str, shape))}){' with T >= 1' if 'T' in shape else ''}"
+        message = f"{who}: expected shape {words}; received {received}"
         raise ValueError(message)
-    _check_infinite(rows, "measurements")
-    return rows
-
-
-def checked_row(y: Numbers, batch: int, width: int, device: torch.device) -> Tensor:
-    """Return one measurement row (B, M) as float64.
-
-    Raises:
-        ValueError: another shape, or infinite values.
-    """
-    row = as_float64(y, "y", device)
-    if tuple(row.shape) != (batch, width):
-        message = f"y: expected shape ({batch}, {width}); received {tuple(row.shape)}"
-        raise ValueError(message)
-    _check_infinite(row, "y")
-    return row
-
-
-def _check_infinite(values: Tensor, name: str) -> None:
-    infinite = torch.isinf(values)
+    infinite = torch.isinf(rows)
     if bool(infinite.any()):
         where = infinite.nonzero()[0].tolist()
         message = (
-            f"{name}: expected finite numbers; received an infinite one at {where}; mark a missing component "
+            f"{who}: expected finite numbers; received an infinite one at {where}; mark a missing component "
             f"with NaN"
         )
         raise ValueError(message)
+    return rows
 
 
 def checked_time(time: float, name: str) -> float:

@@ -21,7 +21,7 @@ from ahnn_plugins.ukf.checks import (
     check_belief,
     check_form,
     check_state,
-    checked_row,
+    checked_rows,
     checked_sensor,
     checked_steps,
     checked_time,
@@ -124,7 +124,7 @@ class UnscentedKalmanFilter:
         check_state(state)
         sensor = checked_sensor(measurement, measurement_noise, state.belief, self.form, self.gate)
         batch, device = len(state.belief.mean), state.belief.mean.device
-        row = checked_row(y, batch, len(measurement.names), device)
+        row = checked_rows(y, "y", (batch, len(measurement.names)), device)
         if bool(row.isnan().all()):
             return state, _nothing(row)
         after, updated, rejected = kernel.update(state, row, sensor, self._weights(state), self.form)

@@ -101,7 +101,7 @@ def unscented_filter(
     with torch.set_grad_enabled(gradients):
         sensor = checked_sensor(measurement, measurement_noise, state.belief, form, gate)
         (batch, size), device = state.belief.mean.shape, state.belief.mean.device
-        rows = checked_rows(measurements, batch, len(measurement.names), device)
+        rows = checked_rows(measurements, "measurements", (batch, "T", len(measurement.names)), device)
         grid = checked_grid(dt, rows.shape[1], state.time)
         parameters = UnscentedParameters() if parameters is None else parameters
         weights = unscented_weights(parameters, size, device, batch=batch)
