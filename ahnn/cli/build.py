@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from hydra.errors import HydraException, InstantiationException
+from hydra.errors import InstantiationException
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, OmegaConf
 
@@ -70,25 +70,12 @@ def blaming(who: str) -> Iterator[None]:
     """Turn what a constructor says of its arguments into a message that names the configuration node."""
     try:
         yield
-    except (UserError, TrainingError):
+    except (UserError, TrainingError, OSError, AssertionError):  # they speak for themselves
         raise
     except Exception as error:
-        from lightning.fabric.utilities.exceptions import MisconfigurationException
-
         cause = error.__cause__ if isinstance(error, InstantiationException) and error.__cause__ else error
         if isinstance(cause, UserError | TrainingError):
             raise cause from None
-        refusals = (
-            TypeError,
-            ValueError,
-            LookupError,
-            AttributeError,
-            ArithmeticError,
-            ImportError,
-            RuntimeError,
-        )
-        if not isinstance(cause, (*refusals, HydraException, MisconfigurationException)):
-            raise
         said = " ".join(str(cause).split()) or type(cause).__name__
         message = f"{who}: {said}"
         raise UserError(message) from error

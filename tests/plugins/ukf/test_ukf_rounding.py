@@ -111,14 +111,12 @@ def test_rounding_of_a_precise_measurement_gets_a_status():
         assert result.status.tolist() == [status]
 
 
-@pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
-def test_predictions_alone_are_watched_and_only_those_of_crowded_points(form):
-    # Both members are so far away that float64 resolves little; only for the first are its points to blame.
-    parameters = UnscentedParameters(torch.tensor([1e-3, 1.0], dtype=torch.float64))
-    result = unscented_filter(
+def undisturbed(distance, parameters, form, members):
+    """The filter of a state that rests far away, of which nothing is measured."""
+    return unscented_filter(
         lambda x, _: 1.0 * x,
-        initial_belief(torch.full((2, 2), 1e13), torch.eye(2)),
-        torch.full((2, 3, 2), torch.nan),
+        initial_belief(torch.full((members, 2), distance), torch.eye(2)),
+        torch.full((members, 3, 2), torch.nan),
         State(1),
         0.01 * torch.eye(2),
         torch.eye(2),
@@ -126,18 +124,15 @@ def test_predictions_alone_are_watched_and_only_those_of_crowded_points(form):
         parameters=parameters,
         form=form,
     )
+
+
+@pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
+def test_predictions_alone_are_watched_and_only_those_of_crowded_points(form):
+    # Both members are so far away that float64 resolves little; only for the first are its points to blame.
+    alphas = torch.tensor([1e-3, 1.0], dtype=torch.float64)
+    result = undisturbed(1e13, UnscentedParameters(alphas), form, members=2)
     assert result.status[0] in (Status.IMPRECISE, Status.COLLAPSED)
     assert result.status[1] == Status.OK
-    near = unscented_filter(
-        lambda x, _: 1.0 * x,
-        initial_belief(torch.full((1, 2), 1e5), torch.eye(2)),
-        torch.full((1, 3, 2), torch.nan),
-        State(1),
-        0.01 * torch.eye(2),
-        torch.eye(2),
-        1.0,
-        parameters=UnscentedParameters(1e-5),
-        form=form,
-    )
+    near = undisturbed(1e5, UnscentedParameters(1e-5), form, members=1)
     assert near.status.tolist() == [Status.IMPRECISE]
     assert near.failed_step.tolist() == [0]
