@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -30,18 +29,6 @@ def as_float64(value: Numbers, who: str, device: torch.device | None = None) -> 
         expected = "numbers in a tensor, an array or nested lists"
     message = f"{who}: expected {expected}; received {described(value)}"
     raise ValueError(message)
-
-
-def require_finite(who: str, **values: float) -> None:
-    """Refuse numbers that are NaN or infinite.
-
-    Raises:
-        ValueError: names the first of them; begins with `who`.
-    """
-    for name, value in values.items():
-        if not math.isfinite(value):
-            message = f"{who}: expected a finite {name}; received {value}"
-            raise ValueError(message)
 
 
 def described(value: object) -> str:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import importlib.resources
-import os
 import sys
 import textwrap
 from argparse import Namespace
 from collections.abc import Iterator
+from pathlib import Path
 
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra.types import RunMode
@@ -94,14 +94,11 @@ def option_text(loader: ConfigLoaderImpl, group: str, option: str) -> Iterator[s
     """
     name = f"{group}/{option}.yaml"
     for source in loader.get_sources():
-        place = source.path.replace("/", ".") if source.scheme() == "pkg" else None
         if not source.is_config(name):
             continue
-        if place is None:
-            with open(os.path.join(source.path, name), encoding="utf-8") as file:
-                text = file.read()
-        else:
-            text = importlib.resources.files(place).joinpath(name).read_text(encoding="utf-8")
+        package = source.scheme() == "pkg"
+        place = importlib.resources.files(source.path.replace("/", ".")) if package else Path(source.path)
+        text = place.joinpath(name).read_text(encoding="utf-8")
         for entry in OmegaConf.create(text).get("defaults", []):  # pyright: ignore
             if isinstance(entry, str) and entry != "_self_":
                 yield from option_text(loader, group, entry)

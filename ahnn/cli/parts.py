@@ -39,11 +39,6 @@ def build_source(cfg: DictConfig) -> Source:
     return source
 
 
-def build_splits(cfg: DictConfig, source: Source) -> SplitData:
-    """Build the splits of an evaluation, which needs no windows."""
-    return SplitData(source, list(cfg.data.split))
-
-
 def build_data(cfg: DictConfig, source: Source) -> WindowDataModule:
     """Build the DataModule of a training."""
     options = {key: value for key, value in plain_config(cfg.data).items() if key not in SIMULATION}

@@ -6,12 +6,13 @@ Light time, refraction and polar motion are not modelled.
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
 import torch
 from torch import Tensor
 
+from ahnn.arguments import Finite, Positive, Within, checked
 from ahnn.measurements.base import check_state, wrap
-from ahnn.numbers import require_finite
 
 EARTH_RATE = 7.2921150e-5
 """Rotation rate of the Earth in rad/s (IERS Conventions 2010, table 1.2, nominal value)."""
@@ -23,6 +24,11 @@ EARTH_FLATTENING = 1.0 / 298.257223563
 """Flattening of the WGS 84 ellipsoid (NIMA TR8350.2)."""
 
 
+Degrees = Annotated[float, Within(-90, 90)]
+"""A latitude or an elevation."""
+
+
+@checked
 class GroundStation:
     """Range, azimuth, elevation and, if asked for, range-rate seen from a point on a rotating Earth.
 
@@ -43,32 +49,23 @@ class GroundStation:
         min_elevation: degrees; what stands lower is out of view. 0 is the horizon, -90 sees everything.
 
     Raises:
-        ValueError: if a number is not finite, the latitude or the least elevation is not in [-90, 90], the
-            mass or the radius is not positive, the flattening is not in [0, 1), or a state is too short.
+        UserError: a number is not finite or beyond its limits.
     """
 
     def __init__(
         self,
-        latitude: float,
-        longitude: float,
-        height: float = 0.0,
+        latitude: Degrees,
+        longitude: Finite,
+        height: Finite = 0.0,
         *,
         range_rate: bool = False,
-        earth_angle: float = 0.0,
-        rotation_rate: float = EARTH_RATE,
-        radius: float = EARTH_RADIUS,
-        flattening: float = EARTH_FLATTENING,
-        mass: float = 1.0,
-        min_elevation: float = 0.0,
+        earth_angle: Finite = 0.0,
+        rotation_rate: Finite = EARTH_RATE,
+        radius: Positive = EARTH_RADIUS,
+        flattening: Annotated[float, Within(0, below=1)] = EARTH_FLATTENING,
+        mass: Positive = 1.0,
+        min_elevation: Degrees = 0.0,
     ) -> None:
-        numbers = {"latitude": latitude, "longitude": longitude, "height": height, "mass": mass}
-        numbers |= {"earth_angle": earth_angle, "rotation_rate": rotation_rate, "radius": radius}
-        require_finite("GroundStation", **numbers, flattening=flattening, min_elevation=min_elevation)
-        _require(-90.0 <= latitude <= 90.0, "a latitude in [-90, 90] degrees", latitude)
-        _require(-90.0 <= min_elevation <= 90.0, "a min_elevation in [-90, 90] degrees", min_elevation)
-        _require(mass > 0.0, "a mass > 0 kg", mass)
-        _require(radius > 0.0, "a radius > 0 km", radius)
-        _require(0.0 <= flattening < 1.0, "a flattening in [0, 1)", flattening)
         self.mass = mass
         self.min_elevation = math.radians(min_elevation)
         self.names = ("range", "azimuth", "elevation", *(("range_rate",) if range_rate else ()))
@@ -121,9 +118,3 @@ class GroundStation:
             (cosine, -sin_lat * sine, cos_lat * sine),
             (0.0, cos_lat, sin_lat),
         )
-
-
-def _require(fulfilled: bool, expected: str, received: float) -> None:
-    if not fulfilled:
-        message = f"GroundStation: expected {expected}; received {received}"
-        raise ValueError(message)
