@@ -54,7 +54,8 @@ class Within(NamedTuple):
 
     def __contains__(self, value: Any) -> bool:
         limited = self.least <= value <= self.most and self.above < value < self.below
-        return math.isfinite(value) and limited and not (self.multiple and value % self.multiple)
+        whole = self.multiple == 0 or value % self.multiple == 0
+        return limited and whole and abs(value) < math.inf  # which holds for integers of any size
 
     def __str__(self) -> str:
         if math.isfinite(self.least) and math.isfinite(self.most):

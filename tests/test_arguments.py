@@ -127,6 +127,7 @@ def test_limits_say_themselves_what_they_admit():
         (Within(0, 1), "from 0 to 1", (0, 1), (-0.1, 1.1, nan)),
         (Within(above=0), "> 0", (1e-9,), (0, inf)),
         (Within(0, below=1), ">= 0 and < 1", (0,), (1,)),
+        (Within(1), ">= 1", (1, 10**400), (0, nan)),
         (Within(2, multiple=2), ">= 2 and a multiple of 2", (2, 12), (0, 3)),
         (Within(), "(finite)", (-1e300,), (inf, nan)),
         (
