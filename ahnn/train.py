@@ -254,7 +254,8 @@ def go_on(cfg: DictConfig) -> str:
 def searched_settings(cfg: DictConfig) -> dict[str, Any]:
     """Return what a search varies, for TensorBoard's comparison of runs."""
     groups = {name: plain_config(cfg[name]) for name in ("model", "optimizer", "scheduler") if cfg[name]}
-    return {**groups, "batch_size": cfg.data.batch_size, "epochs": cfg.trainer.max_epochs, "seed": cfg.seed}
+    amounts = {"window": cfg.window, "batch_size": cfg.data.batch_size, "epochs": cfg.trainer.max_epochs}
+    return {**groups, **amounts, "seed": cfg.seed}
 
 
 def main() -> None:
