@@ -86,4 +86,4 @@ def attempt(folder, env, place, stream, umask, gone) -> None:
         assert "ahnn: " in said or "2>&-" in stream, said[-300:]
     shutil.rmtree(base, ignore_errors=True)
     if done.returncode == 2:
-        raise UserError(said)
+        raise UserError(said or "refused without a stream to say it")
