@@ -103,6 +103,7 @@ def checkpoint(place, moment) -> None:
 def cache(place, moment) -> None:
     """The data are those that were generated."""
     recipe, truth = store.recipe(SPRING, 4, 0), generate(SPRING, 4, 0)
+
     def write(folder, number) -> None:
         del number
         store.load_or_make(folder, recipe, lambda: truth)
