@@ -1,0 +1,69 @@
+"""Signals to a training and to a search: one message, an exit code, and a way to go on."""
+
+from __future__ import annotations
+
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from entry import SMALL, started
+
+import ahnn
+from ahnn.checkpoints import read_checkpoint
+
+FIRST = [*SMALL, "recipe=first_order", "evaluation=scores"]
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+def test_a_scheduler_that_ends_a_training_loses_nothing(tmp_path, number, code):
+    run = [*FIRST, "trainer.max_epochs=2000", "callbacks.last.every=100000", f"run={tmp_path / 'run'}"]
+    job = started(tmp_path, *run)
+    last = tmp_path / "run" / "checkpoints" / "last.ckpt"
+    while not last.exists():
+        assert job.poll() is None
+        time.sleep(0.05)
+    job.send_signal(number)
+    said, _ = job.communicate(timeout=60)
+    assert job.returncode == code
+    assert f"stopped by {number.name}; resume with the same command and run=" in said
+    assert "Traceback" not in said
+    assert read_checkpoint(last)["global_step"] > 0
+
+
+@pytest.mark.parametrize("moment", [0.02, 0.1, 0.3, 1.0, 2.0])
+def test_ctrl_c_is_no_traceback_however_early(tmp_path, moment):
+    job = started(tmp_path, *FIRST, "trainer.max_epochs=2000")
+    time.sleep(moment)
+    job.send_signal(signal.SIGINT)
+    said, _ = job.communicate(timeout=60)
+    assert job.returncode in (130, -signal.SIGINT)
+    ours = str(
+        Path(ahnn.__file__).parent
+    )  # what comes before it is Python's own start, which nobody can help
+    assert "Traceback" not in said or ours not in said
+
+
+def test_ctrl_c_in_a_search_says_that_the_search_goes_on(tmp_path):
+    search = ["-m", "sweep=quick", "hydra/launcher=ahnn_process", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
+    job = started(tmp_path, *search)
+    while not (tmp_path / "sweep" / "0" / "console.log").exists():
+        assert job.poll() is None
+        time.sleep(0.05)
+    job.send_signal(signal.SIGINT)
+    said, _ = job.communicate(timeout=60)
+    assert job.returncode == 130
+    assert "ahnn: stopped by Ctrl-C; the same command continues the search\n" in said
+    assert "from the beginning" not in said
+
+
+def test_a_scheduler_that_ends_a_sweep_ends_all_of_it(tmp_path):
+    jobs = ["-m", "seed=7,201", *FIRST, "trainer.max_epochs=2000", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
+    job = started(tmp_path, *jobs)
+    while not (tmp_path / "sweep" / "0" / "checkpoints" / "last.ckpt").exists():
+        assert job.poll() is None
+        time.sleep(0.05)
+    job.send_signal(signal.SIGTERM)
+    job.communicate(timeout=60)
+    assert job.returncode == 143
+    assert not (tmp_path / "sweep" / "1" / "checkpoints").exists()
