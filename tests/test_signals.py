@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import signal
 import time
-from pathlib import Path
 
 import pytest
 from entry import SMALL, started
 
-import ahnn
 from ahnn.checkpoints import read_checkpoint
 
 FIRST = [*SMALL, "recipe=first_order", "evaluation=scores"]
@@ -38,10 +36,8 @@ def test_ctrl_c_is_no_traceback_however_early(tmp_path, moment):
     job.send_signal(signal.SIGINT)
     said, _ = job.communicate(timeout=60)
     assert job.returncode in (130, -signal.SIGINT)
-    ours = str(
-        Path(ahnn.__file__).parent
-    )  # what comes before it is Python's own start, which nobody can help
-    assert "Traceback" not in said or ours not in said
+    begun = "train.py" in said  # until then it is Python that starts, and the import of the package
+    assert "Traceback" not in said or not begun
 
 
 def test_ctrl_c_in_a_search_says_that_the_search_goes_on(tmp_path):
