@@ -16,7 +16,7 @@ from hydra.core.plugins import Plugins
 from hydra.errors import HydraException
 from hydra.plugins.launcher import Launcher
 from hydra.plugins.sweeper import Sweeper
-from hydra.types import HydraContext, TaskFunction
+from hydra.types import HydraContext, RunMode, TaskFunction
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from ahnn.errors import Stopped, UserError
@@ -153,6 +153,7 @@ class AhnnOptunaSweeper(Sweeper):
         before = HydraConfig.instance().cfg
         with open_dict(job):
             job.hydra.job.id, job.hydra.job.num = "0", 0
+            job.hydra.mode = RunMode.RUN  # whether a job may have several devices is known without it
             job.hydra.runtime.output_dir = str(Path(str(self.config.hydra.sweep.dir)).absolute() / "0")
             HydraConfig.instance().set_config(job)
             del job["hydra"]
