@@ -6,7 +6,7 @@ members of `Measurement`: one class, and one YAML file that names it.
 
 from __future__ import annotations
 
-from ahnn.measurements.base import Measurement, Sighted, observe, wrap
+from ahnn.measurements.base import Locating, Measurement, Sighted, Time, observe, wrap
 from ahnn.measurements.gnss import GnssRange
 from ahnn.measurements.ground_station import GroundStation
 from ahnn.measurements.readings import Position, State
@@ -15,11 +15,13 @@ from ahnn.measurements.schedule import Schedule, every, schedule
 __all__ = [
     "GnssRange",
     "GroundStation",
+    "Locating",
     "Measurement",
     "Position",
     "Schedule",
     "Sighted",
     "State",
+    "Time",
     "every",
     "observe",
     "schedule",

@@ -9,6 +9,10 @@ import torch
 from torch import Tensor
 
 
+Time = float | Tensor
+"""One time for all states, or a tensor (...) with a time for each."""
+
+
 class Measurement(Protocol):
     """Map of states to measurements, and what their difference means.
 
@@ -27,7 +31,7 @@ class Measurement(Protocol):
         """Units of the M components."""
         ...
 
-    def __call__(self, x: Tensor, t: float) -> Tensor:
+    def __call__(self, x: Tensor, t: Time) -> Tensor:
         """Return the measurements (..., M) of the states x (..., D) at time t."""
         ...
 
@@ -40,12 +44,21 @@ class Measurement(Protocol):
 class Sighted(Protocol):
     """A measurement model that does not see every state."""
 
-    def in_view(self, x: Tensor, t: float) -> Tensor:
+    def in_view(self, x: Tensor, t: Time) -> Tensor:
         """Return which of the states x (..., D) are in view at time t, (...) bool."""
         ...
 
 
-def observe(measurement: Measurement, x: Tensor, t: float) -> Tensor:
+@runtime_checkable
+class Locating(Protocol):
+    """A measurement model that a position can be read off: where a fit of unknown states may begin."""
+
+    def locate(self, y: Tensor, t: Time) -> Tensor:
+        """Return the positions (..., n) that give the measurements y (..., M) at time t."""
+        ...
+
+
+def observe(measurement: Measurement, x: Tensor, t: Time) -> Tensor:
     """Return what an instrument gives: its measurements (..., M), NaN of states that are out of its view.
 
     The model itself, `measurement(x, t)`, has a value for every state: a filter needs it for sigma points
@@ -54,7 +67,7 @@ def observe(measurement: Measurement, x: Tensor, t: float) -> Tensor:
     Args:
         measurement: the model; one without `in_view` sees every state.
         x: (..., D) states.
-        t: time.
+        t: time, or one for each state.
     """
     y = measurement(x, t)
     if isinstance(measurement, Sighted):

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import torch
 from torch import Tensor
 
-from ahnn.measurements.base import check_state
+from ahnn.measurements.base import Time, check_state
 from ahnn.measurements.interpolation import lagrange
 from ahnn.numbers import as_float64, described
 
@@ -50,7 +51,7 @@ class GnssRange:
         self.names = tuple(f"range{i + 1}" for i in range(self.positions.shape[-2]))
         self.units = (unit,) * len(self.names)
 
-    def __call__(self, x: Tensor, t: float) -> Tensor:
+    def __call__(self, x: Tensor, t: Time) -> Tensor:
         """Return the pseudoranges (..., N) of the states x (..., D) at time t."""
         clock = 0 if self.clock is None else self.clock
         check_state(x, max(3, clock + 1, -clock), "GnssRange")
@@ -62,12 +63,15 @@ class GnssRange:
         """Return y - y_pred."""
         return y - y_pred
 
-    def _at(self, t: float) -> Tensor:
-        """Return the satellite positions (N, 3) at time t."""
+    def _at(self, t: Time) -> Tensor:
+        """Return the satellite positions (N, 3) at time t, or (..., N, 3) at times t, shape (...)."""
         if self.times is None:
             return self.positions
+        if isinstance(t, Tensor) and t.ndim:
+            times, where = t.unique(return_inverse=True)
+            return torch.stack([self._at(float(time)) for time in times])[where]
         try:
-            return lagrange(self.times, self.positions, t, self.order)
+            return lagrange(self.times, self.positions, float(t), self.order)
         except ValueError as error:
             message = f"GnssRange: {error}"
             raise ValueError(message) from error

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from ahnn.arguments import Finite, Positive, Within, checked
-from ahnn.measurements.base import check_state, wrap
+from ahnn.measurements.base import Time, check_state, wrap
 
 EARTH_RATE = 7.2921150e-5
 """Rotation rate of the Earth in rad/s (IERS Conventions 2010, table 1.2, nominal value)."""
@@ -80,27 +80,32 @@ class GroundStation:
         self.equatorial = (normal + height) * math.cos(self.latitude)
         self.polar = (normal * (1.0 - squared_eccentricity) + height) * sine
 
-    def __call__(self, x: Tensor, t: float) -> Tensor:
+    def __call__(self, x: Tensor, t: Time) -> Tensor:
         """Return [range km, azimuth rad, elevation rad(, range-rate km/s)], (..., M), of x (..., 6).
 
         Of states behind the horizon too: see `in_view`.
         """
         check_state(x, 6 if len(self.names) == 4 else 3, "GroundStation")
-        angle = self.longitude + self.earth_angle + self.rotation_rate * t
-        cosine, sine = math.cos(angle), math.sin(angle)
-        site = x.new_tensor((self.equatorial * cosine, self.equatorial * sine, self.polar))
+        site, axes, drift = self._frame(x, t)
         line = x[..., :3] - site
-        east, north, up = (line @ x.new_tensor(self._axes(cosine, sine))).unbind(-1)
+        east, north, up = (line.unsqueeze(-2) @ axes).squeeze(-2).unbind(-1)
         distance = line.square().sum(-1).sqrt()
         elevation = torch.atan2(up, torch.hypot(east, north))
         parts = [distance, wrap(torch.atan2(east, north)), elevation]
         if len(self.names) == 4:
-            spin = self.rotation_rate * self.equatorial
-            relative = x[..., 3:6] / self.mass - x.new_tensor((-spin * sine, spin * cosine, 0.0))
+            relative = x[..., 3:6] / self.mass - drift
             parts.append((line * relative).sum(-1) / distance)
         return torch.stack(parts, dim=-1)
 
-    def in_view(self, x: Tensor, t: float) -> Tensor:
+    def locate(self, y: Tensor, t: Time) -> Tensor:
+        """Return the positions (..., 3) in km that are seen as y (..., M)."""
+        distance, azimuth, elevation = y[..., :3].unbind(-1)
+        level = distance * elevation.cos()
+        local = torch.stack((level * azimuth.sin(), level * azimuth.cos(), distance * elevation.sin()), -1)
+        site, axes, _ = self._frame(y, t)
+        return site + (axes @ local.unsqueeze(-1)).squeeze(-1)
+
+    def in_view(self, x: Tensor, t: Time) -> Tensor:
         """Return which of the states x (..., D) stand at the least elevation or higher, (...) bool."""
         return self(x, t)[..., 2] >= self.min_elevation
 
@@ -110,11 +115,17 @@ class GroundStation:
         azimuth = wrap(difference[..., 1:2])
         return torch.cat((difference[..., :1], azimuth, difference[..., 2:]), dim=-1)
 
-    def _axes(self, cosine: float, sine: float) -> tuple[tuple[float, ...], ...]:
-        """Return the 3 x 3 matrix whose columns are east, north and up in the inertial frame."""
+    def _frame(self, like: Tensor, t: Time) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the station's position, its axes east, north, up as columns, and its velocity, inertial.
+
+        Shapes (..., 3), (..., 3, 3) and (..., 3), the leading ones those of t.
+        """
+        angle = self.longitude + self.earth_angle + self.rotation_rate * torch.as_tensor(t, dtype=like.dtype)
+        cosine, sine = angle.cos(), angle.sin()
+        none, one = torch.zeros_like(angle), torch.ones_like(angle)
+        level = torch.stack((cosine, sine, none), -1)
+        east, pole = torch.stack((-sine, cosine, none), -1), torch.stack((none, none, one), -1)
         cos_lat, sin_lat = math.cos(self.latitude), math.sin(self.latitude)
-        return (
-            (-sine, -sin_lat * cosine, cos_lat * cosine),
-            (cosine, -sin_lat * sine, cos_lat * sine),
-            (0.0, cos_lat, sin_lat),
-        )
+        north, up = cos_lat * pole - sin_lat * level, cos_lat * level + sin_lat * pole
+        site = self.equatorial * level + self.polar * pole
+        return site, torch.stack((east, north, up), -1), self.rotation_rate * self.equatorial * east

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from torch import Tensor
 
+from ahnn.measurements.base import Time
+
 
 class Position:
     """The first n of 2 n state components: the positions q, as in the paper.
@@ -17,9 +19,13 @@ class Position:
         self.names = tuple(f"q{i + 1}" for i in range(degrees_of_freedom))
         self.units = (unit,) * degrees_of_freedom
 
-    def __call__(self, x: Tensor, t: float) -> Tensor:  # noqa: ARG002
+    def __call__(self, x: Tensor, t: Time) -> Tensor:  # noqa: ARG002
         """Return the positions (..., n) of the states x (..., 2n)."""
         return x[..., : len(self.names)]
+
+    def locate(self, y: Tensor, t: Time) -> Tensor:  # noqa: ARG002
+        """Return the positions themselves, shape (..., n)."""
+        return y
 
     def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
         """Return y - y_pred."""
@@ -38,9 +44,13 @@ class State:
         self.names = tuple(f"{kind}{i + 1}" for kind in "qp" for i in range(degrees_of_freedom))
         self.units = (units[0],) * degrees_of_freedom + (units[1],) * degrees_of_freedom
 
-    def __call__(self, x: Tensor, t: float) -> Tensor:  # noqa: ARG002
+    def __call__(self, x: Tensor, t: Time) -> Tensor:  # noqa: ARG002
         """Return the states (..., 2n) themselves."""
         return x
+
+    def locate(self, y: Tensor, t: Time) -> Tensor:  # noqa: ARG002
+        """Return the positions among the components, shape (..., n)."""
+        return y.chunk(2, dim=-1)[0]
 
     def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
         """Return y - y_pred."""

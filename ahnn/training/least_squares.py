@@ -6,14 +6,27 @@ the sensitivity of their state along instead: W steps then cost W passes and not
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call, jacrev, vmap
 
+from ahnn.training.normal_equations import Equations, normal_equations
 from ahnn.types import TimeStep, Window
+
+
+class Problem(Protocol):
+    """A sum of squares in the flat parameter vector theta, shape (P,)."""
+
+    def loss(self, theta: Tensor) -> Tensor:
+        """Return the sum of squared residuals, a scalar."""
+        ...
+
+    def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
+        """Return the problem to second order at theta; `sizes` are those of the tensors that it consists of."""
+        ...
 
 
 class LeastSquares(NamedTuple):
@@ -27,6 +40,16 @@ class LeastSquares(NamedTuple):
 
     residuals: Callable[[Tensor], Tensor]
     jacobian: Callable[[Tensor], Tensor]
+
+    def loss(self, theta: Tensor) -> Tensor:
+        """Return the sum of squared residuals, a scalar."""
+        return self.residuals(theta).square().sum()
+
+    def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
+        """Return loss and normal equations at theta."""
+        residuals = self.residuals(theta)
+        blocks = normal_equations(self.jacobian(theta).detach(), residuals, sizes)
+        return Equations(residuals @ residuals, residuals.numel(), blocks)
 
 
 class _Forward(nn.Module):

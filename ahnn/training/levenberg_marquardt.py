@@ -10,8 +10,8 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 from torch.optim import Optimizer
 
 from ahnn.arguments import Positive, checked
-from ahnn.training.least_squares import LeastSquares
-from ahnn.training.normal_equations import damped_step, gradient_norm, normal_equations, promised_decrease
+from ahnn.training.least_squares import Problem
+from ahnn.training.normal_equations import damped_step, gradient_norm, promised_decrease
 from ahnn.training.steppers import SecondOrder
 
 SMALLEST, LARGEST = 1e-14, 1e6
@@ -45,34 +45,33 @@ class LevenbergMarquardt(Optimizer):
         super().__init__(params, {"damping": damping, "tolerance": tolerance})
 
     @torch.no_grad()
-    def step(self, closure: Callable[[], tuple[LeastSquares, LeastSquares]]) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def step(self, closure: Callable[[], tuple[Problem, Problem | None]]) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Take one step and return the mean squared residual before it.
 
         Args:
-            closure: returns the problem to step on and the one held back.
+            closure: returns the problem to step on and the one held back, if any is.
         """
         with torch.enable_grad():
             problem, held_back = closure()
         group = self.param_groups[0]
         theta = parameters_to_vector(group["params"]).detach()
-        residuals, jacobian = problem.residuals(theta), problem.jacobian(theta).detach()
-        blocks = normal_equations(jacobian, residuals, [p.numel() for p in group["params"]])
-        group["gradient_norm"] = 2 * gradient_norm(blocks) / residuals.numel()  # of the mean square
-        loss, other = residuals @ residuals, held_back.residuals(theta).square().sum()
+        loss, count, blocks = problem.equations(theta, [p.numel() for p in group["params"]])
+        group["gradient_norm"] = 2 * gradient_norm(blocks) / count  # of the mean square
+        other = None if held_back is None else held_back.loss(theta)
         for _ in range(ATTEMPTS):
             move = damped_step(blocks, group["damping"], theta)
             if move is None:
                 group["damping"] = min(group["damping"] * 10, LARGEST)
                 continue
-            decrease = loss - problem.residuals(theta + move).square().sum()
+            decrease = loss - problem.loss(theta + move)
             gain = float(decrease / promised_decrease(blocks, move))
-            rise = float(held_back.residuals(theta + move).square().sum() / other) - 1
+            rise = 0.0 if held_back is None else float(held_back.loss(theta + move) / other) - 1
             accepted = gain > SUFFICIENT and rise <= group["tolerance"]
             group["damping"] = adapted(group["damping"], gain, rise, accepted)
             if accepted:
                 vector_to_parameters(theta + move, group["params"])
                 break
-        return loss / residuals.numel()
+        return loss / count
 
 
 def adapted(damping: float, gain: float, rise: float, accepted: bool) -> float:

@@ -28,6 +28,20 @@ class Block(NamedTuple):
     gradient: Tensor
 
 
+class Equations(NamedTuple):
+    """A least-squares problem to second order.
+
+    Attributes:
+        loss: the sum of squared residuals.
+        count: how many residuals it has, those spent on unknowns of their own taken off.
+        blocks: of the normal equations.
+    """
+
+    loss: Tensor
+    count: int
+    blocks: list[Block]
+
+
 def normal_equations(jacobian: Tensor, residuals: Tensor, sizes: Sequence[int]) -> list[Block]:
     """Return the blocks; parameters that no residual depends on are in none.
 

@@ -1,0 +1,99 @@
+"""Paths of a flow through many measurements, and how they move with their start and with the parameters.
+
+Pure functions of increments (x, dt) -> x(t + dt) - x(t). A path is recursive, its derivatives are not: the
+Jacobians of all steps are formed at once and multiplied afterwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.func import jvp, vmap
+
+Increment = Callable[[Tensor, Tensor], Tensor]
+"""(x (B, D), dt (B,)) -> x(t + dt) - x(t), shape (B, D)."""
+
+TOGETHER = 50_000
+"""States whose Jacobians are formed at once; more would not be faster, and take memory."""
+
+
+class Steps(NamedTuple):
+    """Integrator steps between the times of measurements.
+
+    Attributes:
+        lengths: (B, N).
+        ends: (K + 1,) the state of a path, from 0 to N, that belongs to each time.
+    """
+
+    lengths: Tensor
+    ends: Tensor
+
+    def first(self, intervals: int) -> Steps:
+        """Return the steps of the first intervals."""
+        ends = self.ends[: intervals + 1]
+        return Steps(self.lengths[:, : int(ends[-1])], ends)
+
+
+def steps_between(times: Tensor, longest: float) -> Steps:
+    """Return steps that end on all of the times (B, K + 1), none longer than `longest`.
+
+    An interval has as many steps in every row as its longest one needs.
+    """
+    gaps = times.diff(dim=1)
+    # A gap of 60.000000000000007 is one step of 60, not two of 30.
+    counts = torch.ceil(gaps.amax(0) / longest - 1e-9).clamp(min=1).long()
+    ends = torch.cat((counts.new_zeros(1), counts.cumsum(0)))
+    return Steps((gaps / counts).repeat_interleave(counts, dim=1), ends)
+
+
+def path(increment: Increment, start: Tensor, lengths: Tensor) -> Tensor:
+    """Return the states (B, N + 1, D) that follow from the starts (B, D) over steps of these lengths (B, N)."""
+    states = [start]
+    for dt in lengths.unbind(1):
+        states.append(states[-1] + increment(states[-1], dt))
+    return torch.stack(states, dim=1)
+
+
+def step_jacobians(increment: Increment, states: Tensor, lengths: Tensor) -> Tensor:
+    """Return dx(t + dt)/dx(t) of each step, shape (B, N, D, D), at the states (B, N, D) where they begin."""
+    x, dt, unit = states.flatten(0, 1), lengths.flatten(), torch.eye(states.shape[-1]).to(states)
+
+    def along(part: Tensor, lengths: Tensor) -> Tensor:
+        moved = lambda z: z + increment(z, lengths)  # noqa: E731
+        push = lambda v: jvp(moved, (part,), (v.expand_as(part),))[1]  # noqa: E731
+        return vmap(push, out_dims=-1)(unit)
+
+    parts = zip(x.split(TOGETHER), dt.split(TOGETHER), strict=True)
+    return torch.cat([along(*part) for part in parts]).unflatten(0, lengths.shape)
+
+
+def transitions(jacobians: Tensor) -> Tensor:
+    """Return dx_k/dx_0 of each state of a path, shape (B, N + 1, D, D), from the Jacobians of its steps."""
+    products = [torch.eye(jacobians.shape[-1]).to(jacobians).expand_as(jacobians[:, 0])]
+    for step in jacobians.unbind(1):
+        products.append(step @ products[-1])
+    return torch.stack(products, dim=1)
+
+
+def sensitivities(jacobians: Tensor, forcing: Tensor, steps: Steps) -> Tensor:
+    """Return dx_k/dtheta at the times of measurements, shape (B, K + 1, D, P), the start held fixed.
+
+    The variational equation dS/dt = f_x S + f_theta, its transition exact and its integral by the trapezoidal
+    rule: the error is a factor 1 + O(dt^2) on what shapes a step, not on the residuals that judge it.
+
+    Args:
+        jacobians: of the steps, (B, N, D, D).
+        forcing: f_theta, the derivative of the field with respect to the parameters, (B, N + 1, D, P).
+        steps: lengths, and which states are wanted.
+    """
+    measured, current = set(steps.ends.tolist()), torch.zeros_like(forcing[:, 0])
+    wanted = [current]
+    for k, dt in enumerate(steps.lengths.to(forcing).unbind(1)):
+        half = dt[:, None, None] / 2
+        current = jacobians[:, k] @ (current + half * forcing[:, k]) + half * forcing[:, k + 1]
+        if k + 1 in measured:
+            wanted.append(current)
+    return torch.stack(wanted, dim=1)

@@ -1,0 +1,164 @@
+"""Multiple shooting: dynamics learned from segments of measurements whose starts are unknown.
+
+The starts are eliminated: each residual is that of the best start for the current parameters (variable
+projection, Golub & Pereyra 1973; its Jacobian as in Kaufman 1975). What is left is a least-squares problem in
+the parameters alone, for which a measurement of any kind serves: a state, a position, a range.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import cast
+
+import torch
+from torch import Tensor
+from torch.func import jacrev, vmap
+from torch.nn.utils import parameters_to_vector, vector_to_parameters
+
+from ahnn.dynamics import Dynamics, HasField
+from ahnn.training.least_squares import parametrised
+from ahnn.training.normal_equations import Block, Equations, gram
+from ahnn.training.paths import Increment, path, sensitivities, steps_between
+from ahnn.training.starts import (
+    Flows,
+    Instrument,
+    Linearised,
+    chi_square,
+    fit_starts,
+    linearised,
+    refine,
+    residuals,
+)
+from ahnn.types import Segment
+
+CELLS = 5e7
+"""Numbers in the largest tensor of sensitivities; longer batches are cut into parts of segments."""
+TIMES_TYPICAL = 5.0
+"""A segment whose chi-square is so many times the median has not converged, and is left out."""
+REFITS = 2
+"""Steps that move the starts after the parameters moved."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shooting:
+    """Measured - predicted over K intervals from a start that fits best, in standard deviations.
+
+    Attributes:
+        instrument: what gave the measurements.
+        intervals: K; None takes whole trajectories, all of them in each step.
+    """
+
+    instrument: Instrument
+    intervals: int | None
+
+    def residuals(self, dynamics: Dynamics, batch: Segment, guess: Tensor) -> Tensor:
+        """Return the residuals of the segments that converged, shape (B, K + 1, M), with a graph.
+
+        The starts are held where they fit best: to first order the loss does not depend on them, and its
+        gradient is the one along the best starts (the envelope theorem).
+        """
+        problem = self.problem(dynamics, batch, guess)
+        states = path(dynamics.increment, problem.starts, problem.steps.lengths)[:, problem.steps.ends]
+        return self.instrument.robust.pseudo(residuals(self.instrument, states, problem.batch))
+
+    def problem(self, dynamics: Dynamics, batch: Segment, guess: Tensor) -> ShootingProblem:
+        """Return the same residuals as a problem in the parameters of the dynamics."""
+        return ShootingProblem(self.instrument, dynamics, batch, guess)
+
+
+class ShootingProblem:
+    """Segments of measurements as a problem in the parameters theta, shape (P,), of dynamics.
+
+    Args:
+        instrument: what gave the measurements.
+        dynamics: with a field; their present parameters are where the starts are fitted first.
+        batch: the segments.
+        guess: (B, D) rough starts.
+
+    Attributes:
+        starts: (B, D) of the segments that converged.
+        lost: how many did not.
+    """
+
+    def __init__(self, instrument: Instrument, dynamics: Dynamics, batch: Segment, guess: Tensor) -> None:
+        self.instrument = instrument
+        field = cast(HasField, dynamics).field
+        self._exact = copy.deepcopy(dynamics).requires_grad_(False)
+        self._rough = copy.deepcopy(dynamics).requires_grad_(False).float()
+        self._field = parametrised(dynamics, lambda x: field(x), torch.float32)
+        theta = parameters_to_vector(dynamics.parameters()).detach()
+        steps = steps_between(batch.times, instrument.longest)
+        starts = fit_starts(instrument, self._at(theta), guess, batch, steps)
+        sums = chi_square(instrument, self._at(theta), starts, batch, steps)
+        kept = converged(sums, freedom(batch, starts.shape[-1]))
+        self.steps, self.batch, self.starts = steps._replace(lengths=steps.lengths[kept]), batch.rows(kept), starts[kept]
+        self.lost = int((~kept).sum())
+        self.count = int(freedom(self.batch, starts.shape[-1]).sum())
+
+    def _at(self, theta: Tensor) -> Flows:
+        for module in (self._exact, self._rough):
+            vector_to_parameters(theta.to(next(module.parameters())), module.parameters())
+        return Flows(self._exact.increment, self._rough.increment)
+
+    def _parts(self, parameters: int) -> Iterator[slice]:
+        """Yield the segments in parts whose sensitivities fit into memory."""
+        cells = (self.steps.lengths.shape[1] + 1) * self.starts.shape[-1] * parameters
+        rows = max(1, int(CELLS // cells))
+        return (slice(k, k + rows) for k in range(0, len(self.starts), rows))
+
+    @torch.no_grad()
+    def loss(self, theta: Tensor) -> Tensor:
+        """Return the sum of squared residuals, each segment from the start that fits it best."""
+        if not len(self.starts):
+            return theta.new_full((), torch.inf)
+        starts = refine(self.instrument, self._at(theta), self.starts, self.batch, self.steps, REFITS)
+        return chi_square(self.instrument, self._at(theta), starts, self.batch, self.steps).sum()
+
+    @torch.no_grad()
+    def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
+        """Return loss and normal equations, starts eliminated."""
+        del sizes
+        count = len(theta)
+        loss, gradient = theta.new_zeros(()), theta.new_zeros(count)
+        matrix = theta.new_zeros(count, count)
+        for part in self._parts(count):
+            rows, design = self._projected(theta, part)
+            loss += rows.square().sum()
+            gradient += (design.T @ rows.to(design)).to(theta)
+            matrix += gram(design).to(theta)
+        return Equations(loss, self.count, [Block(torch.arange(count), matrix, gradient)])
+
+    def _projected(self, theta: Tensor, part: slice) -> tuple[Tensor, Tensor]:
+        """Return residuals (R,) and their Jacobian (R, P), float32, in the complement of the starts."""
+        steps = self.steps._replace(lengths=self.steps.lengths[part])
+        now = linearised(self.instrument, self._at(theta), self.starts[part], self.batch.rows(part), steps)
+        moved = sensitivities(now.jacobians.float(), self._forcing(theta, now), steps)
+        of_theta = (now.of_state.float() @ moved).flatten(1, 2)
+        basis = torch.linalg.qr(now.of_start.flatten(1, 2)).Q
+        rows = now.residuals.flatten(1)
+        rows = rows - (basis @ (basis.mT @ rows.unsqueeze(-1))).squeeze(-1)
+        low = basis.float()
+        return rows.flatten(), (of_theta - low @ (low.mT @ of_theta)).flatten(0, 1)
+
+    def _forcing(self, theta: Tensor, now: Linearised) -> Tensor:
+        """Return the derivative of the field with respect to theta, (B, N + 1, D, P), float32."""
+        single = lambda t, x: self._field(t, x.unsqueeze(0)).squeeze(0)  # noqa: E731
+        states = now.states.float()
+        rows = vmap(jacrev(single), (None, 0), chunk_size=20_000)(theta.float(), states.flatten(0, 1))
+        return rows.unflatten(0, states.shape[:2])
+
+
+def freedom(batch: Segment, size: int) -> Tensor:
+    """Return the degrees of freedom of each segment, (B,): measured numbers beyond the start's D."""
+    return (~batch.values.isnan()).sum((1, 2)) - size
+
+
+def converged(sums: Tensor, degrees: Tensor) -> Tensor:
+    """Return which segments are finite and near the others in chi-square per degree of freedom, (B,) bool."""
+    reduced = sums / degrees.clamp(min=1)
+    fits = reduced.isfinite() & (degrees > 0)
+    if not bool(fits.any()):
+        return fits
+    return fits & (reduced <= TIMES_TYPICAL * reduced[fits].median().clamp(min=1.0))
