@@ -136,23 +136,3 @@ class Window(NamedTuple):
         """Return some of the windows."""
         dt = self.dt[part] if isinstance(self.dt, Tensor) else self.dt
         return self._replace(start=self.start[part], increments=self.increments[part], dt=dt)
-
-
-class Segment(NamedTuple):
-    """A batch of stretches of measurements, K intervals each; the states are not known, not even the first.
-
-    Attributes:
-        values: (B, K + 1, M); NaN where nothing was measured, single components too.
-        times: (B, K + 1), increasing in each row.
-    """
-
-    values: Tensor
-    times: Tensor
-
-    def first(self, intervals: int) -> Segment:
-        """Return the stretches cut to their first intervals."""
-        return Segment(self.values[:, : intervals + 1], self.times[:, : intervals + 1])
-
-    def rows(self, part: slice | Tensor) -> Segment:
-        """Return some of the stretches."""
-        return Segment(self.values[part], self.times[part])

@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from ahnn.arguments import check_arguments
 from ahnn.checkpoints import FORMAT
 from ahnn.cli.build import build, build_all, plain_config
 from ahnn.data import Simulated, Source, SplitData
+from ahnn.data.sensor import Sensor
 from ahnn.errors import UserError
 from ahnn.runs import about_space
 from ahnn.systems import System
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
 
 SIMULATION = ("trajectories", "seed", "cache")
 """Keys of `data` that say how many trajectories are simulated, and where they are kept."""
+
+SENSOR = ("measured", "noise", "every", "gaps", "outliers")
+"""Keys of `data` that say what training sees of the trajectories."""
 
 
 def build_source(cfg: DictConfig) -> Source:
@@ -41,8 +45,27 @@ def build_source(cfg: DictConfig) -> Source:
 
 def build_data(cfg: DictConfig, source: Source) -> WindowDataModule:
     """Build the DataModule of a training."""
-    options = {key: value for key, value in plain_config(cfg.data).items() if key not in SIMULATION}
-    return build(OmegaConf.create(options), "data", source=source, window=cfg.window)
+    left_out = (*SIMULATION, *SENSOR)
+    options = {key: value for key, value in plain_config(cfg.data).items() if key not in left_out}
+    sensor = build_sensor(cfg, source)
+    return build(OmegaConf.create(options), "data", source=source, window=cfg.window, sensor=sensor)
+
+
+def build_sensor(cfg: DictConfig, source: Source) -> Sensor | None:
+    """Build what training sees of simulated trajectories; None where it sees their states."""
+    options = {name: cfg.data[name] for name in SENSOR}
+    if options["noise"] is None:
+        given = {name: value for name, value in options.items() if value not in (None, 1, 0)}
+        if given:
+            message = f"data.noise: expected standard deviations with {given}; received null"
+            raise UserError(message)
+        return None
+    measured = options["measured"] or "state"
+    options["measured"] = measured if isinstance(measured, str) else build(measured, "data.measured")
+    if isinstance(options["noise"], ListConfig):
+        options["noise"] = list(options["noise"])
+    check_arguments("data", Sensor, options, ("space", "seed"))
+    return Sensor(source.space, **options, seed=cfg.data.seed)
 
 
 def build_model(cfg: DictConfig, data: WindowDataModule) -> AbstractModel:
@@ -52,7 +75,10 @@ def build_model(cfg: DictConfig, data: WindowDataModule) -> AbstractModel:
     space = data.source.space
     given = {"dof": space.dof, "inertia": space.inertia, "window": cfg.window}
     model = build(cfg.model, "model", **given).to(data.dtype)
-    data.require_span(model.curriculum.span)
+    if model.curriculum.span is not None:
+        data.require_span(model.curriculum.span)
+    else:
+        data.stages, data.epochs = model.curriculum, cfg.trainer.max_epochs
     scheduler = build(cfg.scheduler, "scheduler") if cfg.scheduler else None
     model.optimisation = Optimisation(build(cfg.optimizer, "optimizer"), scheduler)
     known = {"recipe": data.source.recipe(), "split": list(data.splits.fractions)}

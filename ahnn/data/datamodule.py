@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Protocol
 
 import torch
 from lightning import LightningDataModule
 
 from ahnn.arguments import Count, Seed, Within, checked
-from ahnn.data.loader import WindowLoader
+from ahnn.data.loader import SegmentLoader, WindowLoader
+from ahnn.data.measured import measured_statistics
+from ahnn.data.segments import Segments
+from ahnn.data.sensor import Sensor
 from ahnn.data.sources import Source
 from ahnn.data.splits import Split, SplitData
 from ahnn.data.windows import Windows, require_span
+from ahnn.measurements import Instrument
 from ahnn.memory import require_memory
-from ahnn.statistics import Statistics
+from ahnn.statistics import Statistics, sampling_interval
 from ahnn.types import Trajectories
+
+
+class Stages(Protocol):
+    """Stretches of measurements that grow from stage to stage."""
+
+    def intervals(self, epoch: int, epochs: int) -> int | None:
+        """Return the intervals of a stretch in an epoch of so many; None takes whole trajectories."""
+        ...
 
 
 @checked
@@ -32,6 +44,7 @@ class WindowDataModule(LightningDataModule):
         val_windows: evenly spread windows of a validation; None takes all.
         precision: 32 or 64, bits of the batches.
         order_seed: of the order of the batches.
+        sensor: what training sees of the trajectories; None sees the states themselves.
     """
 
     def __init__(
@@ -46,10 +59,14 @@ class WindowDataModule(LightningDataModule):
         val_windows: Count | None,
         precision: Literal[32, 64],
         order_seed: Seed,
+        sensor: Sensor | None = None,
     ) -> None:
         super().__init__()
-        self.source = source
-        self.splits = SplitData(source, split)
+        self.source, self.sensor = source, sensor
+        self.splits = SplitData(source, split, sensor)
+        self.stages: Stages | None = None
+        self.epochs = 1
+        self._cut: dict[int | None, Segments] = {}
         self.window, self.span, self.batch_size = window, window, batch_size
         self.windows_per_epoch, self.val_windows = windows_per_epoch, val_windows
         self.dtype = {32: torch.float32, 64: torch.float64}[precision]
@@ -67,20 +84,44 @@ class WindowDataModule(LightningDataModule):
             require_span(self.span, truth.steps)
 
     def trajectories(self, split: Split) -> Trajectories:
-        """Return the whole trajectories of a split."""
-        return self.splits[split]
+        """Return the whole trajectories of a split, as training may see them."""
+        return self.splits.measured(split)
 
     def statistics(self) -> Statistics:
-        """Return the statistics of the training split, float64."""
-        return Statistics.of(self.trajectories("train"))
+        """Return the statistics of the training split, float64, measurements smoothed."""
+        train = self.trajectories("train")
+        return Statistics.of(train) if self.sensor is None else measured_statistics(train, self.instrument)
 
-    def train_dataloader(self) -> WindowLoader:
+    @property
+    def instrument(self) -> Instrument:
+        """What gave the measurements; an integrator steps as far as the samples of the truth lie apart."""
+        assert self.sensor is not None
+        spacing = sampling_interval(self.splits["test"])
+        longest = spacing if isinstance(spacing, float) else float(spacing.nanmedian())
+        return self.sensor.instrument(longest)
+
+    def train_dataloader(self) -> WindowLoader | SegmentLoader:
         """Return shuffled training batches."""
-        return self._loader("train", self.span, self.windows_per_epoch, self.order_seed, self.emphasis)
+        if self.stages is None:
+            return self._loader("train", self.span, self.windows_per_epoch, self.order_seed, self.emphasis)
+        steps = max(1, (self.windows_per_epoch or self.batch_size) // self.batch_size)
+        return SegmentLoader(self._stage, self.batch_size, steps, self.order_seed)
 
-    def val_dataloader(self) -> WindowLoader:
+    def val_dataloader(self) -> WindowLoader | SegmentLoader:
         """Return the validation batches, the same in every epoch."""
-        return self._loader("val", self.window, self.val_windows, None)
+        if self.stages is None:
+            return self._loader("val", self.window, self.val_windows, None)
+        whole = self.trajectories("val").part(slice(self.val_windows))
+        segments = Segments(whole, None, self.instrument)
+        return SegmentLoader(lambda _: (segments, True), len(segments), 0, 0)
+
+    def _stage(self, epoch: int) -> tuple[Segments, bool]:
+        """Return the stretches of an epoch, and whether each step takes them all."""
+        assert self.stages is not None
+        intervals = self.stages.intervals(epoch, self.epochs)
+        if intervals not in self._cut:
+            self._cut = {intervals: Segments(self.trajectories("train"), intervals, self.instrument)}
+        return self._cut[intervals], intervals is None
 
     def transfer_batch_to_device(self, batch: Any, device: torch.device, dataloader_idx: int) -> Any:
         """Return the batch as it is: windows are gathered on the device."""

@@ -1,17 +1,73 @@
-"""Batches of windows in an order that depends on (seed, epoch) alone, resumable inside an epoch."""
+"""Batches in an order that depends on (seed, epoch) alone, resumable inside an epoch."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import torch
+from torch import Tensor
 
+from ahnn.data.segments import Segments
 from ahnn.data.windows import Windows
+from ahnn.measurements import Segment
 from ahnn.types import Window
 
 
-class WindowLoader:
-    """An iterable of window batches that Lightning can shuffle by epoch, checkpoint and resume.
+class EpochLoader(ABC):
+    """An iterable of batches that Lightning can shuffle by epoch, checkpoint and resume."""
+
+    def __init__(self) -> None:
+        self.epoch = 0
+        self.position = 0
+        self.resume_epoch: int | None = None
+
+    @property
+    def sampler(self) -> EpochLoader:
+        """Lightning calls `sampler.set_epoch` before each epoch."""
+        return self
+
+    @property
+    def batch_sampler(self) -> None:
+        """Lightning asks whether batches are drawn by a sampler of their own; they are not."""
+        return
+
+    def set_epoch(self, epoch: int) -> None:
+        """Choose the order of this epoch."""
+        self.epoch = epoch
+
+    def state_dict(self) -> dict[str, int]:
+        """Return the place in the current epoch, for a checkpoint."""
+        return {"epoch": self.epoch, "position": self.position}
+
+    def load_state_dict(self, state: dict[str, int]) -> None:
+        """Continue, in the epoch of the checkpoint, at the batch after the last one used."""
+        self.resume_epoch, self.position = state["epoch"], state["position"]
+
+    @abstractmethod
+    def __len__(self) -> int:
+        """Return the number of batches of a whole epoch."""
+
+    @abstractmethod
+    def batches(self) -> Sequence[Tensor]:
+        """Return the indices of each batch of the current epoch."""
+
+    @abstractmethod
+    def gather(self, batch: Tensor) -> Any:
+        """Return the batch of some indices."""
+
+    def __iter__(self) -> Iterator[Any]:
+        """Yield the batches that are left of the current epoch."""
+        begin = self.position if self.epoch == self.resume_epoch and self.position < len(self) else 0
+        batches = self.batches()
+        for self.position in range(begin + 1, len(batches) + 1):
+            yield self.gather(batches[self.position - 1])
+        self.position = 0
+
+
+class WindowLoader(EpochLoader):
+    """Batches of windows.
 
     Args:
         windows: what to draw from.
@@ -34,37 +90,13 @@ class WindowLoader:
         rank: int = 0,
         world: int = 1,
     ) -> None:
+        super().__init__()
         self.windows = windows
         self.rank, self.world = rank, world
         self.batch_size = batch_size
         self.count = min(per_epoch or len(windows), len(windows))
         self.seed = seed
         self._cumulative = windows.speeds().pow(emphasis).cumsum(0).cpu() if emphasis else None
-        self.epoch = 0
-        self.position = 0
-        self.resume_epoch: int | None = None
-
-    @property
-    def sampler(self) -> WindowLoader:
-        """Lightning calls `sampler.set_epoch` before each epoch."""
-        return self
-
-    @property
-    def batch_sampler(self) -> None:
-        """Lightning asks whether batches are drawn by a sampler of their own; they are not."""
-        return
-
-    def set_epoch(self, epoch: int) -> None:
-        """Choose the order of this epoch."""
-        self.epoch = epoch
-
-    def state_dict(self) -> dict[str, int]:
-        """Return the place in the current epoch, for a checkpoint."""
-        return {"epoch": self.epoch, "position": self.position}
-
-    def load_state_dict(self, state: dict[str, int]) -> None:
-        """Continue, in the epoch of the checkpoint, at the batch after the last one used."""
-        self.resume_epoch, self.position = state["epoch"], state["position"]
 
     def __len__(self) -> int:
         """Return the number of batches of a whole epoch."""
@@ -81,16 +113,49 @@ class WindowLoader:
         draws = torch.rand(self.count, generator=generator, dtype=torch.float64) * self._cumulative[-1]
         return torch.searchsorted(self._cumulative, draws).clamp(max=total - 1)
 
-    def __iter__(self) -> Iterator[Window]:
-        """Yield the batches that are left of the current epoch."""
-        begin = self.position if self.epoch == self.resume_epoch and self.position < len(self) else 0
-        batches = self.order().to(self.windows.flat.device).split(self.batch_size)
-        for self.position in range(begin + 1, len(batches) + 1):
-            yield self._part(batches[self.position - 1])
-        self.position = 0
+    def batches(self) -> Sequence[Tensor]:
+        """Return the window indices of each batch of the current epoch."""
+        return self.order().to(self.windows.flat.device).split(self.batch_size)
 
-    def _part(self, batch: torch.Tensor) -> Window:
+    def gather(self, batch: Tensor) -> Window:
         """Return the windows of this process among those of a batch, shape (B,)."""
         own = batch.tensor_split(self.world)[self.rank]
         window = self.windows.gather(own if len(own) else batch[:1])
         return window._replace(weight=self.world * len(own) / len(batch))
+
+
+class SegmentLoader(EpochLoader):
+    """Batches of measured stretches, drawn anew for each step.
+
+    Args:
+        segments: epoch -> what to draw from, and whether a batch is all of it.
+        batch_size: stretches in a batch.
+        steps: batches of an epoch; 0 gives each stretch once, in the stored order.
+        seed: makes the draw, together with the epoch.
+    """
+
+    def __init__(
+        self, segments: Callable[[int], tuple[Segments, bool]], batch_size: int, steps: int, seed: int
+    ) -> None:
+        super().__init__()
+        self.segments, self.batch_size, self.steps, self.seed = segments, batch_size, steps, seed
+
+    def __len__(self) -> int:
+        """Return the number of batches of an epoch."""
+        return self.steps or -(-len(self.segments(self.epoch)[0]) // self.batch_size)
+
+    def batches(self) -> Sequence[Tensor]:
+        """Return the indices of each batch of the current epoch."""
+        segments, whole = self.segments(self.epoch)
+        count = len(segments)
+        if not self.steps:
+            return torch.arange(count).split(self.batch_size)
+        if whole:
+            return [torch.arange(count)] * self.steps
+        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)
+        size = min(self.batch_size, count)
+        return [torch.randperm(count, generator=generator)[:size] for _ in range(self.steps)]
+
+    def gather(self, batch: Tensor) -> Segment:
+        """Return the stretches of a batch."""
+        return self.segments(self.epoch)[0].gather(batch)

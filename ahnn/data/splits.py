@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
+from ahnn.data.sensor import Sensor
 from ahnn.data.sources import Source
 from ahnn.errors import UserError
 from ahnn.types import Trajectories
@@ -18,13 +19,15 @@ class SplitData:
     Args:
         source: where they come from.
         split: fractions of train, val and test.
+        sensor: what training sees of them; None sees the states themselves.
     """
 
-    def __init__(self, source: Source, split: list[float]) -> None:
-        self.source = source
+    def __init__(self, source: Source, split: list[float], sensor: Sensor | None = None) -> None:
+        self.source, self.sensor = source, sensor
         self.fractions = split
         check_fractions(split)
         self._parts: dict[Split, Trajectories] = {}
+        self._measured: dict[Split, Trajectories] = {}
 
     def __getitem__(self, split: Split) -> Trajectories:
         """Return the whole trajectories of a split."""
@@ -61,6 +64,14 @@ class SplitData:
             )
             raise UserError(message)
         return "a part of the test split of the training's data"
+
+    def measured(self, split: Split) -> Trajectories:
+        """Return what training may see of a split: measurements, or states where there is no sensor."""
+        if self.sensor is None:
+            return self[split]
+        if split not in self._measured:
+            self._measured[split] = self.sensor.measure(self[split], SPLITS.index(split))
+        return self._measured[split]
 
 
 def check_fractions(fractions: list[float]) -> None:

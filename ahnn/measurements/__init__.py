@@ -11,14 +11,17 @@ from ahnn.measurements.gnss import GnssRange
 from ahnn.measurements.ground_station import GroundStation
 from ahnn.measurements.readings import Position, State
 from ahnn.measurements.schedule import Schedule, every, schedule
+from ahnn.measurements.segment import Instrument, Segment
 
 __all__ = [
     "GnssRange",
     "GroundStation",
+    "Instrument",
     "Locating",
     "Measurement",
     "Position",
     "Schedule",
+    "Segment",
     "Sighted",
     "State",
     "Time",

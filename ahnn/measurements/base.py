@@ -8,7 +8,6 @@ from typing import Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-
 Time = float | Tensor
 """One time for all states, or a tensor (...) with a time for each."""
 
@@ -51,10 +50,10 @@ class Sighted(Protocol):
 
 @runtime_checkable
 class Locating(Protocol):
-    """A measurement model that a position can be read off: where a fit of unknown states may begin."""
+    """A measurement model that positions can be read off: where a fit of unknown states may begin."""
 
     def locate(self, y: Tensor, t: Time) -> Tensor:
-        """Return the positions (..., n) that give the measurements y (..., M) at time t."""
+        """Return the positions (..., n), or the whole states (..., 2n), that give y (..., M) at time t."""
         ...
 
 

@@ -49,8 +49,8 @@ class State:
         return x
 
     def locate(self, y: Tensor, t: Time) -> Tensor:  # noqa: ARG002
-        """Return the positions among the components, shape (..., n)."""
-        return y.chunk(2, dim=-1)[0]
+        """Return the states themselves, shape (..., 2n)."""
+        return y
 
     def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
         """Return y - y_pred."""

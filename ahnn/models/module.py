@@ -14,16 +14,12 @@ from torch import Tensor, nn
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
-from ahnn.arguments import check_arguments
 from ahnn.dynamics import Dynamics
 from ahnn.errors import UserError
 from ahnn.statistics import Statistics
 from ahnn.training import (
     FirstOrder,
-    Loss,
-    LossOptions,
     Objective,
-    Recursive,
     Stepper,
     make_curriculum,
     stepper_of,
@@ -48,17 +44,14 @@ class AbstractModel(LightningModule, ABC):
         dynamics: what is trained.
         dof: degrees of freedom n.
         window: W, steps of the recursive predictions in the loss.
-        loss: options of `LossOptions`.
+        loss: options of `LossOptions`, or of `SegmentOptions` where measurements are learned from.
     """
 
     def __init__(self, dynamics: Dynamics, dof: int, window: int, loss: dict[str, Any]) -> None:
         super().__init__()
         self.dynamics = dynamics
-        check_arguments("loss", LossOptions, loss)
-        self.loss = Loss(2 * dof, LossOptions(**loss))
+        self.loss, self.curriculum = make_curriculum(2 * dof, window, loss)
         self.dof, self.window = dof, window
-        self.curriculum = make_curriculum(self.loss, window)
-        self.recursive = Recursive(self.loss, window)
         self.stepper: Stepper = FirstOrder()
         self.optimisation: Optimisation | None = None
         self.about: dict[str, Any] = {}
@@ -82,7 +75,7 @@ class AbstractModel(LightningModule, ABC):
     def calibrate(self, statistics: Statistics) -> None:
         """Fit scalings, units and the unit of the loss to the training split."""
         self.dynamics.fit(statistics)
-        self.loss.fit(statistics)
+        cast(Any, self.loss).fit(statistics)
 
     def configure_optimizers(self) -> Any:
         """Return optimiser and per-epoch scheduler for Lightning."""
@@ -124,7 +117,7 @@ class AbstractModel(LightningModule, ABC):
         known = {**self.about, "dynamics": self.dynamics.spec}
         checkpoint["ahnn"] = {**known, "val_loss": None if loss is None else float(loss)}
 
-    def training_step(self, batch: Window, batch_idx: int) -> Tensor:
+    def training_step(self, batch: Any, batch_idx: int) -> Tensor:
         """Return the loss of one batch.
 
         Raises:
@@ -146,11 +139,11 @@ class AbstractModel(LightningModule, ABC):
             return loss
         return cast(Tensor, self.trainer.strategy.reduce(loss.clone(), reduce_op="mean"))
 
-    def validation_step(self, batch: Window, batch_idx: int) -> None:
-        """Log the loss of W predictions `val/loss`, and `val/one_step`, the rms residual of single steps."""
+    def validation_step(self, batch: Any, batch_idx: int) -> None:
+        """Log what the objective of validations says: `val/loss`, and `val/one_step` or `val/lost`."""
         del batch_idx
-        size = float(batch.start.shape[0] if batch.weight else 0)  # Lightning rounds the mean of integers
-        residuals = self.recursive.residuals(self.dynamics, batch)
+        size = len(batch.start) if isinstance(batch, Window) else len(batch.values)
+        size = float(size if getattr(batch, "weight", 1) else 0)  # Lightning rounds the mean of integers
         options: dict[str, Any] = {"batch_size": size, "on_epoch": True, "logger": False, "sync_dist": True}
-        self.log("val/loss", self.loss(residuals), **options)
-        self.log("val/one_step", residuals[:, 0].square().mean().sqrt(), **options)
+        for name, value in self.curriculum.judge.validation(self.dynamics, batch).items():
+            self.log(f"val/{name}", value, **options)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from ahnn.training.curriculum import Curriculum, SegmentOptions, make_curriculum
 from ahnn.training.hyperbolic import ExpHyperbolicLR
-from ahnn.training.least_squares import LeastSquares, pointwise_problem, recursive_problem
+from ahnn.training.least_squares import LeastSquares, Problem, pointwise_problem, recursive_problem
 from ahnn.training.levenberg_marquardt import LevenbergMarquardt
 from ahnn.training.loss import Loss, LossOptions
-from ahnn.training.objectives import Curriculum, Derivative, Objective, Recursive, make_curriculum
+from ahnn.training.objectives import Derivative, Objective, Recursive
+from ahnn.training.shooting import Shooting
 from ahnn.training.steppers import FirstOrder, SecondOrder, Stepper, stepper_of
 
 __all__ = [
@@ -19,8 +21,11 @@ __all__ = [
     "Loss",
     "LossOptions",
     "Objective",
+    "Problem",
     "Recursive",
     "SecondOrder",
+    "SegmentOptions",
+    "Shooting",
     "Stepper",
     "make_curriculum",
     "pointwise_problem",

@@ -25,7 +25,7 @@ class Problem(Protocol):
         ...
 
     def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
-        """Return the problem to second order at theta; `sizes` are those of the tensors that it consists of."""
+        """Return the problem to second order at theta, which consists of tensors of these sizes."""
         ...
 
 

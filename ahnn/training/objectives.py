@@ -1,51 +1,49 @@
 """Objectives: what dynamics are compared with, as residuals or as a least-squares problem.
 
 An objective is a value that is handed to a trainer: it knows the dynamics and a batch of windows, and nothing
-of optimisers. `Curriculum` says which one holds in an epoch.
+of optimisers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from math import factorial
-from typing import Protocol, cast
+from typing import Any, Protocol, cast
 
 import torch
 from torch import Tensor
 
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.errors import UserError
-from ahnn.training.least_squares import LeastSquares, pointwise_problem, recursive_problem
+from ahnn.training.least_squares import LeastSquares, Problem, pointwise_problem, recursive_problem
 from ahnn.training.loss import Loss
 from ahnn.types import Window
 
+PARTS = 5
+"""One part of a batch in so many makes a second-order step, and the rest checks it.
+
+The check needs no Jacobian and may be large; a small one is noisy and raises the damping.
+"""
+
 
 class Objective(Protocol):
-    """What training minimises.
+    """What training minimises."""
 
-    Attributes:
-        span: steps that a window must have.
-        predictions: recursive predictions in a residual; a batch may hold so many times fewer windows.
-    """
-
-    @property
-    def span(self) -> int:
-        """Steps that a window must have."""
+    def residuals(self, dynamics: Dynamics, batch: Any) -> Tensor:
+        """Return the weighted residuals of a batch, shape (B, ...)."""
         ...
 
-    @property
-    def predictions(self) -> int:
-        """Predictions that depend on one another in each window."""
-        ...
-
-    def residuals(self, dynamics: Dynamics, batch: Window) -> Tensor:
-        """Return the weighted residuals of a batch, shape (B, ..., D)."""
-        ...
-
-    def problem(self, dynamics: Dynamics, batch: Window) -> LeastSquares:
+    def problem(self, dynamics: Dynamics, batch: Any) -> Problem:
         """Return the same residuals as a problem in the parameters of the dynamics."""
+        ...
+
+    def divided(self, batch: Any) -> tuple[Any, Any | None]:
+        """Return the part of a batch that makes a second-order step, and the part that checks it, if any."""
+        ...
+
+    def validation(self, dynamics: Dynamics, batch: Any) -> dict[str, Tensor]:
+        """Return what a validation logs of a batch: scalars, `loss` among them."""
         ...
 
 
@@ -60,16 +58,6 @@ class Recursive:
 
     loss: Loss
     window: int
-
-    @property
-    def span(self) -> int:
-        """Steps that a window must have."""
-        return self.window
-
-    @property
-    def predictions(self) -> int:
-        """Predictions that depend on one another in each window."""
-        return self.window
 
     def residuals(self, dynamics: Dynamics, batch: Window) -> Tensor:
         """Return the weighted residuals, shape (B, W, D).
@@ -92,6 +80,15 @@ class Recursive:
         batch = batch.first(self.window)
         return recursive_problem(dynamics, dynamics.increment, batch, self.loss.weights(batch.increments))
 
+    def divided(self, batch: Window) -> tuple[Window, Window]:
+        """Return a fifth of a W-th of the windows, so that residuals are as many as those of single steps."""
+        return divided(batch, PARTS * self.window)
+
+    def validation(self, dynamics: Dynamics, batch: Window) -> dict[str, Tensor]:
+        """Return the loss of W predictions, and `one_step`, the rms residual of single steps."""
+        residuals = self.residuals(dynamics, batch)
+        return {"loss": self.loss(residuals), "one_step": residuals[:, 0].square().mean().sqrt()}
+
 
 @dataclass(frozen=True, eq=False)
 class Derivative:
@@ -104,16 +101,6 @@ class Derivative:
 
     loss: Loss
     order: int
-
-    @property
-    def span(self) -> int:
-        """Steps that a window must have."""
-        return self.order
-
-    @property
-    def predictions(self) -> int:
-        """Predictions that depend on one another in each window."""
-        return 1
 
     def residuals(self, dynamics: Dynamics, batch: Window) -> Tensor:
         """Return the weighted residuals, shape (B, D)."""
@@ -128,34 +115,19 @@ class Derivative:
             dynamics, lambda x: batch.dt * field(x), middle, target, self.loss.weights(target)
         )
 
+    def divided(self, batch: Window) -> tuple[Window, Window]:
+        """Return a fifth of the windows, and the rest."""
+        return divided(batch, PARTS)
 
-@dataclass(frozen=True, eq=False)
-class Curriculum:
-    """Objectives one after the other.
-
-    Attributes:
-        phases: fraction of the epochs up to which each holds, increasing to 1, and the objective.
-    """
-
-    phases: Sequence[tuple[float, Objective]]
-
-    @property
-    def span(self) -> int:
-        """Steps that a window of any phase must have."""
-        return max(objective.span for _, objective in self.phases)
-
-    def at(self, epoch: int, epochs: int) -> Objective:
-        """Return the objective of an epoch, counted from 0."""
-        return next((o for until, o in self.phases if epoch < until * epochs), self.phases[-1][1])
+    def validation(self, dynamics: Dynamics, batch: Window) -> dict[str, Tensor]:
+        """Return the loss."""
+        return {"loss": self.loss(self.residuals(dynamics, batch))}
 
 
-def make_curriculum(loss: Loss, window: int) -> Curriculum:
-    """Return derivatives first and recursive predictions after them, as the options of the loss say."""
-    fraction, recursive = loss.options.derivative, Recursive(loss, window)
-    if fraction == 0:
-        return Curriculum([(1.0, recursive)])
-    derivative = Derivative(loss, loss.options.order)
-    return Curriculum([(1.0, derivative)] if fraction == 1 else [(fraction, derivative), (1.0, recursive)])
+def divided(batch: Window, parts: int) -> tuple[Window, Window]:
+    """Return the first of so many parts of a batch, at least one window, and the rest."""
+    split = max(1, len(batch.start) // parts)
+    return batch.rows(slice(None, split)), batch.rows(slice(split, None))
 
 
 def derivative_samples(window: Window) -> tuple[Tensor, Tensor]:

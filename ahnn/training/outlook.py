@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import time
 from collections.abc import Callable
 from typing import Any
@@ -12,6 +13,9 @@ import torch
 from ahnn.data.datamodule import WindowDataModule
 from ahnn.training.objectives import Objective
 from ahnn.training.steppers import stepper_of
+
+TRIALS = 3
+"""Steps that are timed."""
 
 
 def expected_seconds(
@@ -27,14 +31,31 @@ def expected_seconds(
         epochs: that are left, counted from 0.
     """
     timed = [callback for callback in trainer.callbacks if hasattr(callback, "seconds")]
-    validation, of_step, total = _validation_seconds(model, data), dict[Objective, float](), 0.0
+    total = sum(c.seconds(epoch, trainer, model, data) for epoch in epochs for c in timed)
+    if data.stages is not None:
+        return total + _on_measurements(model, data, per_epoch, epochs)
+    validation, of_step = _validation_seconds(model, data), dict[Objective, float]()
     for epoch in epochs:
         objective = model.curriculum.at(epoch, epochs.stop)
         if objective not in of_step:
             of_step[objective] = _step_seconds(model, data, objective)
-        beside = sum(callback.seconds(epoch, trainer, model, data) for callback in timed)
-        total += per_epoch * of_step[objective] + validation + beside
+        total += per_epoch * of_step[objective] + validation
     return total
+
+
+def _on_measurements(model: Any, data: WindowDataModule, per_epoch: int, epochs: range) -> float:
+    """Return the time of steps and validations on measurements, in proportion to how many these are.
+
+    Over long stretches the paths of untrained dynamics are given up early: the first stage is timed.
+    """
+    objective = model.curriculum.at(0, epochs.stop)
+    loader = data.train_dataloader()
+    each = _step_seconds(model, data, objective) / next(iter(loader)).times.numel()
+    total = len(epochs) * next(iter(data.val_dataloader())).times.numel()
+    for epoch in epochs:
+        loader.set_epoch(epoch)
+        total += per_epoch * next(iter(loader)).times.numel()
+    return each * total
 
 
 def _validation_seconds(model: Any, data: WindowDataModule) -> float:
@@ -42,7 +63,7 @@ def _validation_seconds(model: Any, data: WindowDataModule) -> float:
     batches = data.val_dataloader()
     first = next(iter(batches))
     with torch.no_grad():
-        return len(batches) * _median(lambda: model.recursive.residuals(model.dynamics, first))
+        return len(batches) * _median(lambda: model.curriculum.judge.validation(model.dynamics, first))
 
 
 def _step_seconds(model: Any, data: WindowDataModule, objective: Objective) -> float:
@@ -50,18 +71,17 @@ def _step_seconds(model: Any, data: WindowDataModule, objective: Objective) -> f
     dynamics = copy.deepcopy(model.dynamics)
     optimizer = model.optimisation.optimizer(dynamics.parameters())
     stepper = stepper_of(optimizer)
-    windows = data.train_dataloader().windows
-    draw = torch.Generator().manual_seed(0)
+    loader = data.train_dataloader()
+    draws = itertools.cycle(loader.batches()[: TRIALS + 1])
 
     def step() -> None:
-        index = torch.randint(len(windows), (min(data.batch_size, len(windows)),), generator=draw)
-        loss = stepper.step(objective, model.loss, dynamics, windows.gather(index), optimizer)
+        loss = stepper.step(objective, model.loss, dynamics, loader.gather(next(draws)), optimizer)
         if stepper.automatic:
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
 
-    return _median(step, repeats=3)
+    return _median(step, TRIALS)
 
 
 def _median(work: Callable[[], Any], repeats: int = 1) -> float:

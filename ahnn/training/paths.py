@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.func import jvp, vmap
+from torch.func import vjp, vmap
 
 Increment = Callable[[Tensor, Tensor], Tensor]
 """(x (B, D), dt (B,)) -> x(t + dt) - x(t), shape (B, D)."""
@@ -30,6 +30,10 @@ class Steps(NamedTuple):
 
     lengths: Tensor
     ends: Tensor
+
+    def rows(self, part: slice | Tensor) -> Steps:
+        """Return the steps of some of the segments."""
+        return self._replace(lengths=self.lengths[part])
 
     def first(self, intervals: int) -> Steps:
         """Return the steps of the first intervals."""
@@ -50,7 +54,7 @@ def steps_between(times: Tensor, longest: float) -> Steps:
 
 
 def path(increment: Increment, start: Tensor, lengths: Tensor) -> Tensor:
-    """Return the states (B, N + 1, D) that follow from the starts (B, D) over steps of these lengths (B, N)."""
+    """Return the states (B, N + 1, D) that follow from the starts (B, D) over steps of lengths (B, N)."""
     states = [start]
     for dt in lengths.unbind(1):
         states.append(states[-1] + increment(states[-1], dt))
@@ -59,15 +63,17 @@ def path(increment: Increment, start: Tensor, lengths: Tensor) -> Tensor:
 
 def step_jacobians(increment: Increment, states: Tensor, lengths: Tensor) -> Tensor:
     """Return dx(t + dt)/dx(t) of each step, shape (B, N, D, D), at the states (B, N, D) where they begin."""
-    x, dt, unit = states.flatten(0, 1), lengths.flatten(), torch.eye(states.shape[-1]).to(states)
-
-    def along(part: Tensor, lengths: Tensor) -> Tensor:
-        moved = lambda z: z + increment(z, lengths)  # noqa: E731
-        push = lambda v: jvp(moved, (part,), (v.expand_as(part),))[1]  # noqa: E731
-        return vmap(push, out_dims=-1)(unit)
-
+    x, dt = states.flatten(0, 1), lengths.flatten()
     parts = zip(x.split(TOGETHER), dt.split(TOGETHER), strict=True)
-    return torch.cat([along(*part) for part in parts]).unflatten(0, lengths.shape)
+    rows = [pointwise_jacobian(lambda z, dt=dt: z + increment(z, dt), x) for x, dt in parts]
+    return torch.cat(rows).unflatten(0, lengths.shape)
+
+
+def pointwise_jacobian(function: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:
+    """Return df/dx, shape (..., M, D), of a function that maps each x (..., D) to its own f (..., M)."""
+    value, back = vjp(function, x)
+    unit = torch.eye(value.shape[-1]).to(value)
+    return vmap(lambda row: back(row.expand_as(value))[0], out_dims=-2)(unit)
 
 
 def transitions(jacobians: Tensor) -> Tensor:

@@ -18,89 +18,98 @@ from torch.func import jacrev, vmap
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from ahnn.dynamics import Dynamics, HasField
+from ahnn.measurements import Segment
+from ahnn.measurements.smoothing import guess
 from ahnn.training.least_squares import parametrised
 from ahnn.training.normal_equations import Block, Equations, gram
-from ahnn.training.paths import Increment, path, sensitivities, steps_between
-from ahnn.training.starts import (
-    Flows,
-    Instrument,
-    Linearised,
-    chi_square,
-    fit_starts,
-    linearised,
-    refine,
-    residuals,
-)
-from ahnn.types import Segment
+from ahnn.training.paths import path, sensitivities, steps_between
+from ahnn.training.robust import ROBUST, Robust, RobustName
+from ahnn.training.starts import Linearised, Trial, chi_square, fit_starts, linearised, refine
 
 CELLS = 5e7
 """Numbers in the largest tensor of sensitivities; longer batches are cut into parts of segments."""
 TIMES_TYPICAL = 5.0
 """A segment whose chi-square is so many times the median has not converged, and is left out."""
+LOST = 1e6
+"""Chi-square per degree of freedom that a segment counts with if its path never met the measurements."""
 REFITS = 2
 """Steps that move the starts after the parameters moved."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shooting:
-    """Measured - predicted over K intervals from a start that fits best, in standard deviations.
+    """Predicted - measured over K intervals from the start that fits best, in standard deviations.
 
     Attributes:
-        instrument: what gave the measurements.
-        intervals: K; None takes whole trajectories, all of them in each step.
+        intervals: K; None takes whole trajectories.
+        robust: the loss of single residuals: none (squares), huber or student.
     """
 
-    instrument: Instrument
     intervals: int | None
+    robust: RobustName = "none"
 
-    def residuals(self, dynamics: Dynamics, batch: Segment, guess: Tensor) -> Tensor:
+    def residuals(self, dynamics: Dynamics, batch: Segment) -> Tensor:
         """Return the residuals of the segments that converged, shape (B, K + 1, M), with a graph.
 
         The starts are held where they fit best: to first order the loss does not depend on them, and its
         gradient is the one along the best starts (the envelope theorem).
         """
-        problem = self.problem(dynamics, batch, guess)
-        states = path(dynamics.increment, problem.starts, problem.steps.lengths)[:, problem.steps.ends]
-        return self.instrument.robust.pseudo(residuals(self.instrument, states, problem.batch))
+        problem = self.problem(dynamics, batch)
+        exact = lambda x, dt: dynamics.increment(x, dt)  # noqa: E731
+        states = path(exact, problem.starts, problem.steps.lengths)[:, problem.steps.ends]
+        return ROBUST[self.robust].pseudo(problem.batch.residuals(states))
 
-    def problem(self, dynamics: Dynamics, batch: Segment, guess: Tensor) -> ShootingProblem:
+    def problem(self, dynamics: Dynamics, batch: Segment) -> ShootingProblem:
         """Return the same residuals as a problem in the parameters of the dynamics."""
-        return ShootingProblem(self.instrument, dynamics, batch, guess)
+        return ShootingProblem(dynamics, batch, ROBUST[self.robust])
+
+    def divided(self, batch: Segment) -> tuple[Segment, None]:
+        """Return the whole batch to step on: starts are fitted anew, nothing needs to be held back."""
+        return batch, None
+
+    def validation(self, dynamics: Dynamics, batch: Segment) -> dict[str, Tensor]:
+        """Return chi-square per degree of freedom, a lost segment as `LOST`, and the share of these."""
+        problem = self.problem(dynamics, batch)
+        theta = parameters_to_vector(dynamics.parameters()).detach()
+        count = len(batch.values)
+        mean = problem.loss(theta) / max(problem.count, 1)
+        lost = problem.lost / count
+        return {"loss": mean.clamp(max=LOST) * (1 - lost) + LOST * lost, "lost": theta.new_tensor(lost)}
 
 
 class ShootingProblem:
     """Segments of measurements as a problem in the parameters theta, shape (P,), of dynamics.
 
     Args:
-        instrument: what gave the measurements.
         dynamics: with a field; their present parameters are where the starts are fitted first.
         batch: the segments.
-        guess: (B, D) rough starts.
+        robust: the loss of single residuals.
 
     Attributes:
-        starts: (B, D) of the segments that converged.
-        lost: how many did not.
+        batch, starts: the segments that converged, and their first states (B, D).
+        steps: of the integrator between measurements.
+        lost: how many segments did not converge.
+        count: degrees of freedom, parameters not taken off.
     """
 
-    def __init__(self, instrument: Instrument, dynamics: Dynamics, batch: Segment, guess: Tensor) -> None:
-        self.instrument = instrument
+    def __init__(self, dynamics: Dynamics, batch: Segment, robust: Robust) -> None:
         field = cast(HasField, dynamics).field
+        self.robust = robust
         self._exact = copy.deepcopy(dynamics).requires_grad_(False)
         self._rough = copy.deepcopy(dynamics).requires_grad_(False).float()
         self._field = parametrised(dynamics, lambda x: field(x), torch.float32)
-        theta = parameters_to_vector(dynamics.parameters()).detach()
-        steps = steps_between(batch.times, instrument.longest)
-        starts = fit_starts(instrument, self._at(theta), guess, batch, steps)
-        sums = chi_square(instrument, self._at(theta), starts, batch, steps)
-        kept = converged(sums, freedom(batch, starts.shape[-1]))
-        self.steps, self.batch, self.starts = steps._replace(lengths=steps.lengths[kept]), batch.rows(kept), starts[kept]
+        trial = self._at(parameters_to_vector(dynamics.parameters()).detach())
+        steps = steps_between(batch.times, batch.instrument.longest)
+        starts = fit_starts(trial, guess(batch), batch, steps)
+        kept = converged(chi_square(trial, starts, batch, steps), freedom(batch))
+        self.steps, self.batch, self.starts = steps.rows(kept), batch.rows(kept), starts[kept]
         self.lost = int((~kept).sum())
-        self.count = int(freedom(self.batch, starts.shape[-1]).sum())
+        self.count = int(freedom(self.batch).sum())
 
-    def _at(self, theta: Tensor) -> Flows:
+    def _at(self, theta: Tensor) -> Trial:
         for module in (self._exact, self._rough):
             vector_to_parameters(theta.to(next(module.parameters())), module.parameters())
-        return Flows(self._exact.increment, self._rough.increment)
+        return Trial(self._exact.increment, self._rough.increment, self.robust)
 
     def _parts(self, parameters: int) -> Iterator[slice]:
         """Yield the segments in parts whose sensitivities fit into memory."""
@@ -113,8 +122,9 @@ class ShootingProblem:
         """Return the sum of squared residuals, each segment from the start that fits it best."""
         if not len(self.starts):
             return theta.new_full((), torch.inf)
-        starts = refine(self.instrument, self._at(theta), self.starts, self.batch, self.steps, REFITS)
-        return chi_square(self.instrument, self._at(theta), starts, self.batch, self.steps).sum()
+        trial = self._at(theta)
+        starts = refine(trial, self.starts, self.batch, self.steps, REFITS)
+        return chi_square(trial, starts, self.batch, self.steps).sum()
 
     @torch.no_grad()
     def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
@@ -132,8 +142,8 @@ class ShootingProblem:
 
     def _projected(self, theta: Tensor, part: slice) -> tuple[Tensor, Tensor]:
         """Return residuals (R,) and their Jacobian (R, P), float32, in the complement of the starts."""
-        steps = self.steps._replace(lengths=self.steps.lengths[part])
-        now = linearised(self.instrument, self._at(theta), self.starts[part], self.batch.rows(part), steps)
+        steps = self.steps.rows(part)
+        now = linearised(self._at(theta), self.starts[part], self.batch.rows(part), steps)
         moved = sensitivities(now.jacobians.float(), self._forcing(theta, now), steps)
         of_theta = (now.of_state.float() @ moved).flatten(1, 2)
         basis = torch.linalg.qr(now.of_start.flatten(1, 2)).Q
@@ -150,9 +160,9 @@ class ShootingProblem:
         return rows.unflatten(0, states.shape[:2])
 
 
-def freedom(batch: Segment, size: int) -> Tensor:
-    """Return the degrees of freedom of each segment, (B,): measured numbers beyond the start's D."""
-    return (~batch.values.isnan()).sum((1, 2)) - size
+def freedom(batch: Segment) -> Tensor:
+    """Return the degrees of freedom of each segment, (B,): measured numbers beyond the start's 2n."""
+    return batch.measured - 2 * batch.instrument.dof
 
 
 def converged(sums: Tensor, degrees: Tensor) -> Tensor:

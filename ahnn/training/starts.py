@@ -11,17 +11,17 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.func import jvp, vmap
 
-from ahnn.measurements import Measurement
-from ahnn.training.paths import Increment, Steps, path, step_jacobians, transitions
+from ahnn.measurements import Segment
+from ahnn.training.paths import Increment, Steps, path, pointwise_jacobian, step_jacobians, transitions
 from ahnn.training.robust import Robust
-from ahnn.types import Segment
 
 SHORTEST = 4
 """Intervals over which starts are fitted first."""
 GROWTH = 3
 """Factor from one span to the next."""
+HOPELESS = 100.0
+"""Mean squared residual of a segment that is given up."""
 ITERATIONS = 6
 """Steps on one span."""
 SETTLED = 1e-3
@@ -30,32 +30,18 @@ SMALLEST, LARGEST = 1e-9, 1e9
 """Range of the damping."""
 
 
-class Instrument(NamedTuple):
-    """What gave the measurements.
+class Trial(NamedTuple):
+    """A flow that is held against measurements.
 
     Attributes:
-        measurement: from states to measurements.
-        deviations: (M,) standard deviations of the noise.
-        robust: the loss of residuals in standard deviations.
-        longest: longest step that the integrator may take between measurements.
-    """
-
-    measurement: Measurement
-    deviations: Tensor
-    robust: Robust
-    longest: float
-
-
-class Flows(NamedTuple):
-    """Increments of one flow.
-
-    Attributes:
-        exact: in float64.
+        exact: increments in float64.
         rough: in float32, for derivatives. They shape a step; whether it is good, exact increments decide.
+        robust: the loss of residuals in standard deviations.
     """
 
     exact: Increment
     rough: Increment
+    robust: Robust
 
 
 class Linearised(NamedTuple):
@@ -76,75 +62,51 @@ class Linearised(NamedTuple):
     of_start: Tensor
 
 
-def residuals(instrument: Instrument, states: Tensor, segment: Segment) -> Tensor:
-    """Return predicted - measured in standard deviations, (B, K + 1, M), before any robust loss.
-
-    Args:
-        instrument: what measured.
-        states: (B, K + 1, D) at the times of the measurements.
-        segment: the measurements; a NaN gives 0.
-    """
-    predicted = instrument.measurement(states, segment.times)
-    difference = -instrument.measurement.residual(segment.values, predicted)
-    scaled = difference / instrument.deviations.to(states)
-    return torch.where(segment.values.isnan(), torch.zeros_like(scaled), scaled)
-
-
-def linearised(
-    instrument: Instrument, flows: Flows, start: Tensor, segment: Segment, steps: Steps
-) -> Linearised:
+def linearised(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> Linearised:
     """Return the residuals of the paths from the starts (B, D), and their derivatives."""
-    states = path(flows.exact, start, steps.lengths)
-    jacobians = step_jacobians(flows.rough, states[:, :-1].float(), steps.lengths.float())
-    x, unit = states[:, steps.ends], torch.eye(start.shape[-1]).to(start)
-    measured = lambda z: residuals(instrument, z, segment)  # noqa: E731
-    of_state = vmap(lambda v: jvp(measured, (x,), (v.expand_as(x),))[1], out_dims=-1)(unit)
-    plain = measured(x)
-    of_state = of_state * instrument.robust.slope(plain).unsqueeze(-1)
+    states = path(trial.exact, start, steps.lengths)
+    jacobians = step_jacobians(trial.rough, states[:, :-1].float(), steps.lengths.float())
+    measured = states[:, steps.ends]
+    plain = segment.residuals(measured)
+    of_state = pointwise_jacobian(segment.residuals, measured) * trial.robust.slope(plain).unsqueeze(-1)
     moved = transitions(jacobians.to(states))[:, steps.ends]
-    return Linearised(states, jacobians, instrument.robust.pseudo(plain), of_state, of_state @ moved)
+    return Linearised(states, jacobians, trial.robust.pseudo(plain), of_state, of_state @ moved)
 
 
-def chi_square(
-    instrument: Instrument, flows: Flows, start: Tensor, segment: Segment, steps: Steps
-) -> Tensor:
+def chi_square(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> Tensor:
     """Return the sum of squared residuals of each segment, shape (B,); inf for a path that is lost."""
-    states = path(flows.exact, start, steps.lengths)[:, steps.ends]
-    total = instrument.robust.pseudo(residuals(instrument, states, segment)).square().sum((1, 2))
+    states = path(trial.exact, start, steps.lengths)[:, steps.ends]
+    total = trial.robust.pseudo(segment.residuals(states)).square().sum((1, 2))
     return total.nan_to_num(nan=torch.inf, posinf=torch.inf)
 
 
 @torch.no_grad()
-def fit_starts(
-    instrument: Instrument, flows: Flows, start: Tensor, segment: Segment, steps: Steps
-) -> Tensor:
-    """Return the starts (B, D) that fit the segments best, begun at `start`, over growing spans."""
-    intervals = len(steps.ends) - 1
-    span = min(SHORTEST, intervals)
+def fit_starts(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> Tensor:
+    """Return the starts (B, D) that fit the segments best, begun at `start`, over growing spans.
+
+    A segment that does not meet its measurements over one span is not tried over longer ones.
+    """
+    intervals, start = len(steps.ends) - 1, start.clone()
+    span, alive = min(SHORTEST, intervals), torch.arange(len(start))
     while True:
-        start = refine(instrument, flows, start, segment.first(span), steps.first(span), ITERATIONS)
+        part, grid = segment.rows(alive).first(span), steps.rows(alive).first(span)
+        start[alive] = refine(trial, start[alive], part, grid, ITERATIONS)
         if span == intervals:
             return start
-        span = min(GROWTH * span, intervals)
+        met = chi_square(trial, start[alive], part, grid) <= HOPELESS * part.measured
+        alive, span = alive[met], min(GROWTH * span, intervals)
 
 
 @torch.no_grad()
-def refine(
-    instrument: Instrument,
-    flows: Flows,
-    start: Tensor,
-    segment: Segment,
-    steps: Steps,
-    iterations: int,
-) -> Tensor:
+def refine(trial: Trial, start: Tensor, segment: Segment, steps: Steps, iterations: int) -> Tensor:
     """Return starts (B, D) after at most so many Levenberg-Marquardt steps, each segment damped by itself."""
     damping = start.new_full((len(start),), 1e-3)
     for _ in range(iterations):
-        now = linearised(instrument, flows, start, segment, steps)
+        now = linearised(trial, start, segment, steps)
         rows, design = now.residuals.flatten(1), now.of_start.flatten(1, 2)
         before = rows.square().sum(1).nan_to_num(nan=torch.inf, posinf=torch.inf)
         candidate = start + damped_moves(design, rows, damping)
-        after = chi_square(instrument, flows, candidate, segment, steps)
+        after = chi_square(trial, candidate, segment, steps)
         better = after <= before
         start = torch.where((better & after.isfinite()).unsqueeze(-1), candidate, start)
         damping = torch.where(better, damping / 10, damping * 10).clamp(SMALLEST, LARGEST)

@@ -8,22 +8,14 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.optim import Optimizer
 
 from ahnn.dynamics import Dynamics
 from ahnn.errors import UserError
 from ahnn.integrators import GaussLegendre4
-from ahnn.training.least_squares import LeastSquares
-from ahnn.training.loss import Loss
+from ahnn.training.least_squares import Problem
 from ahnn.training.objectives import Objective
-from ahnn.types import Window
-
-PARTS = 5
-"""One part of a batch in so many makes a second-order step, and the rest checks it.
-
-The check needs no Jacobian and may be large; a small one is noisy and raises the damping.
-"""
 
 
 class Stepper(Protocol):
@@ -40,7 +32,7 @@ class Stepper(Protocol):
         ...
 
     def step(
-        self, objective: Objective, loss: Loss, dynamics: Dynamics, batch: Window, optimizer: Any
+        self, objective: Objective, loss: nn.Module, dynamics: Dynamics, batch: Any, optimizer: Any
     ) -> Tensor:
         """Return the loss of the batch before the step, a scalar."""
         ...
@@ -55,16 +47,17 @@ class FirstOrder:
         """Anything can be trained by gradients."""
 
     def step(
-        self, objective: Objective, loss: Loss, dynamics: Dynamics, batch: Window, optimizer: Any
+        self, objective: Objective, loss: nn.Module, dynamics: Dynamics, batch: Any, optimizer: Any
     ) -> Tensor:
         """Return the loss of the batch, with its graph."""
         del optimizer
         value = loss(objective.residuals(dynamics, batch))
-        return value if batch.weight == 1 else value * batch.weight
+        weight = getattr(batch, "weight", 1)
+        return value if weight == 1 else value * weight
 
 
 class SecondOrder:
-    """A step on a fifth of the batch as a least-squares problem, checked on the rest."""
+    """A step on part of the batch as a least-squares problem, checked on the rest."""
 
     automatic = False
 
@@ -92,21 +85,17 @@ class SecondOrder:
                 raise UserError(message)
 
     def step(
-        self, objective: Objective, loss: Loss, dynamics: Dynamics, batch: Window, optimizer: Any
+        self, objective: Objective, loss: nn.Module, dynamics: Dynamics, batch: Any, optimizer: Any
     ) -> Tensor:
         """Take the step and return the mean squared residual before it."""
         del loss  # a sum of squares, without Huber's tails
         return optimizer.step(lambda: problems(objective, dynamics, batch))
 
 
-def problems(objective: Objective, dynamics: Dynamics, batch: Window) -> tuple[LeastSquares, LeastSquares]:
-    """Return a fifth of a batch as the problem to step on, and the rest to check the step.
-
-    Predictions of W steps take a W-th of the windows, so that the number of residuals stays the same.
-    """
-    split = max(1, len(batch.start) // (PARTS * objective.predictions))
-    step, check = batch.rows(slice(None, split)), batch.rows(slice(split, None))
-    return objective.problem(dynamics, step), objective.problem(dynamics, check)
+def problems(objective: Objective, dynamics: Dynamics, batch: Any) -> tuple[Problem, Problem | None]:
+    """Return the problem to step on, and the one that checks the step, if part of the batch is held back."""
+    step, check = objective.divided(batch)
+    return objective.problem(dynamics, step), None if check is None else objective.problem(dynamics, check)
 
 
 def stepper_of(optimizer: Optimizer) -> Stepper:

@@ -31,6 +31,9 @@ class ValidationRollout(Callback):
     not always mean a rollout that improves. It is `typical_error`, not an RMSE: the rollouts of a model that
     is still poor all end a system's size away from the truth, and an RMSE would choose weights by chance.
 
+    Measurements have no true start to roll out from: a training on them logs nothing, and chooses its weights
+    by `val/loss`.
+
     Args:
         count: trajectories to roll out; 0 rolls out none and logs nothing.
         every: epochs between two rollouts.
@@ -43,7 +46,11 @@ class ValidationRollout(Callback):
 
     def seconds(self, epoch: int, trainer: Trainer, module: LightningModule, data: WindowDataModule) -> float:
         """Return about how long this takes after an epoch: a few steps of the rollouts, measured."""
-        if self.count == 0 or ((epoch + 1) % self.every and epoch + 1 != trainer.max_epochs):
+        if (
+            self.count == 0
+            or data.stages is not None
+            or ((epoch + 1) % self.every and epoch + 1 != trainer.max_epochs)
+        ):
             return 0.0
         if self._measured is None:
             flow, whole = cast(Any, module).flow(), data.trajectories("val").part(slice(self.count))
@@ -68,7 +75,8 @@ class ValidationRollout(Callback):
 
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Log the value of this epoch, or the latest one; the last epoch always has its own."""
-        if trainer.sanity_checking or self.count == 0:
+        data = cast(Any, trainer).datamodule
+        if trainer.sanity_checking or self.count == 0 or data.stages is not None:
             return
         epoch = trainer.current_epoch + 1
         if epoch % self.every == 0 or epoch == trainer.max_epochs:

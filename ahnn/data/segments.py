@@ -1,0 +1,73 @@
+"""Stretches of measured trajectories by index arithmetic, as windows are of states."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ahnn.errors import UserError
+from ahnn.measurements import Instrument, Segment
+from ahnn.measurements.smoothing import DEGREE, FIRST
+from ahnn.types import Trajectories
+
+
+class Segments:
+    """All stretches of K intervals that begin where a start can be guessed.
+
+    Gaps inside a stretch are part of it. What lies beyond the end of a trajectory is not measured.
+
+    Args:
+        measured: values (B, T, M) and times (B, T); NaN where nothing was measured.
+        intervals: K; None takes one stretch of each trajectory, from its first good start to its end.
+        instrument: what measured.
+
+    Raises:
+        UserError: no trajectory is long enough.
+    """
+
+    def __init__(self, measured: Trajectories, intervals: int | None, instrument: Instrument) -> None:
+        self.flat, times = measured.states, measured.times
+        rows, samples = times.shape
+        self.instrument = instrument
+        self.intervals = samples - 1 if intervals is None else intervals
+        there = self.flat.isfinite().all(-1)
+        good = there & (ahead(there, FIRST) > DEGREE)
+        last = (times.isfinite() * torch.arange(samples)).amax(1, keepdim=True)
+        if intervals is not None:
+            good &= torch.arange(samples) + intervals <= last
+        else:
+            good &= good.cumsum(1) == 1
+        if not bool(good.any()):
+            message = (
+                f"loss.stages: expected trajectories of more than {self.intervals} intervals with at least "
+                f"{DEGREE + 1} of {FIRST} measurements in a row; received {rows} of {samples} times. "
+                "Choose shorter stages"
+            )
+            raise UserError(message)
+        self.begins = good.nonzero()
+        # Beyond its end a trajectory goes on in steps of its own, so that all times increase.
+        step = (times.gather(1, last) - times[:, :1]) / last.clamp(min=1)
+        beyond = torch.arange(samples + self.intervals) - last
+        filled = torch.cat((times, times.new_full((rows, self.intervals), torch.nan)), dim=1)
+        self.times = torch.where(beyond > 0, times.gather(1, last) + beyond * step, filled)
+        self.offsets = torch.arange(self.intervals + 1)
+
+    def __len__(self) -> int:
+        """Return the number of stretches."""
+        return len(self.begins)
+
+    def gather(self, index: Tensor) -> Segment:
+        """Return the stretches of `index`, shape (B,), as one batch."""
+        row, column = self.begins[index].unsqueeze(1).unbind(-1)
+        columns = column + self.offsets
+        inside = columns < self.flat.shape[1]
+        values = self.flat[row, columns.clamp(max=self.flat.shape[1] - 1)]
+        values = values.masked_fill(~inside.unsqueeze(-1), torch.nan)
+        return Segment(values, self.times[row, columns], self.instrument)
+
+
+def ahead(there: Tensor, count: int) -> Tensor:
+    """Return how many of so many samples from each one on are there, (B, T) from (B, T) bool."""
+    padded = torch.nn.functional.pad(there.long(), (0, count))
+    sums = torch.nn.functional.pad(padded.cumsum(1), (1, 0))
+    return sums[:, count : count + there.shape[1]] - sums[:, : there.shape[1]]

@@ -1,0 +1,111 @@
+"""What training sees of simulated trajectories: measurements with noise in place of states."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
+
+import torch
+from torch import Tensor
+
+from ahnn.arguments import Count, Seed, Within, checked
+from ahnn.errors import UserError
+from ahnn.measurements import Instrument, Locating, Measurement, Position, State, observe
+from ahnn.types import Space, Trajectories
+
+Share = Annotated[float, Within(0, 0.9)]
+OUTLIER = 50.0
+"""Standard deviations by which an outlier is off."""
+
+
+@checked
+class Sensor:
+    """An instrument, how often it measures, and what goes wrong.
+
+    Args:
+        space: what the numbers of a state mean.
+        measured: `state`, `position`, or a measurement model.
+        noise: standard deviations in the units of the system: one number for all that is measured, one for
+            positions and one for momenta, or one for each component.
+        every: samples of a trajectory between two measurements.
+        gaps: share of the measurements that are missing, drawn at random.
+        outliers: share of the measured numbers that are off by 50 standard deviations.
+        seed: of all that is drawn.
+
+    Raises:
+        UserError: standard deviations that do not fit what is measured, or a model that no position can be
+            read off.
+    """
+
+    def __init__(
+        self,
+        space: Space,
+        *,
+        measured: Literal["state", "position"] | Any,
+        noise: float | list[float],
+        every: Count = 1,
+        gaps: Share = 0.0,
+        outliers: Share = 0.0,
+        seed: Seed = 0,
+    ) -> None:
+        self.space = space
+        self.measurement = named(measured, space) if isinstance(measured, str) else measured
+        if not isinstance(self.measurement, Locating):
+            message = (
+                "data.measured: expected state, position, or a model with a method `locate`, from which "
+                f"starts can be guessed; received {type(self.measurement).__name__}"
+            )
+            raise UserError(message)
+        self.deviations = deviations(self.measurement, noise, space)
+        self.every, self.gaps, self.outliers, self.seed = every, gaps, outliers, seed
+
+    @property
+    def gives_states(self) -> bool:
+        """Whether whole states are measured."""
+        return isinstance(self.measurement, State)
+
+    def instrument(self, longest: float) -> Instrument:
+        """Return what a fit must know; `longest` is the longest step of an integrator."""
+        return Instrument(self.measurement, self.deviations, longest, self.space.dof, self.space.inertia)
+
+    def measure(self, truth: Trajectories, part: int) -> Trajectories:
+        """Return measurements (B, K, M) of true trajectories, with a seed for each part of the data."""
+        states, times = truth.states[:, :: self.every], truth.times[:, :: self.every]
+        values = observe(self.measurement, states, times)
+        generator = torch.Generator().manual_seed((self.seed * 1_000_003 + part) % 2**63)
+        draw: dict[str, Any] = {"generator": generator, "dtype": torch.float64}
+        values = values + torch.randn(values.shape, **draw) * self.deviations
+        off = torch.rand(values.shape, **draw) < self.outliers
+        sign = torch.where(torch.rand(values.shape, **draw) < 0.5, -1.0, 1.0)
+        values = torch.where(off, values + OUTLIER * sign * self.deviations, values)
+        missing = torch.rand(values.shape[:2], **draw) < self.gaps
+        return Trajectories(values.masked_fill(missing.unsqueeze(-1), torch.nan), times)
+
+
+def named(measured: str, space: Space) -> Measurement:
+    """Return the measurement of whole states, or of positions."""
+    if measured == "position":
+        return Position(space.dof, space.units.position)
+    if measured == "state":
+        return State(space.dof, (space.units.position, f"{space.units.velocity} · mass"))
+    message = f"data.measured: expected state, position or a model; received {measured!r}"
+    raise UserError(message)
+
+
+def deviations(measurement: Measurement, noise: float | Sequence[float], space: Space) -> Tensor:
+    """Return standard deviations (M,) from one number, one for each block of a state, or one for each."""
+    size = len(measurement.names)
+    given = list(noise) if isinstance(noise, Sequence) else [noise]
+    blocks = len(given) == 2 and isinstance(measurement, State)
+    values = (
+        [v for v in given for _ in range(space.dof)] if blocks else given * (size if len(given) == 1 else 1)
+    )
+    if len(values) != size or not all(v > 0 and v < float("inf") for v in values):
+        names = ", ".join(f"{n} [{u}]" for n, u in zip(measurement.names, measurement.units, strict=True))
+        message = (
+            f"data.noise: expected a standard deviation > 0 for each of {names}"
+            f"{', or one for each block,' if isinstance(measurement, State) else ''} or one for all; "
+            f"received {noise}"
+        )
+        raise UserError(message)
+    return torch.tensor(values, dtype=torch.float64)

@@ -1,0 +1,67 @@
+"""Stretches of measurements, and what gave them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ahnn.measurements.base import Measurement
+
+
+class Instrument(NamedTuple):
+    """What gave measurements, and what is known of the motion between them.
+
+    Attributes:
+        measurement: from states to measurements.
+        deviations: (M,) standard deviations of the noise.
+        longest: step that an integrator may take between two measurements at most.
+        dof: degrees of freedom n of the motion.
+        inertia: factor m of p = m dq/dt, where positions are measured and momenta are wanted.
+    """
+
+    measurement: Measurement
+    deviations: Tensor
+    longest: float
+    dof: int
+    inertia: float
+
+
+class Segment(NamedTuple):
+    """A batch of stretches of measurements, K intervals each; the states are not known, not even the first.
+
+    Attributes:
+        values: (B, K + 1, M); NaN where nothing was measured, single components too.
+        times: (B, K + 1), increasing in each row.
+        instrument: what gave them.
+    """
+
+    values: Tensor
+    times: Tensor
+    instrument: Instrument
+
+    @property
+    def measured(self) -> Tensor:
+        """(B,) how many numbers were measured in each stretch."""
+        return (~self.values.isnan()).sum((1, 2))
+
+    def first(self, intervals: int) -> Segment:
+        """Return the stretches cut to their first intervals."""
+        values, times = self.values[:, : intervals + 1], self.times[:, : intervals + 1]
+        return self._replace(values=values, times=times)
+
+    def rows(self, part: slice | Tensor) -> Segment:
+        """Return some of the stretches."""
+        return self._replace(values=self.values[part], times=self.times[part])
+
+    def residuals(self, states: Tensor) -> Tensor:
+        """Return predicted - measured in standard deviations, (B, K + 1, M), 0 where nothing was measured.
+
+        Args:
+            states: (B, K + 1, D) predicted at the times of the measurements.
+        """
+        measurement = self.instrument.measurement
+        difference = -measurement.residual(self.values, measurement(states, self.times))
+        scaled = difference / self.instrument.deviations.to(states)
+        return torch.where(self.values.isnan(), torch.zeros_like(scaled), scaled)

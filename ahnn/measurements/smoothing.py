@@ -1,0 +1,122 @@
+"""States and their rates read off noisy measurements, by polynomials that are local in time.
+
+No dynamics are needed: it is what scalings, and the starts of a fit, are taken from.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, cast
+
+import torch
+from torch import Tensor
+
+from ahnn.measurements.base import Locating
+from ahnn.measurements.segment import Instrument, Segment
+
+DEGREE = 3
+"""Of the polynomials (Savitzky & Golay 1964, for samples at any times)."""
+FIRST = 6
+"""Samples that a start is guessed from."""
+WIDTHS = (2, 3, 5, 8, 12, 18, 27, 40, 60, 90)
+"""Samples on either side that are tried."""
+
+
+class Local(NamedTuple):
+    """Polynomials at some times, C components each.
+
+    Attributes:
+        value, rate, curvature: (E, C) at the middle, and its first and second derivative.
+        error: (E, C) difference of the sample in the middle from the polynomial of the others.
+        leverage: (E,) share of that sample in its own polynomial.
+    """
+
+    value: Tensor
+    rate: Tensor
+    curvature: Tensor
+    error: Tensor
+    leverage: Tensor
+
+
+def local_polynomials(values: Tensor, offsets: Tensor, middle: int) -> Local:
+    """Return the cubics that fit samples best.
+
+    Args:
+        values: (E, R, C) samples; one with a NaN does not count.
+        offsets: (E, R) their times, measured from where the polynomial is wanted.
+        middle: which sample that is.
+    """
+    there = values.isfinite().all(-1) & offsets.isfinite()
+    offsets, values = offsets.masked_fill(~there, 0), values.masked_fill(~there.unsqueeze(-1), 0)
+    scale = offsets.abs().amax(1, keepdim=True).clamp(min=torch.finfo(offsets.dtype).tiny)
+    design = (offsets / scale).unsqueeze(-1) ** torch.arange(DEGREE + 1).to(offsets)
+    design = design * there.unsqueeze(-1)
+    solver = torch.linalg.pinv(design)
+    coefficients = solver @ values
+    leverage = solver[:, 0, middle]
+    left = (values[:, middle] - coefficients[:, 0]) / (1 - leverage).clamp(min=1e-6).unsqueeze(-1)
+    return Local(
+        coefficients[:, 0], coefficients[:, 1] / scale, 2 * coefficients[:, 2] / scale**2, left, leverage
+    )
+
+
+def guess(segment: Segment) -> Tensor:
+    """Return rough first states (B, 2n), from the first samples of each stretch."""
+    instrument = segment.instrument
+    first = segment.first(FIRST - 1)
+    located = located_at(instrument, first.values, first.times)
+    local = local_polynomials(located, first.times - first.times[:, :1], 0)
+    return as_states(local.value, local.rate, instrument)
+
+
+def located_at(instrument: Instrument, values: Tensor, times: Tensor) -> Tensor:
+    """Return positions (..., n) or states (..., 2n) that measurements (..., M) are read as."""
+    return cast(Locating, instrument.measurement).locate(values, times)
+
+
+def as_states(value: Tensor, rate: Tensor, instrument: Instrument) -> Tensor:
+    """Return states (..., 2n) from positions and velocities, or from states as they are."""
+    whole = value.shape[-1] == 2 * instrument.dof
+    return value if whole else torch.cat((value, instrument.inertia * rate), dim=-1)
+
+
+def smoothed(instrument: Instrument, values: Tensor, times: Tensor, count: int, seed: int = 0) -> Local:
+    """Return polynomials at about `count` samples, as wide as predicts left-out samples best.
+
+    Args:
+        instrument: what measured.
+        values: (B, T, M) measurements.
+        times: (B, T).
+        count: of samples.
+        seed: of their choice.
+    """
+    rows = values.isfinite().all(-1).nonzero()
+    draw = torch.randperm(len(rows), generator=torch.Generator().manual_seed(seed))[:count]
+    chosen = rows[draw]
+    best, least = None, torch.inf
+    for width in WIDTHS:
+        if width > FIRST and 2 * width + 1 > values.shape[1]:
+            break
+        local = around(instrument, values, times, chosen, width)
+        size = float((local.error / scale_of(local)).square().median(0).values.sum())
+        if size < least:
+            best, least = local, size
+    assert best is not None
+    return best
+
+
+def scale_of(local: Local) -> Tensor:
+    """Return the spread of each component, (C,), or 1 where there is none."""
+    spread = local.value.std(0)
+    return torch.where(spread > 0, spread, torch.ones_like(spread))
+
+
+def around(instrument: Instrument, values: Tensor, times: Tensor, chosen: Tensor, width: int) -> Local:
+    """Return polynomials through `width` samples on either side of the chosen ones, (E, 2) row and column."""
+    offsets = torch.arange(-width, width + 1)
+    columns = chosen[:, 1:] + offsets
+    inside = (columns >= 0) & (columns < values.shape[1])
+    columns = columns.clamp(0, values.shape[1] - 1)
+    there = times[chosen[:, :1], columns].masked_fill(~inside, torch.nan)
+    taken = values[chosen[:, :1], columns]
+    middle = times[chosen[:, 0], chosen[:, 1]].unsqueeze(-1)
+    return local_polynomials(located_at(instrument, taken, there.nan_to_num()), there - middle, width)

@@ -1,0 +1,120 @@
+"""Which objective holds in an epoch, from the options of a loss."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from torch import Tensor, nn
+
+from ahnn.arguments import check_arguments, checked
+from ahnn.errors import UserError
+from ahnn.statistics import Statistics
+from ahnn.training.loss import Loss, LossOptions
+from ahnn.training.objectives import Derivative, Objective, Recursive
+from ahnn.training.robust import RobustName
+from ahnn.training.shooting import Shooting
+
+WHOLE = "whole"
+"""Name of the stage that takes whole trajectories, all of them in each step."""
+
+
+@checked
+@dataclass(frozen=True)
+class SegmentOptions:
+    """What training on measurements minimises, and when.
+
+    Attributes:
+        stages: intervals of a stretch, or `whole`, and the fraction of the epochs up to which they hold.
+            Short stretches first: over long ones a model that is still wrong never meets the measurements.
+        robust: the loss of single residuals: none (squares), huber or student.
+
+    Raises:
+        UserError: fractions that do not increase to 1, or stretches that are none.
+    """
+
+    stages: dict[int | str, float]
+    robust: RobustName = "none"
+
+    def __post_init__(self) -> None:
+        """Refuse stages that do not cover the training."""
+        ends = list(self.stages.values())
+        possible = all(k == WHOLE or (isinstance(k, int) and k >= 3) for k in self.stages)
+        if not ends or not possible or ends != sorted(set(ends)) or ends[0] <= 0 or ends[-1] != 1:
+            message = (
+                "loss.stages: expected intervals >= 3, or whole, with fractions of the epochs that increase "
+                f"to 1, such as {{4: 0.6, 16: 0.8, whole: 1.0}}; received {self.stages}"
+            )
+            raise UserError(message)
+
+
+class MeanSquare(nn.Module):
+    """Mean square of residuals in standard deviations."""
+
+    def fit(self, statistics: Statistics) -> None:
+        """Nothing to set: measurements bring their unit along."""
+
+    def forward(self, residuals: Tensor) -> Tensor:
+        """Return the mean square, a scalar."""
+        return residuals.square().mean()
+
+
+@dataclass(frozen=True, eq=False)
+class Curriculum:
+    """Objectives one after the other.
+
+    Attributes:
+        phases: fraction of the epochs up to which each holds, increasing to 1, and the objective.
+        judge: the objective of validations.
+        span: steps that a window of any phase must have; None for stretches of measurements.
+    """
+
+    phases: Sequence[tuple[float, Objective]]
+    judge: Objective
+    span: int | None
+
+    def at(self, epoch: int, epochs: int) -> Objective:
+        """Return the objective of an epoch, counted from 0."""
+        return next((o for until, o in self.phases if epoch < until * epochs), self.phases[-1][1])
+
+    def intervals(self, epoch: int, epochs: int) -> int | None:
+        """Return the intervals of a stretch in an epoch; None takes whole trajectories."""
+        objective = self.at(epoch, epochs)
+        assert isinstance(objective, Shooting)
+        return objective.intervals
+
+
+def make_curriculum(size: int, window: int, options: dict[str, Any]) -> tuple[nn.Module, Curriculum]:
+    """Return the loss of states of D = size components, and the objectives of a training.
+
+    Args:
+        size: D.
+        window: W of recursive predictions.
+        options: of `SegmentOptions`, where there are `stages`, or else of `LossOptions`.
+    """
+    if "stages" in options:
+        check_arguments("loss", SegmentOptions, options)
+        return MeanSquare(), staged(SegmentOptions(**options))
+    check_arguments("loss", LossOptions, options)
+    loss = Loss(size, LossOptions(**options))
+    return loss, windowed(loss, window)
+
+
+def windowed(loss: Loss, window: int) -> Curriculum:
+    """Return derivatives first and recursive predictions after them, as the options of the loss say."""
+    fraction, recursive = loss.options.derivative, Recursive(loss, window)
+    if fraction == 0:
+        return Curriculum([(1.0, recursive)], recursive, window)
+    derivative = Derivative(loss, loss.options.order)
+    phases = [(1.0, derivative)] if fraction == 1 else [(fraction, derivative), (1.0, recursive)]
+    return Curriculum(phases, recursive, max(window, derivative.order))
+
+
+def staged(options: SegmentOptions) -> Curriculum:
+    """Return shooting over stretches that grow; whole trajectories judge."""
+    phases = [
+        (until, Shooting(None if intervals == WHOLE else int(intervals), options.robust))
+        for intervals, until in options.stages.items()
+    ]
+    return Curriculum(phases, Shooting(None, options.robust), None)

@@ -1,0 +1,77 @@
+"""Paths and their derivatives, held against exponentials of matrices and central differences."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+import torch
+from helpers import close, generator
+
+from ahnn.training.paths import path, sensitivities, step_jacobians, steps_between, transitions
+
+A = torch.tensor([[0.1, 1.0], [-2.0, -0.3]], dtype=torch.float64)
+
+
+def exact(x, dt):
+    """Increment of dx/dt = A x."""
+    return (torch.linalg.matrix_exp(A * dt[:, None, None]) @ x.unsqueeze(-1)).squeeze(-1) - x
+
+
+def lengths(rows=3, steps=7):
+    return 0.05 + 0.2 * torch.rand(rows, steps, generator=generator(0), dtype=torch.float64)
+
+
+def starts(rows=3):
+    return torch.randn(rows, 2, generator=generator(1), dtype=torch.float64)
+
+
+def test_a_linear_path_and_its_transitions_are_exponentials():
+    dt, x = lengths(), starts()
+    states = path(exact, x, dt)
+    elapsed = torch.cat((torch.zeros(3, 1), dt.cumsum(1)), dim=1)
+    expected = torch.linalg.matrix_exp(A * elapsed[..., None, None])
+    close(states, (expected @ x[:, None, :, None]).squeeze(-1), 1e-13)
+    close(transitions(step_jacobians(exact, states[:, :-1], dt)), expected, 1e-13)
+
+
+def test_jacobians_of_a_nonlinear_step_are_central_differences():
+    move = lambda x, dt: dt[:, None] * torch.stack((x[:, 1], -x[:, 0].sin()), -1)  # noqa: E731
+    x, dt, e = starts(), lengths(steps=1), 1e-6
+    got = step_jacobians(move, x.unsqueeze(1), dt)[:, 0]
+    for j in range(2):
+        shift = e * torch.eye(2, dtype=torch.float64)[j]
+        numeric = (move(x + shift, dt[:, 0]) - move(x - shift, dt[:, 0])) / (2 * e) + shift / e
+        close(got[..., j], numeric, 1e-9)
+
+
+@pytest.mark.parametrize("parts", [1, 2])
+def test_steps_end_on_every_time_and_none_is_too_long(parts):
+    times = torch.tensor([[0.0, 0.1, 0.5, 1.2], [3.0, 3.05, 3.6, 4.0]], dtype=torch.float64)
+    steps = steps_between(times, 0.4 / parts)
+    assert float(steps.lengths.max()) <= 0.4 / parts + 1e-12
+    elapsed = torch.cat((torch.zeros(2, 1), steps.lengths.cumsum(1)), dim=1)
+    close(elapsed[:, steps.ends], times - times[:, :1], 1e-14)
+    assert steps.ends.tolist() == [0, 1, 3, 5] if parts == 1 else [0, 1, 4, 8]
+    close(steps.first(2).lengths, steps.lengths[:, : int(steps.ends[2])], 0)
+
+
+def test_a_step_that_rounds_above_the_longest_is_still_one():
+    steps = steps_between(torch.tensor([[0.0, 60.000000000000007, 120.0]], dtype=torch.float64), 60.0)
+    assert steps.ends.tolist() == [0, 1, 2]
+
+
+def test_sensitivities_converge_with_the_square_of_the_step():
+    """dx/dt = A x + theta t^0: dx/dtheta is the integral of an exponential, A^-1 (e^At - 1)."""
+    errors = []
+    for count in (8, 16, 32):
+        dt = torch.full((1, count), 1.0 / count, dtype=torch.float64)
+        jacobian = torch.linalg.matrix_exp(A / count).expand(1, count, 2, 2)
+        forcing = torch.eye(2, dtype=torch.float64).expand(1, count + 1, 2, 2)
+        steps = steps_between(torch.tensor([[0.0, 1.0]], dtype=torch.float64), 1.0 / count)
+        assert steps.lengths.shape == dt.shape
+        got = sensitivities(jacobian, forcing, steps)[:, -1]
+        expected = torch.linalg.solve(A, torch.linalg.matrix_exp(A) - torch.eye(2))
+        errors.append(float((got[0] - expected).abs().max()))
+    for coarse, fine in pairwise(errors):
+        assert 3.7 < coarse / fine < 4.3

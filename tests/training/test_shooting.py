@@ -1,0 +1,211 @@
+"""Shooting with starts eliminated: exact linear problems, central differences, outliers, sightings."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from helpers import close, generator
+from torch import nn
+from torch.nn.utils import parameters_to_vector
+
+from ahnn.dynamics.base import Dynamics
+from ahnn.integrators import INTEGRATORS
+from ahnn.measurements import GroundStation, Instrument, Position, Segment, State
+from ahnn.measurements.smoothing import guess
+from ahnn.training import LevenbergMarquardt, Shooting
+from ahnn.training.paths import path, steps_between
+from ahnn.training.robust import ROBUST
+from ahnn.training.shooting import ShootingProblem, converged
+from ahnn.training.starts import Trial, chi_square, fit_starts
+
+DOUBLE = {"dtype": torch.float64}
+
+
+class Oscillator(nn.Module):
+    """dq/dt = p, dp/dt = -a q - b q^3."""
+
+    def __init__(self, a, b):
+        super().__init__()
+        self.stiffness = nn.Parameter(torch.tensor([a, b], **DOUBLE))
+
+    def forward(self, x):
+        q, p = x.chunk(2, dim=-1)
+        return torch.cat((p, -self.stiffness[0] * q - self.stiffness[1] * q**3), dim=-1)
+
+
+class Swing(Dynamics):
+    """An oscillator by RK4."""
+
+    def __init__(self, a=2.0, b=0.5):
+        super().__init__()
+        self.field = Oscillator(a, b)
+
+    def fit(self, statistics):
+        pass
+
+    def increment(self, x, dt):
+        return INTEGRATORS["rk4"].increment(self.field, x, dt)
+
+
+def trial(dynamics, robust="none"):
+    rough = Swing().float()
+    rough.load_state_dict(dynamics.state_dict())
+    return Trial(dynamics.increment, rough.increment, ROBUST[robust])
+
+
+def times(rows, intervals, spacing=0.1):
+    jitter = 0.5 + torch.rand(rows, intervals, generator=generator(3), **DOUBLE)
+    return torch.cat((torch.zeros(rows, 1, **DOUBLE), (spacing * jitter).cumsum(1)), dim=1)
+
+
+@torch.no_grad()
+def segment(rows=6, intervals=20, measurement=None, sd=0.01, missing=0.2, dynamics=None, longest=0.02):
+    """Measurements of oscillators with noise, at irregular times, some missing."""
+    x = torch.randn(rows, 2, generator=generator(0), **DOUBLE)
+    grid = times(rows, intervals)
+    measurement = measurement or Position(1)
+    sds = torch.full((len(measurement.names),), sd, **DOUBLE)
+    instrument = Instrument(measurement, sds, longest, 1, 1.0)
+    steps = steps_between(grid, longest)
+    states = path((dynamics or Swing()).increment, x, steps.lengths)[:, steps.ends]
+    values = measurement(states, grid)
+    values = values + sd * torch.randn(values.shape, generator=generator(1), **DOUBLE)
+    gone = torch.rand(values.shape, generator=generator(2)) < missing
+    gone[:, :6] = False
+    return x, Segment(values.masked_fill(gone, torch.nan), grid, instrument)
+
+
+@torch.no_grad()
+def test_starts_of_a_linear_flow_are_the_least_squares_solution():
+    """Q' = p, p' = -2 q: y_k = c e^{A t_k} x_0, solved by lstsq."""
+    linear = Swing(2.0, 0.0)
+    _, batch = segment(dynamics=linear, longest=0.005)
+    steps = steps_between(batch.times, 0.005)
+    got = fit_starts(trial(linear), guess(batch), batch, steps)
+    a = torch.tensor([[0.0, 1.0], [-2.0, 0.0]], **DOUBLE)
+    design = torch.linalg.matrix_exp(a * (batch.times - batch.times[:, :1])[..., None, None])[..., 0, :]
+    for row, (y, rows) in enumerate(zip(batch.values[..., 0], design, strict=True)):
+        there = ~y.isnan()
+        expected = torch.linalg.lstsq(rows[there], y[there].unsqueeze(-1)).solution.squeeze(-1)
+        close(got[row], expected, 1e-6)
+
+
+@torch.no_grad()
+def test_starts_come_from_the_noise_alone_when_the_model_is_right():
+    truth, batch = segment(rows=200, measurement=State(1), sd=0.02)
+    steps = steps_between(batch.times, batch.instrument.longest)
+    starts = fit_starts(trial(Swing()), guess(batch), batch, steps)
+    chi = chi_square(trial(Swing()), starts, batch, steps) / (batch.measured - 2)
+    assert 0.9 < float(chi.mean()) < 1.1
+    assert float((starts - truth).square().mean().sqrt()) < 0.5 * 0.02
+
+
+def reduced(problem, theta):
+    """Residuals at the best starts of theta, flat, by many refits."""
+    from ahnn.training.starts import refine
+
+    with torch.no_grad():
+        now = problem._at(theta)
+        starts = refine(now, problem.starts, problem.batch, problem.steps, 12)
+        states = path(now.exact, starts, problem.steps.lengths)[:, problem.steps.ends]
+        return problem.robust.pseudo(problem.batch.residuals(states)).flatten()
+
+
+@pytest.mark.parametrize("robust", ["none", "student"])
+def test_normal_equations_are_those_of_the_reduced_residuals(robust):
+    _, batch = segment(measurement=State(1), longest=0.01)
+    wrong = Swing(2.005, 0.495)
+    problem = ShootingProblem(wrong, batch, ROBUST[robust])
+    theta = parameters_to_vector(wrong.parameters()).detach()
+    loss, count, (block,) = problem.equations(theta, [2])
+    e = 1e-4
+    columns = [
+        (reduced(problem, theta + e * d) - reduced(problem, theta - e * d)) / (2 * e)
+        for d in torch.eye(2, **DOUBLE)
+    ]
+    numeric = torch.stack(columns, -1)
+    residuals = reduced(problem, theta)
+    # Kaufman's Jacobian leaves out a term in the residuals, which normal noise keeps small.
+    close(block.matrix, numeric.T @ numeric, 0.03)
+    close(block.gradient, numeric.T @ residuals, 0.01)
+    close(loss, residuals @ residuals, 0.02)
+    assert count == int(batch.measured.sum()) - 2 * len(batch.values)
+
+
+def test_an_exact_model_is_found_and_its_chi_square_is_one():
+    _, batch = segment(rows=100, intervals=30, measurement=Position(1))
+    model = Swing(1.7, 0.8)
+    optimizer = LevenbergMarquardt(model.parameters(), damping=1e-4)
+    objective = Shooting(None)
+    for _ in range(6):
+        chi = optimizer.step(lambda: (objective.problem(model, batch), None))
+    assert 0.9 < float(chi) < 1.1
+    covariance = torch.linalg.inv(
+        objective.problem(model, batch)
+        .equations(parameters_to_vector(model.parameters()).detach(), [2])[2][0]
+        .matrix
+    )
+    error = parameters_to_vector(model.parameters()).detach() - torch.tensor([2.0, 0.5], **DOUBLE)
+    assert float(error @ torch.linalg.solve(covariance, error)) < 13.8  # chi-square of 2, 99.9 %
+
+
+def test_the_gradient_for_first_order_optimisers_is_that_of_the_best_starts():
+    _, batch = segment(measurement=State(1), longest=0.01)
+    model, objective = Swing(2.005, 0.495), Shooting(None)
+    residuals = objective.residuals(model, batch)
+    (gradient,) = torch.autograd.grad(residuals.square().sum(), model.field.stiffness)
+    problem = ShootingProblem(model, batch, ROBUST["none"])
+    theta = parameters_to_vector(model.parameters()).detach()
+    e = 1e-4
+    losses = [
+        reduced(problem, theta + e * d).square().sum() - reduced(problem, theta - e * d).square().sum()
+        for d in torch.eye(2, **DOUBLE)
+    ]
+    close(gradient, torch.stack(losses) / (2 * e), 1e-3)
+
+
+def test_outliers_do_not_move_a_robust_fit():
+    _, batch = segment(rows=100, intervals=30, measurement=Position(1), missing=0.0)
+    wild = torch.rand(batch.values.shape, generator=generator(9)) < 0.05
+    wild[:, :6] = False
+    spoilt = batch._replace(values=torch.where(wild, batch.values + 0.5, batch.values))
+
+    def fitted(data, robust):
+        model = Swing(1.9, 0.6)
+        optimizer = LevenbergMarquardt(model.parameters(), damping=1e-4)
+        for _ in range(6):
+            optimizer.step(lambda: (Shooting(None, robust).problem(model, data), None))
+        return float((model.field.stiffness.detach() - torch.tensor([2.0, 0.5], **DOUBLE)).norm())
+
+    clean = fitted(batch, "none")
+    assert fitted(spoilt, "none") > 10 * clean
+    assert fitted(spoilt, "student") < 4 * clean
+
+
+def test_segments_that_do_not_converge_are_left_out_and_counted():
+    _, batch = segment(rows=10)
+    values = batch.values.clone()
+    values[3] += 5 * torch.arange(values.shape[1], **DOUBLE).unsqueeze(-1).sin()
+    problem = ShootingProblem(Swing(), batch._replace(values=values), ROBUST["none"])
+    assert problem.lost == 1
+    assert len(problem.starts) == 9
+    sums, degrees = torch.tensor([10.0, torch.inf, 12.0, 900.0, 1.0]), torch.tensor([10, 10, 10, 10, 0])
+    assert converged(sums, degrees).tolist() == [True, False, True, False, False]
+
+
+def test_ranges_and_angles_of_a_station_fit_a_start():
+    """A free flight seen from the ground: x(t) is linear in the start, the sightings are not."""
+    station = GroundStation(10.0, 20.0)
+    x = torch.tensor([[8000.0, 3000.0, 2000.0, -1.0, 6.0, 3.0]], **DOUBLE)
+    grid = 30.0 * torch.arange(20, **DOUBLE).unsqueeze(0)
+    states = torch.cat(
+        (x[:, None, :3] + grid.unsqueeze(-1) * x[:, None, 3:], x[:, None, 3:].expand(1, 20, 3)), -1
+    )
+    sd = torch.tensor([0.05, 3e-4, 3e-4], **DOUBLE)
+    values = station(states, grid)
+    batch = Segment(values, grid, Instrument(station, sd, 30.0, 3, 1.0))
+    close(station.locate(values, grid), states[..., :3], 1e-12)
+    drift = lambda z, dt: torch.cat((dt[:, None] * z[:, 3:], torch.zeros_like(z[:, 3:])), -1)  # noqa: E731
+    rough = Trial(drift, drift, ROBUST["none"])
+    begun = guess(batch) + torch.tensor([30.0, -20.0, 10.0, 0.1, 0.1, -0.1], **DOUBLE)
+    close(fit_starts(rough, begun, batch, steps_between(grid, 30.0)), x, 1e-6)
