@@ -12,7 +12,7 @@ from torch import Tensor
 
 from ahnn.checkpoints import FORMAT
 from ahnn.cli.build import plain_config
-from ahnn.cli.parts import SIMULATION
+from ahnn.cli.parts import SENSOR, SIMULATION
 from ahnn.data import Simulated
 from ahnn.data.datamodule import WindowDataModule
 from ahnn.models import AHNN, MLP, NODE, AbstractModel, Optimisation
@@ -81,6 +81,8 @@ def data_module(system: System, folder: str, **changes: Any) -> WindowDataModule
     options |= {"trajectories": 10, "split": [0.6, 0.2, 0.2], "window": 3, "batch_size": 32}
     options |= {"windows_per_epoch": None, "val_windows": None, "precision": 64, "cache": folder} | changes
     simulation = {name: options.pop(name) for name in SIMULATION}
+    for name in SENSOR:
+        options.pop(name)
     return WindowDataModule(Simulated(system, **simulation), **options)
 
 

@@ -11,7 +11,7 @@ from hydra.utils import get_object
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from ahnn.cli.build import build, build_all
-from ahnn.cli.parts import SIMULATION, build_data, build_model, build_source
+from ahnn.cli.parts import SENSOR, SIMULATION, build_data, build_model, build_source
 from ahnn.data.splits import split_sizes
 from ahnn.integrators import GaussLegendre4
 from ahnn.paths import conf_dir
@@ -58,7 +58,7 @@ def test_every_option_composes_and_its_targets_take_its_keys(tmp_path, group, op
         if any(p.kind is Parameter.VAR_KEYWORD for p in parameters.values()):
             continue
         keys = {str(key) for key in node if not str(key).startswith("_")}
-        keys -= set(SIMULATION) if "Window" in node["_target_"] else set()
+        keys -= {*SIMULATION, *SENSOR} if "Window" in node["_target_"] else set()
         assert keys <= set(parameters), node["_target_"]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Annotated, Any, Literal, Protocol
 
 import torch
@@ -9,7 +10,7 @@ from lightning import LightningDataModule
 
 from ahnn.arguments import Count, Seed, Within, checked
 from ahnn.data.loader import SegmentLoader, WindowLoader
-from ahnn.data.measured import measured_statistics
+from ahnn.data.measured import measured_statistics, smooth
 from ahnn.data.segments import Segments
 from ahnn.data.sensor import Sensor
 from ahnn.data.sources import Source
@@ -26,6 +27,10 @@ class Stages(Protocol):
 
     def intervals(self, epoch: int, epochs: int) -> int | None:
         """Return the intervals of a stretch in an epoch of so many; None takes whole trajectories."""
+        ...
+
+    def all_at_once(self, epoch: int, epochs: int) -> bool:
+        """Return whether each step of an epoch takes all stretches."""
         ...
 
 
@@ -92,13 +97,14 @@ class WindowDataModule(LightningDataModule):
         train = self.trajectories("train")
         return Statistics.of(train) if self.sensor is None else measured_statistics(train, self.instrument)
 
-    @property
+    @cached_property
     def instrument(self) -> Instrument:
         """What gave the measurements; an integrator steps as far as the samples of the truth lie apart."""
         assert self.sensor is not None
         spacing = sampling_interval(self.splits["test"])
         longest = spacing if isinstance(spacing, float) else float(spacing.nanmedian())
-        return self.sensor.instrument(longest)
+        width = smooth(self.trajectories("train"), self.sensor.instrument(longest)).width
+        return self.sensor.instrument(longest, width)
 
     def train_dataloader(self) -> WindowLoader | SegmentLoader:
         """Return shuffled training batches."""
@@ -121,7 +127,7 @@ class WindowDataModule(LightningDataModule):
         intervals = self.stages.intervals(epoch, self.epochs)
         if intervals not in self._cut:
             self._cut = {intervals: Segments(self.trajectories("train"), intervals, self.instrument)}
-        return self._cut[intervals], intervals is None
+        return self._cut[intervals], self.stages.all_at_once(epoch, self.epochs)
 
     def transfer_batch_to_device(self, batch: Any, device: torch.device, dataloader_idx: int) -> Any:
         """Return the batch as it is: windows are gathered on the device."""

@@ -64,9 +64,11 @@ class Sensor:
         """Whether whole states are measured."""
         return isinstance(self.measurement, State)
 
-    def instrument(self, longest: float) -> Instrument:
-        """Return what a fit must know; `longest` is the longest step of an integrator."""
-        return Instrument(self.measurement, self.deviations, longest, self.space.dof, self.space.inertia)
+    def instrument(self, longest: float, width: int = 2) -> Instrument:
+        """Return what a fit must know: the longest step of an integrator, and how smooth the motion is."""
+        return Instrument(
+            self.measurement, self.deviations, longest, self.space.dof, self.space.inertia, width
+        )
 
     def measure(self, truth: Trajectories, part: int) -> Trajectories:
         """Return measurements (B, K, M) of true trajectories, with a seed for each part of the data."""

@@ -19,6 +19,7 @@ class Instrument(NamedTuple):
         longest: step that an integrator may take between two measurements at most.
         dof: degrees of freedom n of the motion.
         inertia: factor m of p = m dq/dt, where positions are measured and momenta are wanted.
+        width: samples on either side of one over which the motion is a cubic to within the noise.
     """
 
     measurement: Measurement
@@ -26,6 +27,7 @@ class Instrument(NamedTuple):
     longest: float
     dof: int
     inertia: float
+    width: int = 2
 
 
 class Segment(NamedTuple):

@@ -28,6 +28,7 @@ class Local(NamedTuple):
         value, rate, curvature: (E, C) at the middle, and its first and second derivative.
         error: (E, C) difference of the sample in the middle from the polynomial of the others.
         leverage: (E,) share of that sample in its own polynomial.
+        width: samples on either side that it was fitted to.
     """
 
     value: Tensor
@@ -35,6 +36,7 @@ class Local(NamedTuple):
     curvature: Tensor
     error: Tensor
     leverage: Tensor
+    width: int = 0
 
 
 def local_polynomials(values: Tensor, offsets: Tensor, middle: int) -> Local:
@@ -99,7 +101,7 @@ def smoothed(instrument: Instrument, values: Tensor, times: Tensor, count: int, 
         local = around(instrument, values, times, chosen, width)
         size = float((local.error / scale_of(local)).square().median(0).values.sum())
         if size < least:
-            best, least = local, size
+            best, least = local._replace(width=width), size
     assert best is not None
     return best
 

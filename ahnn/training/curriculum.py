@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 from torch import Tensor, nn
 
@@ -15,7 +15,10 @@ from ahnn.training.loss import Loss, LossOptions
 from ahnn.training.objectives import Derivative, Objective, Recursive
 from ahnn.training.robust import RobustName
 from ahnn.training.shooting import Shooting
+from ahnn.training.weak import Weak
 
+WEAK = "weak"
+"""Name of the stage in the weak form, on whole trajectories of measured states."""
 WHOLE = "whole"
 """Name of the stage that takes whole trajectories, all of them in each step."""
 
@@ -26,25 +29,27 @@ class SegmentOptions:
     """What training on measurements minimises, and when.
 
     Attributes:
-        stages: intervals of a stretch, or `whole`, and the fraction of the epochs up to which they hold.
-            Short stretches first: over long ones a model that is still wrong never meets the measurements.
+        stages: intervals of a stretch, `whole` or `weak`, and the fraction of the epochs up to which they
+            hold. Short ones first: over long ones a model that is still wrong never meets the measurements.
         robust: the loss of single residuals: none (squares), huber or student.
 
     Raises:
         UserError: fractions that do not increase to 1, or stretches that are none.
     """
 
-    stages: dict[int | str, float]
+    stages: list[list[int | float | str]]
     robust: RobustName = "none"
 
     def __post_init__(self) -> None:
         """Refuse stages that do not cover the training."""
-        ends = list(self.stages.values())
-        possible = all(k == WHOLE or (isinstance(k, int) and k >= 3) for k in self.stages)
-        if not ends or not possible or ends != sorted(set(ends)) or ends[0] <= 0 or ends[-1] != 1:
+        if (
+            not self.stages
+            or not all(map(_is_stage, self.stages))
+            or not _covers([s[1] for s in self.stages])
+        ):
             message = (
-                "loss.stages: expected intervals >= 3, or whole, with fractions of the epochs that increase "
-                f"to 1, such as {{4: 0.6, 16: 0.8, whole: 1.0}}; received {self.stages}"
+                "loss.stages: expected intervals >= 3, weak or whole, with fractions of the epochs that "
+                f"increase to 1, such as [[4, 0.6], [16, 0.8], [whole, 1.0]]; received {self.stages}"
             )
             raise UserError(message)
 
@@ -81,8 +86,13 @@ class Curriculum:
     def intervals(self, epoch: int, epochs: int) -> int | None:
         """Return the intervals of a stretch in an epoch; None takes whole trajectories."""
         objective = self.at(epoch, epochs)
-        assert isinstance(objective, Shooting)
+        assert isinstance(objective, Shooting | Weak)
         return objective.intervals
+
+    def all_at_once(self, epoch: int, epochs: int) -> bool:
+        """Return whether each step of an epoch takes all stretches: those on whole trajectories do."""
+        objective = self.at(epoch, epochs)
+        return isinstance(objective, Shooting) and objective.intervals is None
 
 
 def make_curriculum(size: int, window: int, options: dict[str, Any]) -> tuple[nn.Module, Curriculum]:
@@ -114,7 +124,24 @@ def windowed(loss: Loss, window: int) -> Curriculum:
 def staged(options: SegmentOptions) -> Curriculum:
     """Return shooting over stretches that grow; whole trajectories judge."""
     phases = [
-        (until, Shooting(None if intervals == WHOLE else int(intervals), options.robust))
-        for intervals, until in options.stages.items()
+        (until, Weak(options.robust) if name == WEAK else Shooting(intervals_of(name), options.robust))
+        for name, until in cast("list[tuple[int | str, float]]", options.stages)
     ]
     return Curriculum(phases, Shooting(None, options.robust), None)
+
+
+def _is_stage(stage: list[int | float | str]) -> bool:
+    """Return whether this is a stage: intervals or a name, and a fraction."""
+    if len(stage) != 2 or isinstance(stage[1], str):
+        return False
+    return stage[0] in (WHOLE, WEAK) or (isinstance(stage[0], int) and stage[0] >= 3)
+
+
+def _covers(ends: list[Any]) -> bool:
+    """Return whether fractions increase to 1."""
+    return ends == sorted(set(ends)) and ends[0] > 0 and ends[-1] == 1
+
+
+def intervals_of(stage: int | str) -> int | None:
+    """Return the intervals of a stretch in a stage of this name; None takes whole trajectories."""
+    return None if stage == WHOLE else int(stage)

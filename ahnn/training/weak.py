@@ -1,0 +1,188 @@
+"""The weak form: a field held against noisy states by integrals, without differences and without a solver.
+
+For a function phi that vanishes at both ends of a span, the integral of phi dx/dt is that of -phi' x. So
+
+    r = integral of (phi f(x) + phi' x) dt
+
+is zero for the true field f, and its noise is that of a weighted sum of samples (Messenger & Bortz 2021,
+Multiscale Model. Simul. 19, 1474-1497). It is linear in the field.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, cast
+
+import torch
+from torch import Tensor
+from torch.func import jacrev, vmap
+from torch.nn.utils import parameters_to_vector, vector_to_parameters
+
+from ahnn.dynamics import Dynamics, HasField
+from ahnn.errors import UserError
+from ahnn.measurements import Segment, State
+from ahnn.training.least_squares import parametrised
+from ahnn.training.normal_equations import Block, Equations, gram
+from ahnn.training.robust import ROBUST, Robust, RobustName
+
+POWER = 4
+"""Of phi = (1 - u^2)^p: so many derivatives vanish at its ends, where sums then equal integrals."""
+PER_WIDTH = 2
+"""Test functions that begin within half a span."""
+CELLS = 1e8
+"""Numbers in the largest tensor of sensitivities; longer batches are cut into parts of segments."""
+
+
+class Tests(NamedTuple):
+    """Test functions of some segments, times the weights of the trapezoidal rule.
+
+    Attributes:
+        values: phi, (B, J, K + 1); B may be 1 for all alike.
+        slopes: phi', (B, J, K + 1).
+        whiten: (B, J, J) that makes the noise of the integrals white; 0 for one with a missing sample.
+    """
+
+    values: Tensor
+    slopes: Tensor
+    whiten: Tensor
+
+
+def bumps(times: Tensor, present: Tensor, width: int) -> Tests:
+    """Return test functions over spans of 2 x width intervals, or of all of them if these are fewer.
+
+    Args:
+        times: (B, K + 1).
+        present: (B, K + 1) bool, whether a sample is there.
+        width: half of a span, in samples.
+    """
+    last = times.shape[1] - 1
+    width = max(1, min(width, last // 2))
+    begins = torch.arange(0, last - 2 * width + 1, max(1, width // PER_WIDTH))
+    low, high = times[:, begins].unsqueeze(-1), times[:, begins + 2 * width].unsqueeze(-1)
+    half = (high - low) / 2
+    u = ((times.unsqueeze(1) - low) / half - 1).clamp(-1, 1)
+    gaps = torch.nn.functional.pad(times.diff(dim=1), (1, 1))
+    weights = ((gaps[:, 1:] + gaps[:, :-1]) / 2).unsqueeze(1)
+    bump = 1 - u * u
+    values = weights * bump**POWER
+    slopes = weights * (-2 * POWER * u * bump ** (POWER - 1) / half)
+    missing = ((values != 0) & ~present.unsqueeze(1)).any(-1)
+    covariance = slopes @ slopes.mT
+    one = torch.eye(covariance.shape[-1]).to(covariance)
+    apart = missing.unsqueeze(-1) | missing.unsqueeze(-2)
+    factor = torch.linalg.cholesky(torch.where(apart, one, covariance))
+    whiten = torch.linalg.solve_triangular(factor, one.expand_as(factor), upper=False)
+    return Tests(values, slopes, whiten * ~missing.unsqueeze(-2) * ~missing.unsqueeze(-1))
+
+
+@dataclass(frozen=True, eq=False)
+class Weak:
+    """Integrals of the field against test functions, in standard deviations of their noise.
+
+    Attributes:
+        robust: the loss of single residuals: none (squares), huber or student.
+    """
+
+    robust: RobustName = "none"
+    intervals: int | None = None
+
+    def residuals(self, dynamics: Dynamics, batch: Segment) -> Tensor:
+        """Return the residuals, shape (B, J, D), with a graph."""
+        problem = self.problem(dynamics, batch)
+        return problem.robust.pseudo(problem.integrals(cast(HasField, dynamics).field, slice(None)))
+
+    def problem(self, dynamics: Dynamics, batch: Segment) -> WeakProblem:
+        """Return the same residuals as a problem in the parameters of the dynamics."""
+        return WeakProblem(dynamics, batch, ROBUST[self.robust])
+
+    def divided(self, batch: Segment) -> tuple[Segment, None]:
+        """Return the whole batch to step on."""
+        return batch, None
+
+    def validation(self, dynamics: Dynamics, batch: Segment) -> dict[str, Tensor]:
+        """Return chi-square per degree of freedom."""
+        problem = self.problem(dynamics, batch)
+        return {"loss": problem.loss(parameters_to_vector(dynamics.parameters()).detach()) / problem.count}
+
+
+class WeakProblem:
+    """Integrals of noisy states as a problem in the parameters theta, shape (P,), of dynamics with a field.
+
+    Raises:
+        UserError: measurements that are no states, or dynamics without a field.
+    """
+
+    def __init__(self, dynamics: Dynamics, batch: Segment, robust: Robust) -> None:
+        if not isinstance(batch.instrument.measurement, State) or not isinstance(dynamics, HasField):
+            message = (
+                "loss.stages: weak expects measured states and dynamics with a field; received "
+                f"{type(batch.instrument.measurement).__name__} and {type(dynamics).__name__}. "
+                "Begin with stretches, such as {4: 0.5, whole: 1.0}"
+            )
+            raise UserError(message)
+        self.batch, self.robust = batch, robust
+        self._exact = copy.deepcopy(dynamics).requires_grad_(False)
+        field = dynamics.field
+        self._field = parametrised(dynamics, lambda x: field(x), torch.float32)
+        present = batch.values.isfinite().all(-1)
+        times = batch.times - batch.times[:, :1]
+        alike = bool((times - times[:1]).abs().max() <= 1e-9 * times.max()) and bool(present.all())
+        kept = slice(1) if alike else slice(None)
+        self.tests = bumps(times[kept], present[kept], batch.instrument.width)
+        self.values = batch.values.nan_to_num(0.0)
+        used = (self.tests.whiten.diagonal(dim1=1, dim2=2) != 0).sum()
+        self.count = int(used) * self.values.shape[-1] * (len(self.values) if alike else 1)
+
+    def _of(self, part: slice) -> Tests:
+        alike = len(self.tests.values) == 1
+        return Tests(*(tensor if alike else tensor[part] for tensor in self.tests))
+
+    def integrals(self, field: torch.nn.Module, part: slice) -> Tensor:
+        """Return the whitened integrals (B, J, D) of some of the segments."""
+        tests, x = self._of(part), self.values[part]
+        sums = tests.values @ field(x) + tests.slopes @ x
+        return tests.whiten @ sums / self.batch.instrument.deviations.to(x)
+
+    def _parts(self, numbers: int) -> Iterator[slice]:
+        rows = max(1, int(CELLS // (self.values.shape[1] * self.values.shape[2] * numbers)))
+        return (slice(k, k + rows) for k in range(0, len(self.values), rows))
+
+    def _at(self, theta: Tensor) -> torch.nn.Module:
+        vector_to_parameters(theta, self._exact.parameters())
+        return cast(HasField, self._exact).field
+
+    @torch.no_grad()
+    def loss(self, theta: Tensor) -> Tensor:
+        """Return the sum of squared residuals."""
+        field = self._at(theta)
+        parts = (self.robust.pseudo(self.integrals(field, part)) for part in self._parts(50))
+        return torch.stack([part.square().sum() for part in parts]).sum()
+
+    @torch.no_grad()
+    def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
+        """Return loss and normal equations."""
+        del sizes
+        count, field = len(theta), self._at(theta)
+        loss, gradient = theta.new_zeros(()), theta.new_zeros(count)
+        matrix = theta.new_zeros(count, count)
+        for part in self._parts(count):
+            plain = self.integrals(field, part)
+            rows = self.robust.pseudo(plain)
+            design = self._design(theta, part, self.robust.slope(plain).float())
+            loss += rows.square().sum()
+            gradient += (design.T @ rows.flatten().to(design)).to(theta)
+            matrix += gram(design).to(theta)
+        return Equations(loss, self.count, [Block(torch.arange(count), matrix, gradient)])
+
+    def _design(self, theta: Tensor, part: slice, slope: Tensor) -> Tensor:
+        """Return the Jacobian (R, P) of the residuals of some segments, float32."""
+        single = lambda t, x: self._field(t, x.unsqueeze(0)).squeeze(0)  # noqa: E731
+        tests, x = self._of(part), self.values[part].float()
+        forcing = vmap(jacrev(single), (None, 0), chunk_size=20_000)(theta.float(), x.flatten(0, 1))
+        forcing = forcing.unflatten(0, x.shape[:2]).flatten(2)  # (B, K + 1, D P)
+        weights = (tests.whiten @ tests.values).float()
+        scale = slope / self.batch.instrument.deviations.to(slope)
+        rows = (weights @ forcing).unflatten(-1, (x.shape[-1], -1)) * scale.unsqueeze(-1)
+        return rows.flatten(0, 2)

@@ -1,0 +1,80 @@
+"""Noise, gaps and outliers in place of states: their sizes, their seeds, and what is refused."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from helpers import MOLNIYA, SPRING, close
+
+from ahnn.data.generate import generate
+from ahnn.data.sensor import OUTLIER, Sensor
+from ahnn.errors import UserError
+from ahnn.measurements import GnssRange, GroundStation
+
+TRUTH = generate(SPRING, 40, 0)
+SPACE = SPRING.space
+
+
+def sensor(**options):
+    return Sensor(SPACE, **{"measured": "state", "noise": 0.01, **options})
+
+
+def test_noise_has_its_standard_deviation_in_each_component():
+    noisy = sensor(noise=[0.01, 0.5]).measure(TRUTH, 0)
+    error = noisy.states - TRUTH.states
+    sizes = error.flatten(0, 1).std(0)
+    close(sizes, torch.tensor([0.01, 0.5]), 0.02)  # of 40,000 numbers
+    assert torch.equal(noisy.times, TRUTH.times)
+
+
+def test_draws_belong_to_seed_and_part():
+    first = sensor().measure(TRUTH, 0).states
+    assert torch.equal(first, sensor().measure(TRUTH, 0).states)
+    assert not torch.equal(first, sensor().measure(TRUTH, 1).states)
+    assert not torch.equal(first, sensor(seed=1).measure(TRUTH, 0).states)
+
+
+def test_positions_every_tenth_sample():
+    seen = sensor(measured="position", every=10, noise=1e-9).measure(TRUTH, 0)
+    assert seen.states.shape == (40, 101, 1)
+    close(seen.states, TRUTH.states[:, ::10, :1], 1e-7)
+    assert torch.equal(seen.times, TRUTH.times[:, ::10])
+
+
+def test_gaps_take_whole_measurements_and_outliers_single_numbers():
+    seen = sensor(gaps=0.3, outliers=0.05).measure(TRUTH, 0)
+    missing = seen.states.isnan()
+    assert torch.equal(missing[..., 0], missing[..., 1])
+    assert 0.28 < float(missing.double().mean()) < 0.32
+    off = (seen.states - TRUTH.states).abs() > 0.5 * OUTLIER * 0.01
+    assert 0.045 < float(off[~missing].double().mean()) < 0.055
+    assert float((off[..., 0] & off[..., 1]).double().mean()) < 0.005
+
+
+def test_what_a_station_does_not_see_is_missing():
+    orbits = generate(MOLNIYA, 2, 0)
+    station = GroundStation(60.0, 30.0, min_elevation=10.0)
+    seen = Sensor(MOLNIYA.space, measured=station, noise=[0.05, 1e-4, 1e-4]).measure(orbits, 0)
+    visible = station.in_view(orbits.states, orbits.times)
+    assert 0.1 < float(visible.double().mean()) < 0.9
+    assert torch.equal(seen.states.isfinite().all(-1), visible)
+    sightings = seen.states[visible]
+    close(sightings[:, 0], station(orbits.states, orbits.times)[visible][:, 0], 1e-4)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"noise": 0.0}, "standard deviation > 0"),
+        ({"noise": [0.1, 0.2, 0.3]}, "for each of q1"),
+        ({"noise": [0.1, float("nan")]}, "standard deviation > 0"),
+        ({"measured": "velocity"}, "expected state, position or a model"),
+        ({"measured": GnssRange([[1.0, 2.0, 3.0]])}, "locate"),
+        ({"every": 0}, "every: expected"),
+        ({"gaps": 1.0}, "gaps: expected"),
+        ({"outliers": -0.1}, "outliers: expected"),
+    ],
+)
+def test_what_makes_no_sensor_is_refused(options, said):
+    with pytest.raises(UserError, match=said):
+        sensor(**options)

@@ -1,0 +1,66 @@
+"""Local polynomials: exact on cubics, at any times, and as wide as the noise asks for."""
+
+from __future__ import annotations
+
+import torch
+from helpers import close, generator
+
+from ahnn.measurements import Instrument, Position, Segment, State
+from ahnn.measurements.smoothing import guess, local_polynomials, smoothed
+
+DOUBLE = {"dtype": torch.float64}
+COEFFICIENTS = torch.tensor([1.0, -2.0, 0.5, 0.25], **DOUBLE)
+
+
+def cubic(t):
+    return (t.unsqueeze(-1) ** torch.arange(4)) @ COEFFICIENTS
+
+
+def test_cubics_are_exact_at_irregular_times_with_gaps():
+    t = 3 * torch.rand(5, 9, generator=generator(0), **DOUBLE).sort(dim=1).values
+    values = cubic(t).unsqueeze(-1)
+    values[:, 2] = torch.nan
+    at = t[:, 4:5]
+    local = local_polynomials(values, t - at, 4)
+    close(local.value[:, 0], cubic(at[:, 0]), 1e-9)
+    close(local.rate[:, 0], -2 + at[:, 0] + 0.75 * at[:, 0] ** 2, 1e-7)
+    close(local.curvature[:, 0], 1 + 1.5 * at[:, 0], 1e-6)
+    assert float(local.error.abs().max()) < 1e-8
+
+
+def test_the_error_of_a_sample_is_that_of_the_polynomial_without_it():
+    t = torch.arange(9, **DOUBLE).unsqueeze(0)
+    values = torch.randn(1, 9, 1, generator=generator(1), **DOUBLE)
+    without = values.clone()
+    without[:, 4] = torch.nan
+    left_out = local_polynomials(without, t - 4, 4).value
+    close(local_polynomials(values, t - 4, 4).error, values[:, 4] - left_out, 1e-9)
+
+
+def waves(sd, count=20):
+    t = 0.01 * torch.arange(1001, **DOUBLE).expand(count, -1)
+    phase = torch.rand(count, 1, generator=generator(2), **DOUBLE) * 6
+    noise = sd * torch.randn(count, 1001, 1, generator=generator(3), **DOUBLE)
+    return (2 * t + phase).sin().unsqueeze(-1) + noise, t
+
+
+def test_more_noise_means_wider_polynomials_and_rates_stay_right():
+    instrument = Instrument(Position(1), torch.ones(1), 0.01, 1, 1.0)
+    widths = []
+    for sd in (1e-5, 1e-3, 1e-1):
+        values, t = waves(sd)
+        local = smoothed(instrument, values, t, 2000)
+        widths.append(local.width)
+        assert abs(float(local.rate.square().mean().sqrt()) / 2**0.5 - 1) < max(0.03, 5 * sd)
+    assert widths == sorted(widths)
+    assert widths[0] < widths[2]
+
+
+def test_starts_are_guessed_from_the_first_samples():
+    t = 0.1 * torch.arange(10, **DOUBLE).expand(2, -1)
+    values = torch.stack((cubic(t[0]), cubic(t[1]) + 1)).unsqueeze(-1)
+    seen = Segment(values, t, Instrument(Position(1), torch.ones(1), 0.1, 1, 3.0))
+    close(guess(seen), torch.tensor([[1.0, -6.0], [2.0, -6.0]]), 1e-9)
+    states = torch.cat((values, values + 5), dim=-1)
+    whole = Segment(states, t, Instrument(State(1), torch.ones(2), 0.1, 1, 3.0))
+    close(guess(whole), states[:, 0], 1e-9)

@@ -1,0 +1,92 @@
+"""The weak form: zero for the true field, white for noise, and a field from noisy states."""
+
+from __future__ import annotations
+
+import torch
+from helpers import close, generator
+from test_shooting import DOUBLE, Swing
+from torch.nn.utils import parameters_to_vector
+
+from ahnn.measurements import Instrument, Segment, State
+from ahnn.training import LevenbergMarquardt
+from ahnn.training.paths import path
+from ahnn.training.robust import ROBUST
+from ahnn.training.weak import Weak, WeakProblem, bumps
+
+
+@torch.no_grad()
+def states(rows=30, samples=301, dt=0.02, sd=0.01, irregular=False):
+    x = torch.randn(rows, 2, generator=generator(0), **DOUBLE)
+    gaps = torch.full((rows, samples - 1), dt, **DOUBLE)
+    if irregular:
+        gaps = gaps * (0.8 + 0.4 * torch.rand(rows, samples - 1, generator=generator(1), **DOUBLE))
+    truth = path(Swing().increment, x, gaps)
+    times = torch.cat((torch.zeros(rows, 1), gaps.cumsum(1)), dim=1)
+    noise = torch.randn(truth.shape, generator=generator(2), **DOUBLE)
+    instrument = Instrument(State(1), torch.full((2,), max(sd, 1e-12), **DOUBLE), dt, 1, 1.0, 25)
+    return Segment(truth + sd * noise, times, instrument)
+
+
+def residuals(batch, model=None, robust="none"):
+    problem = WeakProblem(model or Swing(), batch, ROBUST[robust])
+    return problem.integrals((model or Swing()).field, slice(None)), problem
+
+
+@torch.no_grad()
+def test_the_true_field_leaves_nothing_of_clean_states():
+    batch = states(sd=0.0)._replace(instrument=states().instrument)
+    wrong = float(residuals(batch, Swing(2.1, 0.5))[0].square().mean().sqrt())
+    assert float(residuals(batch)[0].square().mean().sqrt()) < 3e-4 * wrong
+    uneven = states(sd=0.0, irregular=True)._replace(instrument=batch.instrument)
+    assert float(residuals(uneven)[0].square().mean().sqrt()) < 1e-2 * wrong
+
+
+@torch.no_grad()
+def test_the_noise_of_the_integrals_is_white():
+    """Of pure noise about zero, where the field has no part in it."""
+    batch = states(rows=4000)
+    noise = batch._replace(values=0.01 * torch.randn(batch.values.shape, generator=generator(4), **DOUBLE))
+    tests = bumps(batch.times[:1], torch.ones(1, 301, dtype=torch.bool), 25)
+    integrals = tests.whiten @ (tests.slopes @ noise.values) / 0.01
+    flat = integrals[..., 0]
+    covariance = flat.T @ flat / len(flat)
+    assert float((covariance - torch.eye(len(covariance))).abs().max()) < 0.1
+
+
+def test_a_missing_sample_takes_its_integrals_away_and_no_others():
+    batch = states(rows=2)
+    values = batch.values.clone()
+    values[1, 150] = torch.nan
+    whole, full = residuals(batch)
+    got, problem = residuals(batch._replace(values=values))
+    gone = (got[1] == 0).all(-1)
+    assert torch.equal(got[0], whole[0])
+    assert 0 < int(gone.sum()) < len(gone) / 2
+    assert problem.count == full.count - 2 * int(gone.sum())
+
+
+def test_equations_are_those_of_the_residuals():
+    batch, model = states(rows=5), Swing(2.1, 0.4)
+    problem = WeakProblem(model, batch, ROBUST["huber"])
+    theta = parameters_to_vector(model.parameters()).detach()
+    loss, _, (block,) = problem.equations(theta, [2])
+    objective = Weak("huber")
+    r = objective.residuals(model, batch)
+    (gradient,) = torch.autograd.grad(r.square().sum() / 2, model.field.stiffness)
+    close(block.gradient, gradient, 1e-5)
+    close(loss, r.square().sum(), 1e-12)
+    close(problem.loss(theta), r.square().sum(), 1e-12)
+    e = 1e-5
+    with torch.no_grad():
+        at = lambda shift: problem.robust.pseudo(problem.integrals(problem._at(theta + shift), slice(None)))  # noqa: E731
+        columns = [(at(e * d) - at(-e * d)).flatten() / (2 * e) for d in torch.eye(2, **DOUBLE)]
+    numeric = torch.stack(columns, -1)
+    close(block.matrix, numeric.T @ numeric, 1e-4)
+
+
+def test_a_field_is_found_from_noisy_states():
+    model, batch = Swing(1.0, 0.0), states(rows=200)
+    optimizer = LevenbergMarquardt(model.parameters(), damping=1e-4)
+    for _ in range(6):
+        optimizer.step(lambda: (Weak().problem(model, batch), None))
+    close(model.field.stiffness, torch.tensor([2.0, 0.5]), 2e-3)
