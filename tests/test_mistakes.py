@@ -23,7 +23,7 @@ MISTAKES = {
     "optimizer=null": "optimizer: expected one of adamw,",
     "callbacks=null": "callbacks: expected one of default,",
     "integrator=null": "integrator: expected one of dopri5,",
-    "loss=3": "recursive, recursive_state; received 'loss=3'",
+    "loss=3": "recursive, recursive_state, shooting; received 'loss=3'",
     "budget=null": "budget: expected one of laptop,",
     "=3": "'=3': expected KEY=VALUE, for example seed=7",
     # names
@@ -35,7 +35,7 @@ MISTAKES = {
     "model.loss.derivative=1": "did you mean 'loss.derivative'?",
     "model=mlp hamiltonian=generic": "model=mlp hamiltonian=generic: these options do not go together",
     "model=mlp experiment=molniya_mechanical": "these options do not go together; In 'experiment/",
-    "model=mlp loss.derivative=1": "model mlp: expected loss.derivative=0, since a map has no field",
+    "model=mlp loss.derivative=1": "model mlp: expected loss=recursive, since a map has no field",
     "model=hnn_derivative loss.derivative=0": "loss.derivative: expected 1.0 with model hnn_derivative",
     "hydra/launcher=nope": "hydra/launcher: unknown option 'nope'; it takes ahnn_process, basic",
     "seed=1,2": "'seed=1,2': expected one value; received several. Add -m to run them all",

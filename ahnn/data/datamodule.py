@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, Protocol
 
 import torch
 from lightning import LightningDataModule
+from torch import Tensor
 
 from ahnn.arguments import Count, Seed, Within, checked
 from ahnn.data.loader import SegmentLoader, WindowLoader
@@ -102,7 +103,7 @@ class WindowDataModule(LightningDataModule):
         """What gave the measurements; an integrator steps as far as the samples of the truth lie apart."""
         assert self.sensor is not None
         spacing = sampling_interval(self.splits["test"])
-        longest = spacing if isinstance(spacing, float) else float(spacing.nanmedian())
+        longest = float(spacing.nanmedian()) if isinstance(spacing, Tensor) else spacing
         width = smooth(self.trajectories("train"), self.sensor.instrument(longest)).width
         return self.sensor.instrument(longest, width)
 

@@ -49,14 +49,14 @@ class Sensor:
         seed: Seed = 0,
     ) -> None:
         self.space = space
-        self.measurement = named(measured, space) if isinstance(measured, str) else measured
+        self.measurement: Any = named(measured, space) if isinstance(measured, str) else measured
         if not isinstance(self.measurement, Locating):
             message = (
                 "data.measured: expected state, position, or a model with a method `locate`, from which "
                 f"starts can be guessed; received {type(self.measurement).__name__}"
             )
             raise UserError(message)
-        self.deviations = deviations(self.measurement, noise, space)
+        self.deviations = deviations(self.measurement, noise, space)  # pyright: ignore[reportArgumentType]
         self.every, self.gaps, self.outliers, self.seed = every, gaps, outliers, seed
 
     @property

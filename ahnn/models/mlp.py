@@ -36,6 +36,6 @@ class MLP(AbstractModel):
         options = {"scaling": scaling, "residual": residual, "network": network}
         super().__init__(make_dynamics("map", dof=dof, **options), dof, window, loss)
         self.save_hyperparameters()
-        if received := self.loss.options.derivative:
-            message = f"model mlp: expected loss.derivative=0, since a map has no field; received {received}"
+        if received := {key: loss[key] for key in ("derivative", "stages") if loss.get(key)}:
+            message = f"model mlp: expected loss=recursive, since a map has no field; received {received}"
             raise UserError(message)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 from torch import Tensor, nn
 
-from ahnn.arguments import check_arguments, checked
+from ahnn.arguments import Within, check_arguments, checked
 from ahnn.errors import UserError
 from ahnn.statistics import Statistics
 from ahnn.training.loss import Loss, LossOptions
@@ -32,6 +32,7 @@ class SegmentOptions:
         stages: intervals of a stretch, `whole` or `weak`, and the fraction of the epochs up to which they
             hold. Short ones first: over long ones a model that is still wrong never meets the measurements.
         robust: the loss of single residuals: none (squares), huber or student.
+        balance: 0, since standard deviations weigh measurements.
 
     Raises:
         UserError: fractions that do not increase to 1, or stretches that are none.
@@ -39,6 +40,7 @@ class SegmentOptions:
 
     stages: list[list[int | float | str]]
     robust: RobustName = "none"
+    balance: Annotated[float, Within(0, 0)] = 0.0
 
     def __post_init__(self) -> None:
         """Refuse stages that do not cover the training."""

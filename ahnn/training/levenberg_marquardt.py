@@ -55,9 +55,9 @@ class LevenbergMarquardt(Optimizer):
             problem, held_back = closure()
         group = self.param_groups[0]
         theta = parameters_to_vector(group["params"]).detach()
-        loss, count, blocks = problem.equations(theta, [p.numel() for p in group["params"]])
-        group["gradient_norm"] = 2 * gradient_norm(blocks) / count  # of the mean square
-        other = None if held_back is None else held_back.loss(theta)
+        loss, degrees, blocks = problem.equations(theta, [p.numel() for p in group["params"]])
+        group["gradient_norm"] = 2 * gradient_norm(blocks) / degrees  # of the mean square
+        other = 1.0 if held_back is None else held_back.loss(theta)
         for _ in range(ATTEMPTS):
             move = damped_step(blocks, group["damping"], theta)
             if move is None:
@@ -71,7 +71,7 @@ class LevenbergMarquardt(Optimizer):
             if accepted:
                 vector_to_parameters(theta + move, group["params"])
                 break
-        return loss / count
+        return loss / degrees
 
 
 def adapted(damping: float, gain: float, rise: float, accepted: bool) -> float:

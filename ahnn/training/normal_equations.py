@@ -33,12 +33,12 @@ class Equations(NamedTuple):
 
     Attributes:
         loss: the sum of squared residuals.
-        count: how many residuals it has, those spent on unknowns of their own taken off.
+        degrees: of freedom: residuals, those spent on unknowns of their own taken off.
         blocks: of the normal equations.
     """
 
     loss: Tensor
-    count: int
+    degrees: int
     blocks: list[Block]
 
 

@@ -71,7 +71,7 @@ def step_jacobians(increment: Increment, states: Tensor, lengths: Tensor) -> Ten
 
 def pointwise_jacobian(function: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:
     """Return df/dx, shape (..., M, D), of a function that maps each x (..., D) to its own f (..., M)."""
-    value, back = vjp(function, x)
+    value, back = vjp(function, x)  # pyright: ignore[reportAssignmentType] - three with has_aux alone
     unit = torch.eye(value.shape[-1]).to(value)
     return vmap(lambda row: back(row.expand_as(value))[0], out_dims=-2)(unit)
 

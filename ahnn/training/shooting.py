@@ -10,7 +10,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import cast
 
 import torch
 from torch import Tensor
@@ -18,6 +17,7 @@ from torch.func import jacrev, vmap
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from ahnn.dynamics import Dynamics, HasField
+from ahnn.errors import UserError
 from ahnn.measurements import Segment
 from ahnn.measurements.smoothing import guess
 from ahnn.training.least_squares import parametrised
@@ -90,11 +90,19 @@ class ShootingProblem:
         steps: of the integrator between measurements.
         lost: how many segments did not converge.
         count: degrees of freedom, parameters not taken off.
+
+    Raises:
+        UserError: dynamics without a field.
     """
 
     def __init__(self, dynamics: Dynamics, batch: Segment, robust: Robust) -> None:
-        field = cast(HasField, dynamics).field
-        self.robust = robust
+        if not isinstance(dynamics, HasField):
+            message = (
+                "loss.stages: expected dynamics with a field, whose rates shape the steps; received "
+                f"{type(dynamics).__name__}. Use model=ahnn or model=node"
+            )
+            raise UserError(message)
+        field, self.robust = dynamics.field, robust
         self._exact = copy.deepcopy(dynamics).requires_grad_(False)
         self._rough = copy.deepcopy(dynamics).requires_grad_(False).float()
         self._field = parametrised(dynamics, lambda x: field(x), torch.float32)

@@ -6,9 +6,13 @@ import pytest
 import torch
 from helpers import SPRING, batch_of, build_model, close, data_module, ready_model
 
+from ahnn.errors import UserError
 from ahnn.training import Curriculum, FirstOrder, LevenbergMarquardt, Loss, LossOptions, SecondOrder
-from ahnn.training.objectives import Derivative, Recursive, make_curriculum
-from ahnn.training.steppers import PARTS, problems, stepper_of
+from ahnn.training.curriculum import make_curriculum, windowed
+from ahnn.training.objectives import PARTS, Derivative, Recursive
+from ahnn.training.shooting import Shooting
+from ahnn.training.steppers import problems, stepper_of
+from ahnn.training.weak import Weak
 
 
 def unit_loss(**options):
@@ -17,20 +21,19 @@ def unit_loss(**options):
 
 def test_each_phase_holds_up_to_its_share_of_the_epochs():
     first, second, third = (Recursive(unit_loss(), w) for w in (1, 2, 3))
-    curriculum = Curriculum([(0.2, first), (0.5, second), (1.0, third)])
+    curriculum = Curriculum([(0.2, first), (0.5, second), (1.0, third)], third, 3)
     held = [curriculum.at(epoch, 10) for epoch in range(12)]
     assert held == [first] * 2 + [second] * 3 + [third] * 7
     assert [curriculum.at(epoch, 3) for epoch in range(3)] == [first, second, third]
-    assert curriculum.span == 3
 
 
 @pytest.mark.parametrize("share", [0.0, 0.25, 1.0])
 def test_derivatives_come_first_for_their_share(share):
-    curriculum = make_curriculum(unit_loss(derivative=share, order=6), 4)
+    curriculum = windowed(unit_loss(derivative=share, order=6), 4)
     held = [curriculum.at(epoch, 8) for epoch in range(8)]
     count = round(8 * share)
-    assert all(isinstance(o, Derivative) and (o.span, o.predictions) == (6, 1) for o in held[:count])
-    assert all(isinstance(o, Recursive) and (o.span, o.predictions) == (4, 4) for o in held[count:])
+    assert all(isinstance(o, Derivative) and o.order == 6 for o in held[:count])
+    assert all(isinstance(o, Recursive) and o.window == 4 for o in held[count:])
     assert curriculum.span == (4 if share == 0 else 6)
 
 
@@ -42,8 +45,8 @@ def test_a_model_begins_with_the_objective_of_the_first_epoch():
 def test_objectives_look_at_no_more_steps_than_they_span(cache):
     batch = batch_of(data_module(SPRING, cache, window=8))
     model = ready_model("generic", data_module(SPRING, cache, window=3))
-    for objective in (Recursive(model.loss, 3), Derivative(model.loss, 4)):
-        cut = batch._replace(increments=batch.increments[:, : objective.span])
+    for objective, span in ((Recursive(model.loss, 3), 3), (Derivative(model.loss, 4), 4)):
+        cut = batch._replace(increments=batch.increments[:, :span])
         close(objective.residuals(model.dynamics, batch), objective.residuals(model.dynamics, cut), 0.0)
         theta = torch.nn.utils.parameters_to_vector(model.dynamics.parameters()).detach()
         parts = [objective.problem(model.dynamics, b).residuals(theta) for b in (batch, cut)]
@@ -51,26 +54,49 @@ def test_objectives_look_at_no_more_steps_than_they_span(cache):
         close(parts[0], objective.residuals(model.dynamics, batch).flatten(), 1e-13)
 
 
-class Counted:
-    """An objective whose problem is the start of the windows it was given."""
-
-    def __init__(self, predictions):
-        self.predictions = predictions
-
-    def problem(self, dynamics, batch):
-        return dynamics, batch.start
-
-
-@pytest.mark.parametrize("predictions", [1, 3, 10])
+@pytest.mark.parametrize("window", [1, 3, 10])
 @pytest.mark.parametrize("count", [1, 4, 5, 9, 32, 60])
-def test_a_fifth_of_a_batch_makes_the_step_and_the_rest_checks_it(cache, count, predictions):
+def test_a_fifth_of_a_batch_makes_the_step_and_the_rest_checks_it(cache, count, window):
     assert PARTS == 5
     batch = batch_of(data_module(SPRING, cache), 32)
     rows = torch.arange(count) % 32
     batch = batch._replace(start=batch.start[rows], increments=batch.increments[rows])
-    (_, step), (_, check) = problems(Counted(predictions), None, batch)
-    assert len(step) == max(1, count // (5 * predictions))
+    step, check = (part.start for part in Recursive(unit_loss(), window).divided(batch))
+    assert len(step) == max(1, count // (5 * window))
     assert torch.equal(torch.cat((step, check)), batch.start)
+    assert len(Derivative(unit_loss(), 4).divided(batch)[0].start) == max(1, count // 5)
+
+
+STAGES = [["weak", 0.25], [4, 0.5], ["whole", 1.0]]
+
+
+def test_stages_of_measurements_are_objectives_and_whole_trajectories_judge():
+    _, curriculum = make_curriculum(2, 5, {"stages": STAGES, "robust": "huber"})
+    held = [curriculum.at(epoch, 8) for epoch in range(8)]
+    assert [type(o) for o in held] == [Weak, Weak, *[Shooting] * 6]
+    assert [curriculum.intervals(epoch, 8) for epoch in range(8)] == [None, None, 4, 4, *[None] * 4]
+    assert [curriculum.all_at_once(epoch, 8) for epoch in range(8)] == [False] * 4 + [True] * 4
+    assert {o.robust for o in (*held, curriculum.judge)} == {"huber"}
+    assert curriculum.judge.intervals is None
+
+
+@pytest.mark.parametrize(
+    "stages",
+    [
+        [],
+        [[4, 0.5]],
+        [[4, 0.5], [8, 0.5], ["whole", 1.0]],
+        [[4, 0.8], [8, 0.6], ["whole", 1.0]],
+        [[2, 1.0]],
+        [["all", 1.0]],
+        [[4]],
+        [[4, "1.0"]],
+        [[4, -1.0], ["whole", 1.0]],
+    ],
+)
+def test_stages_that_do_not_cover_a_training_are_refused(stages):
+    with pytest.raises(UserError, match="stages: expected"):
+        make_curriculum(2, 5, {"stages": stages})
 
 
 def test_first_order_steps_weigh_their_batch_and_second_order_steps_hand_over_problems(cache):
