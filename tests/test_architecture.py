@@ -33,10 +33,11 @@ MAY_IMPORT = {
     "dynamics": GROUND,
     "systems": GROUND,
     "data": GROUND | {"systems"},
-    "training": GROUND | {"dynamics", "data"},
+    "shooting": OPEN | {"measurements"},
+    "training": GROUND | {"dynamics", "data", "shooting"},
     "models": GROUND | {"dynamics", "training"},
     "estimation": GROUND | {"systems", "data"},
-    "evaluation": GROUND | {"dynamics", "systems", "data", "estimation"},
+    "evaluation": GROUND | {"dynamics", "systems", "data", "estimation", "shooting"},
     "pretrained": OPEN | {"checkpoints"},
     "runs": GROUND | {"dynamics", "pretrained", "evaluation"},
 }

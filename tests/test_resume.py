@@ -21,6 +21,12 @@ CASES = {
     "ahnn": ["model=ahnn"],
     "hnn_derivative": ["model=hnn_derivative"],
     "derivative_then_recursive": ["model=ahnn", "loss.derivative=0.5"],
+    "measurements": [
+        "recipe=measurements",
+        "data.noise=0.01",
+        "data.gaps=0.1",
+        "loss.stages=[[weak,0.3],[4,0.6],[whole,1.0]]",
+    ],
     "levenberg_marquardt": ["model=hnn", "optimizer=levenberg_marquardt", "data.precision=64"],
 }
 # Ten steps an epoch, a checkpoint every four (or ten) steps and at the end of each epoch.

@@ -10,10 +10,10 @@ from torch import Tensor, nn
 
 from ahnn.arguments import Within, check_arguments, checked
 from ahnn.errors import UserError
+from ahnn.shooting.robust import RobustName
 from ahnn.statistics import Statistics
 from ahnn.training.loss import Loss, LossOptions
 from ahnn.training.objectives import Derivative, Objective, Recursive
-from ahnn.training.robust import RobustName
 from ahnn.training.shooting import Shooting
 from ahnn.training.weak import Weak
 

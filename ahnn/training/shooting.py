@@ -20,11 +20,11 @@ from ahnn.dynamics import Dynamics, HasField
 from ahnn.errors import UserError
 from ahnn.measurements import Segment
 from ahnn.measurements.smoothing import guess
+from ahnn.shooting.paths import path, sensitivities, steps_between
+from ahnn.shooting.robust import ROBUST, Robust, RobustName
+from ahnn.shooting.starts import Linearised, Trial, chi_square, fit_starts, linearised, refine
 from ahnn.training.least_squares import parametrised
 from ahnn.training.normal_equations import Block, Equations, gram
-from ahnn.training.paths import path, sensitivities, steps_between
-from ahnn.training.robust import ROBUST, Robust, RobustName
-from ahnn.training.starts import Linearised, Trial, chi_square, fit_starts, linearised, refine
 
 CELLS = 5e7
 """Numbers in the largest tensor of sensitivities; longer batches are cut into parts of segments."""

@@ -23,9 +23,9 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.errors import UserError
 from ahnn.measurements import Segment, State
+from ahnn.shooting.robust import ROBUST, Robust, RobustName
 from ahnn.training.least_squares import parametrised
 from ahnn.training.normal_equations import Block, Equations, gram
-from ahnn.training.robust import ROBUST, Robust, RobustName
 
 POWER = 4
 """Of phi = (1 - u^2)^p: so many derivatives vanish at its ends, where sums then equal integrals."""

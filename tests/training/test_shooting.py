@@ -12,11 +12,11 @@ from ahnn.dynamics.base import Dynamics
 from ahnn.integrators import INTEGRATORS
 from ahnn.measurements import GroundStation, Instrument, Position, Segment, State
 from ahnn.measurements.smoothing import guess
+from ahnn.shooting.paths import path, steps_between
+from ahnn.shooting.robust import ROBUST
+from ahnn.shooting.starts import Trial, chi_square, fit_starts
 from ahnn.training import LevenbergMarquardt, Shooting
-from ahnn.training.paths import path, steps_between
-from ahnn.training.robust import ROBUST
 from ahnn.training.shooting import ShootingProblem, converged
-from ahnn.training.starts import Trial, chi_square, fit_starts
 
 DOUBLE = {"dtype": torch.float64}
 
@@ -102,7 +102,7 @@ def test_starts_come_from_the_noise_alone_when_the_model_is_right():
 
 def reduced(problem, theta):
     """Residuals at the best starts of theta, flat, by many refits."""
-    from ahnn.training.starts import refine
+    from ahnn.shooting.starts import refine
 
     with torch.no_grad():
         now = problem._at(theta)

@@ -8,9 +8,9 @@ from test_shooting import DOUBLE, Swing
 from torch.nn.utils import parameters_to_vector
 
 from ahnn.measurements import Instrument, Segment, State
+from ahnn.shooting.paths import path
+from ahnn.shooting.robust import ROBUST
 from ahnn.training import LevenbergMarquardt
-from ahnn.training.paths import path
-from ahnn.training.robust import ROBUST
 from ahnn.training.weak import Weak, WeakProblem, bumps
 
 

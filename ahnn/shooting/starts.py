@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from ahnn.measurements import Segment
-from ahnn.training.paths import Increment, Steps, path, pointwise_jacobian, step_jacobians, transitions
-from ahnn.training.robust import Robust
+from ahnn.shooting.paths import Increment, Steps, path, pointwise_jacobian, step_jacobians, transitions
+from ahnn.shooting.robust import Robust
 
 SHORTEST = 4
 """Intervals over which starts are fitted first."""

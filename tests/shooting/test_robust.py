@@ -7,7 +7,7 @@ import torch
 from helpers import close
 from torch.nn.functional import huber_loss
 
-from ahnn.training.robust import FREEDOM, HUBER, ROBUST
+from ahnn.shooting.robust import FREEDOM, HUBER, ROBUST
 
 E = torch.linspace(-60, 60, 4001, dtype=torch.float64)
 

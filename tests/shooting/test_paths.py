@@ -8,7 +8,7 @@ import pytest
 import torch
 from helpers import close, generator
 
-from ahnn.training.paths import path, sensitivities, step_jacobians, steps_between, transitions
+from ahnn.shooting.paths import path, sensitivities, step_jacobians, steps_between, transitions
 
 A = torch.tensor([[0.1, 1.0], [-2.0, -0.3]], dtype=torch.float64)
 
