@@ -1,7 +1,8 @@
-"""Robust losses of residuals in standard deviations, as residuals whose squares are summed.
+"""Robust losses of residuals in standard deviations, by weights.
 
-A loss rho(e) becomes the pseudo-residual sign(e) sqrt(2 rho(e)): Gauss-Newton steps then need no weights of
-their own, and an ordinary sum of squares says whether a step was good (Triggs et al. 2000, section 4.3).
+A loss rho(e) with the weight w = rho'(e) / e has the gradient of w e^2 / 2 with w held fixed, and that
+parabola touches it from above: a Gauss-Newton step on weighted residuals goes down (iteratively reweighted
+least squares; Huber 1981, section 7.8).
 """
 
 from __future__ import annotations
@@ -23,36 +24,24 @@ class Robust(NamedTuple):
     """A loss of residuals e.
 
     Attributes:
-        pseudo: e -> sign(e) sqrt(2 rho(e)).
-        slope: its derivative.
+        cost: e -> 2 rho(e), e^2 for squares.
+        weight: e -> rho'(e) / e.
     """
 
-    pseudo: Callable[[Tensor], Tensor]
-    slope: Callable[[Tensor], Tensor]
+    cost: Callable[[Tensor], Tensor]
+    weight: Callable[[Tensor], Tensor]
 
 
 def _huber(e: Tensor) -> Tensor:
-    far = (2 * HUBER * e.abs() - HUBER**2).clamp(min=HUBER**2).sqrt() * e.sign()
-    return torch.where(e.abs() <= HUBER, e, far)
-
-
-def _huber_slope(e: Tensor) -> Tensor:
-    return torch.where(e.abs() <= HUBER, torch.ones_like(e), HUBER / _huber(e).abs().clamp(min=HUBER))
-
-
-def _student(e: Tensor) -> Tensor:
-    return e.sign() * ((FREEDOM + 1) * torch.log1p(e * e / FREEDOM)).sqrt()
-
-
-def _student_slope(e: Tensor) -> Tensor:
-    near = e.abs() < 1e-6
-    pseudo = torch.where(near, torch.ones_like(e), _student(e))
-    away = (FREEDOM + 1) / FREEDOM * e / (1 + e * e / FREEDOM) / pseudo
-    return torch.where(near, torch.full_like(e, ((FREEDOM + 1) / FREEDOM) ** 0.5), away)
+    size = e.abs()
+    return torch.where(size <= HUBER, e * e, 2 * HUBER * size - HUBER**2)
 
 
 ROBUST: dict[str, Robust] = {
-    "none": Robust(lambda e: e, torch.ones_like),
-    "huber": Robust(_huber, _huber_slope),
-    "student": Robust(_student, _student_slope),
+    "none": Robust(torch.square, torch.ones_like),
+    "huber": Robust(_huber, lambda e: HUBER / e.abs().clamp(min=HUBER)),
+    "student": Robust(
+        lambda e: (FREEDOM + 1) * torch.log1p(e * e / FREEDOM),
+        lambda e: (FREEDOM + 1) / (FREEDOM + e * e),
+    ),
 }

@@ -22,8 +22,8 @@ GROWTH = 3
 """Factor from one span to the next."""
 HOPELESS = 100.0
 """Mean squared residual of a segment that is given up."""
-ITERATIONS = 6
-"""Steps on one span."""
+ROUGHLY, ITERATIONS = 3, 8
+"""Steps on a span that is still to grow, and on the last one."""
 SETTLED = 1e-3
 """Change of a segment's chi-square that is none."""
 SMALLEST, LARGEST = 1e-9, 1e9
@@ -48,71 +48,92 @@ class Linearised(NamedTuple):
     """Residuals of segments, to first order in their starts.
 
     Attributes:
-        states: (B, N + 1, D) along the path.
-        jacobians: of its steps, (B, N, D, D).
-        residuals: (B, K + 1, M) predicted - measured in standard deviations, 0 where nothing was measured.
+        jacobians: of the steps of the path, (B, N, D, D).
+        residuals: (B, K + 1, M) predicted - measured in standard deviations, times the root of their weights.
         of_state: (B, K + 1, M, D) their derivative with respect to the state at their time.
         of_start: (B, K + 1, M, D) with respect to the start.
     """
 
-    states: Tensor
     jacobians: Tensor
     residuals: Tensor
     of_state: Tensor
     of_start: Tensor
 
 
-def linearised(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> Linearised:
-    """Return the residuals of the paths from the starts (B, D), and their derivatives."""
-    states = path(trial.exact, start, steps.lengths)
+class Fitted(NamedTuple):
+    """Segments from the starts that fit them best.
+
+    Attributes:
+        states: (B, N + 1, D) along the path, the start first; NaN where it was given up.
+        sums: (B,) twice the robust loss, the squared residuals; inf for a path that is lost.
+    """
+
+    states: Tensor
+    sums: Tensor
+
+    @property
+    def starts(self) -> Tensor:
+        """(B, D) the first states."""
+        return self.states[:, 0]
+
+
+def linearised(trial: Trial, states: Tensor, segment: Segment, steps: Steps) -> Linearised:
+    """Return the residuals of paths (B, N + 1, D), and their derivatives."""
     jacobians = step_jacobians(trial.rough, states[:, :-1].float(), steps.lengths.float())
     measured = states[:, steps.ends]
     plain = segment.residuals(measured)
-    of_state = pointwise_jacobian(segment.residuals, measured) * trial.robust.slope(plain).unsqueeze(-1)
+    weight = trial.robust.weight(plain).sqrt()
+    of_state = pointwise_jacobian(segment.residuals, measured) * weight.unsqueeze(-1)
     moved = transitions(jacobians.to(states))[:, steps.ends]
-    return Linearised(states, jacobians, trial.robust.pseudo(plain), of_state, of_state @ moved)
+    return Linearised(jacobians, plain * weight, of_state, of_state @ moved)
 
 
-def chi_square(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> Tensor:
-    """Return the sum of squared residuals of each segment, shape (B,); inf for a path that is lost."""
-    states = path(trial.exact, start, steps.lengths)[:, steps.ends]
-    total = trial.robust.pseudo(segment.residuals(states)).square().sum((1, 2))
-    return total.nan_to_num(nan=torch.inf, posinf=torch.inf)
+def followed(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> Fitted:
+    """Return the paths from the starts (B, D) and how well they fit."""
+    states = path(trial.exact, start, steps.lengths)
+    sums = trial.robust.cost(segment.residuals(states[:, steps.ends])).sum((1, 2))
+    return Fitted(states, sums.nan_to_num(nan=torch.inf, posinf=torch.inf))
 
 
 @torch.no_grad()
-def fit_starts(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> Tensor:
-    """Return the starts (B, D) that fit the segments best, begun at `start`, over growing spans.
+def fit_starts(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> Fitted:
+    """Return the fit of each segment, begun at `start`, shape (B, D), over growing spans.
 
     A segment that does not meet its measurements over one span is not tried over longer ones.
     """
     intervals, start = len(steps.ends) - 1, start.clone()
     span, alive = min(SHORTEST, intervals), torch.arange(len(start))
-    while True:
+    while span < intervals:
         part, grid = segment.rows(alive).first(span), steps.rows(alive).first(span)
-        start[alive] = refine(trial, start[alive], part, grid, ITERATIONS)
-        if span == intervals:
-            return start
-        met = chi_square(trial, start[alive], part, grid) <= HOPELESS * part.measured
-        alive, span = alive[met], min(GROWTH * span, intervals)
+        fitted = refine(trial, start[alive], part, grid, ROUGHLY)
+        start[alive] = fitted.starts
+        alive = alive[fitted.sums <= HOPELESS * part.measured]
+        span = min(GROWTH * span, intervals)
+    states = start.new_full((len(start), steps.lengths.shape[1] + 1, start.shape[1]), torch.nan)
+    sums = start.new_full((len(start),), torch.inf)
+    fitted = refine(trial, start[alive], segment.rows(alive), steps.rows(alive), ITERATIONS)
+    states[:, 0], states[alive], sums[alive] = start, *fitted
+    return Fitted(states, sums)
 
 
 @torch.no_grad()
-def refine(trial: Trial, start: Tensor, segment: Segment, steps: Steps, iterations: int) -> Tensor:
-    """Return starts (B, D) after at most so many Levenberg-Marquardt steps, each segment damped by itself."""
-    damping = start.new_full((len(start),), 1e-3)
+def refine(trial: Trial, start: Tensor, segment: Segment, steps: Steps, iterations: int) -> Fitted:
+    """Return the fit after at most so many Levenberg-Marquardt steps, each segment damped by itself."""
+    damping, fitted = start.new_full((len(start),), 1e-3), followed(trial, start, segment, steps)
     for _ in range(iterations):
-        now = linearised(trial, start, segment, steps)
-        rows, design = now.residuals.flatten(1), now.of_start.flatten(1, 2)
-        before = rows.square().sum(1).nan_to_num(nan=torch.inf, posinf=torch.inf)
-        candidate = start + damped_moves(design, rows, damping)
-        after = chi_square(trial, candidate, segment, steps)
-        better = after <= before
-        start = torch.where((better & after.isfinite()).unsqueeze(-1), candidate, start)
+        now = linearised(trial, fitted.states, segment, steps)
+        moves = damped_moves(now.of_start.flatten(1, 2), now.residuals.flatten(1), damping)
+        candidate = followed(trial, fitted.starts + moves, segment, steps)
+        better = (candidate.sums <= fitted.sums) & candidate.sums.isfinite()
+        settled = (fitted.sums - candidate.sums).abs() <= SETTLED
+        fitted = Fitted(
+            torch.where(better[:, None, None], candidate.states, fitted.states),
+            torch.where(better, candidate.sums, fitted.sums),
+        )
         damping = torch.where(better, damping / 10, damping * 10).clamp(SMALLEST, LARGEST)
-        if bool(((before - after).abs() <= SETTLED).logical_or(~before.isfinite()).all()):
+        if bool((settled | ~fitted.sums.isfinite()).all()):
             break
-    return start
+    return fitted
 
 
 def damped_moves(design: Tensor, rows: Tensor, damping: Tensor) -> Tensor:

@@ -22,7 +22,7 @@ from ahnn.measurements import Segment
 from ahnn.measurements.smoothing import guess
 from ahnn.shooting.paths import path, sensitivities, steps_between
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
-from ahnn.shooting.starts import Linearised, Trial, chi_square, fit_starts, linearised, refine
+from ahnn.shooting.starts import Trial, fit_starts, followed, linearised, refine
 from ahnn.training.least_squares import parametrised
 from ahnn.training.normal_equations import Block, Equations, gram
 
@@ -49,7 +49,7 @@ class Shooting:
     robust: RobustName = "none"
 
     def residuals(self, dynamics: Dynamics, batch: Segment) -> Tensor:
-        """Return the residuals of the segments that converged, shape (B, K + 1, M), with a graph.
+        """Return the weighted residuals of the segments that converged, shape (B, K + 1, M), with a graph.
 
         The starts are held where they fit best: to first order the loss does not depend on them, and its
         gradient is the one along the best starts (the envelope theorem).
@@ -57,7 +57,8 @@ class Shooting:
         problem = self.problem(dynamics, batch)
         exact = lambda x, dt: dynamics.increment(x, dt)  # noqa: E731
         states = path(exact, problem.starts, problem.steps.lengths)[:, problem.steps.ends]
-        return ROBUST[self.robust].pseudo(problem.batch.residuals(states))
+        residuals = problem.batch.residuals(states)
+        return residuals * ROBUST[self.robust].weight(residuals.detach()).sqrt()
 
     def problem(self, dynamics: Dynamics, batch: Segment) -> ShootingProblem:
         """Return the same residuals as a problem in the parameters of the dynamics."""
@@ -108,9 +109,9 @@ class ShootingProblem:
         self._field = parametrised(dynamics, lambda x: field(x), torch.float32)
         trial = self._at(parameters_to_vector(dynamics.parameters()).detach())
         steps = steps_between(batch.times, batch.instrument.longest)
-        starts = fit_starts(trial, guess(batch), batch, steps)
-        kept = converged(chi_square(trial, starts, batch, steps), freedom(batch))
-        self.steps, self.batch, self.starts = steps.rows(kept), batch.rows(kept), starts[kept]
+        fitted = fit_starts(trial, guess(batch), batch, steps)
+        kept = converged(fitted.sums, freedom(batch))
+        self.steps, self.batch, self.starts = steps.rows(kept), batch.rows(kept), fitted.starts[kept]
         self.lost = int((~kept).sum())
         self.count = int(freedom(self.batch).sum())
 
@@ -131,8 +132,7 @@ class ShootingProblem:
         if not len(self.starts):
             return theta.new_full((), torch.inf)
         trial = self._at(theta)
-        starts = refine(trial, self.starts, self.batch, self.steps, REFITS)
-        return chi_square(trial, starts, self.batch, self.steps).sum()
+        return refine(trial, self.starts, self.batch, self.steps, REFITS).sums.sum()
 
     @torch.no_grad()
     def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
@@ -142,28 +142,30 @@ class ShootingProblem:
         loss, gradient = theta.new_zeros(()), theta.new_zeros(count)
         matrix = theta.new_zeros(count, count)
         for part in self._parts(count):
-            rows, design = self._projected(theta, part)
-            loss += rows.square().sum()
+            cost, rows, design = self._projected(theta, part)
+            loss += cost
             gradient += (design.T @ rows.to(design)).to(theta)
             matrix += gram(design).to(theta)
         return Equations(loss, self.count, [Block(torch.arange(count), matrix, gradient)])
 
-    def _projected(self, theta: Tensor, part: slice) -> tuple[Tensor, Tensor]:
-        """Return residuals (R,) and their Jacobian (R, P), float32, in the complement of the starts."""
+    def _projected(self, theta: Tensor, part: slice) -> tuple[Tensor, Tensor, Tensor]:
+        """Return loss, residuals (R,) and their Jacobian (R, P), float32, in the complement of the starts."""
         steps = self.steps.rows(part)
-        now = linearised(self._at(theta), self.starts[part], self.batch.rows(part), steps)
-        moved = sensitivities(now.jacobians.float(), self._forcing(theta, now), steps)
+        trial, segment = self._at(theta), self.batch.rows(part)
+        states, sums = followed(trial, self.starts[part], segment, steps)
+        now = linearised(trial, states, segment, steps)
+        moved = sensitivities(now.jacobians.float(), self._forcing(theta, states), steps)
         of_theta = (now.of_state.float() @ moved).flatten(1, 2)
         basis = torch.linalg.qr(now.of_start.flatten(1, 2)).Q
         rows = now.residuals.flatten(1)
         rows = rows - (basis @ (basis.mT @ rows.unsqueeze(-1))).squeeze(-1)
         low = basis.float()
-        return rows.flatten(), (of_theta - low @ (low.mT @ of_theta)).flatten(0, 1)
+        return sums.sum(), rows.flatten(), (of_theta - low @ (low.mT @ of_theta)).flatten(0, 1)
 
-    def _forcing(self, theta: Tensor, now: Linearised) -> Tensor:
+    def _forcing(self, theta: Tensor, states: Tensor) -> Tensor:
         """Return the derivative of the field with respect to theta, (B, N + 1, D, P), float32."""
         single = lambda t, x: self._field(t, x.unsqueeze(0)).squeeze(0)  # noqa: E731
-        states = now.states.float()
+        states = states.float()
         rows = vmap(jacrev(single), (None, 0), chunk_size=20_000)(theta.float(), states.flatten(0, 1))
         return rows.unflatten(0, states.shape[:2])
 

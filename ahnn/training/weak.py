@@ -89,9 +89,10 @@ class Weak:
     intervals: int | None = None
 
     def residuals(self, dynamics: Dynamics, batch: Segment) -> Tensor:
-        """Return the residuals, shape (B, J, D), with a graph."""
+        """Return the weighted residuals, shape (B, J, D), with a graph."""
         problem = self.problem(dynamics, batch)
-        return problem.robust.pseudo(problem.integrals(cast(HasField, dynamics).field, slice(None)))
+        residuals = problem.integrals(cast(HasField, dynamics).field, slice(None))
+        return residuals * problem.robust.weight(residuals.detach()).sqrt()
 
     def problem(self, dynamics: Dynamics, batch: Segment) -> WeakProblem:
         """Return the same residuals as a problem in the parameters of the dynamics."""
@@ -157,8 +158,8 @@ class WeakProblem:
     def loss(self, theta: Tensor) -> Tensor:
         """Return the sum of squared residuals."""
         field = self._at(theta)
-        parts = (self.robust.pseudo(self.integrals(field, part)) for part in self._parts(50))
-        return torch.stack([part.square().sum() for part in parts]).sum()
+        parts = [self.robust.cost(self.integrals(field, part)).sum() for part in self._parts(50)]
+        return torch.stack(parts).sum()
 
     @torch.no_grad()
     def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
@@ -169,20 +170,20 @@ class WeakProblem:
         matrix = theta.new_zeros(count, count)
         for part in self._parts(count):
             plain = self.integrals(field, part)
-            rows = self.robust.pseudo(plain)
-            design = self._design(theta, part, self.robust.slope(plain).float())
-            loss += rows.square().sum()
-            gradient += (design.T @ rows.flatten().to(design)).to(theta)
+            weight = self.robust.weight(plain).sqrt()
+            design = self._design(theta, part, weight.float())
+            loss += self.robust.cost(plain).sum()
+            gradient += (design.T @ (weight * plain).flatten().to(design)).to(theta)
             matrix += gram(design).to(theta)
         return Equations(loss, self.count, [Block(torch.arange(count), matrix, gradient)])
 
-    def _design(self, theta: Tensor, part: slice, slope: Tensor) -> Tensor:
+    def _design(self, theta: Tensor, part: slice, weight: Tensor) -> Tensor:
         """Return the Jacobian (R, P) of the residuals of some segments, float32."""
         single = lambda t, x: self._field(t, x.unsqueeze(0)).squeeze(0)  # noqa: E731
         tests, x = self._of(part), self.values[part].float()
         forcing = vmap(jacrev(single), (None, 0), chunk_size=20_000)(theta.float(), x.flatten(0, 1))
         forcing = forcing.unflatten(0, x.shape[:2]).flatten(2)  # (B, K + 1, D P)
         weights = (tests.whiten @ tests.values).float()
-        scale = slope / self.batch.instrument.deviations.to(slope)
+        scale = weight / self.batch.instrument.deviations.to(weight)
         rows = (weights @ forcing).unflatten(-1, (x.shape[-1], -1)) * scale.unsqueeze(-1)
         return rows.flatten(0, 2)

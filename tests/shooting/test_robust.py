@@ -1,4 +1,4 @@
-"""Pseudo-residuals: half their square is the loss, and their slopes are derivatives."""
+"""Robust losses: what they are, and that their weights are their derivatives over the residual."""
 
 from __future__ import annotations
 
@@ -12,19 +12,26 @@ from ahnn.shooting.robust import FREEDOM, HUBER, ROBUST
 E = torch.linspace(-60, 60, 4001, dtype=torch.float64)
 
 
-def test_half_the_squares_are_the_losses():
+def test_half_the_costs_are_the_losses():
     zero = torch.zeros_like(E)
-    close(ROBUST["none"].pseudo(E) ** 2 / 2, E**2 / 2, 1e-15)
-    close(ROBUST["huber"].pseudo(E) ** 2 / 2, huber_loss(E, zero, reduction="none", delta=HUBER), 1e-14)
+    close(ROBUST["none"].cost(E) / 2, E**2 / 2, 1e-15)
+    close(ROBUST["huber"].cost(E) / 2, huber_loss(E, zero, reduction="none", delta=HUBER), 1e-14)
     student = torch.distributions.StudentT(torch.tensor(FREEDOM, dtype=torch.float64))
-    close(ROBUST["student"].pseudo(E) ** 2 / 2, student.log_prob(zero) - student.log_prob(E), 1e-13)
+    close(ROBUST["student"].cost(E) / 2, student.log_prob(zero) - student.log_prob(E), 1e-13)
 
 
 @pytest.mark.parametrize("name", list(ROBUST))
-def test_slopes_are_derivatives_everywhere(name):
-    e = torch.cat((E, torch.tensor([0.0, 1e-9, -1e-7], dtype=torch.float64))).requires_grad_()
-    robust, step = ROBUST[name], 1e-5
-    numeric = (robust.pseudo(e + step) - robust.pseudo(e - step)) / (2 * step)
-    smooth = (e.abs() - HUBER).abs() > 2 * step
-    close(robust.slope(e)[smooth], numeric[smooth], 1e-6)
-    assert torch.equal(robust.pseudo(e).sign(), e.sign())
+def test_weights_are_derivatives_over_residuals(name):
+    e = torch.cat((E, torch.tensor([1e-9, -1e-7], dtype=torch.float64))).requires_grad_()
+    robust = ROBUST[name]
+    (slope,) = torch.autograd.grad(robust.cost(e).sum(), e)
+    close(robust.weight(e) * e, slope / 2, 1e-14)
+    assert float(robust.weight(torch.zeros(1))) > 0
+
+
+@pytest.mark.parametrize("name", list(ROBUST))
+def test_the_weighted_parabola_lies_above_the_loss(name):
+    robust = ROBUST[name]
+    at = E[::50].unsqueeze(-1)
+    above = robust.cost(at) + robust.weight(at) * (E**2 - at**2)
+    assert bool((above >= robust.cost(E) - 1e-9).all())

@@ -14,7 +14,7 @@ from ahnn.measurements import GroundStation, Instrument, Position, Segment, Stat
 from ahnn.measurements.smoothing import guess
 from ahnn.shooting.paths import path, steps_between
 from ahnn.shooting.robust import ROBUST
-from ahnn.shooting.starts import Trial, chi_square, fit_starts
+from ahnn.shooting.starts import Trial, fit_starts, refine
 from ahnn.training import LevenbergMarquardt, Shooting
 from ahnn.training.shooting import ShootingProblem, converged
 
@@ -81,7 +81,7 @@ def test_starts_of_a_linear_flow_are_the_least_squares_solution():
     linear = Swing(2.0, 0.0)
     _, batch = segment(dynamics=linear, longest=0.005)
     steps = steps_between(batch.times, 0.005)
-    got = fit_starts(trial(linear), guess(batch), batch, steps)
+    got = fit_starts(trial(linear), guess(batch), batch, steps).starts
     a = torch.tensor([[0.0, 1.0], [-2.0, 0.0]], **DOUBLE)
     design = torch.linalg.matrix_exp(a * (batch.times - batch.times[:, :1])[..., None, None])[..., 0, :]
     for row, (y, rows) in enumerate(zip(batch.values[..., 0], design, strict=True)):
@@ -94,21 +94,20 @@ def test_starts_of_a_linear_flow_are_the_least_squares_solution():
 def test_starts_come_from_the_noise_alone_when_the_model_is_right():
     truth, batch = segment(rows=200, measurement=State(1), sd=0.02)
     steps = steps_between(batch.times, batch.instrument.longest)
-    starts = fit_starts(trial(Swing()), guess(batch), batch, steps)
-    chi = chi_square(trial(Swing()), starts, batch, steps) / (batch.measured - 2)
+    fitted = fit_starts(trial(Swing()), guess(batch), batch, steps)
+    chi, starts = fitted.sums / (batch.measured - 2), fitted.starts
     assert 0.9 < float(chi.mean()) < 1.1
     assert float((starts - truth).square().mean().sqrt()) < 0.5 * 0.02
 
 
 def reduced(problem, theta):
-    """Residuals at the best starts of theta, flat, by many refits."""
-    from ahnn.shooting.starts import refine
-
+    """Residuals at the best starts of theta, flat, by many refits, and their cost."""
     with torch.no_grad():
         now = problem._at(theta)
-        starts = refine(now, problem.starts, problem.batch, problem.steps, 12)
-        states = path(now.exact, starts, problem.steps.lengths)[:, problem.steps.ends]
-        return problem.robust.pseudo(problem.batch.residuals(states)).flatten()
+        fitted = refine(now, problem.starts, problem.batch, problem.steps, 12)
+        states = fitted.states[:, problem.steps.ends]
+        plain = problem.batch.residuals(states)
+        return plain.flatten(), problem.robust.cost(plain).sum()
 
 
 @pytest.mark.parametrize("robust", ["none", "student"])
@@ -119,16 +118,13 @@ def test_normal_equations_are_those_of_the_reduced_residuals(robust):
     theta = parameters_to_vector(wrong.parameters()).detach()
     loss, count, (block,) = problem.equations(theta, [2])
     e = 1e-4
-    columns = [
-        (reduced(problem, theta + e * d) - reduced(problem, theta - e * d)) / (2 * e)
-        for d in torch.eye(2, **DOUBLE)
-    ]
-    numeric = torch.stack(columns, -1)
-    residuals = reduced(problem, theta)
-    # Kaufman's Jacobian leaves out a term in the residuals, which normal noise keeps small.
-    close(block.matrix, numeric.T @ numeric, 0.03)
-    close(block.gradient, numeric.T @ residuals, 0.01)
-    close(loss, residuals @ residuals, 0.02)
+    ahead, behind = ([reduced(problem, theta + s * d) for d in torch.eye(2, **DOUBLE)] for s in (e, -e))
+    slopes = torch.stack([(a[1] - b[1]) / (4 * e) for a, b in zip(ahead, behind, strict=True)])
+    close(block.gradient, slopes, 0.01)
+    close(loss, reduced(problem, theta)[1], 1e-4)
+    if robust == "none":  # Kaufman's Jacobian leaves out a term that is small as the noise is
+        numeric = torch.stack([(a[0] - b[0]) / (2 * e) for a, b in zip(ahead, behind, strict=True)], -1)
+        close(block.matrix, numeric.T @ numeric, 0.03)
     assert count == int(batch.measured.sum()) - 2 * len(batch.values)
 
 
@@ -158,7 +154,7 @@ def test_the_gradient_for_first_order_optimisers_is_that_of_the_best_starts():
     theta = parameters_to_vector(model.parameters()).detach()
     e = 1e-4
     losses = [
-        reduced(problem, theta + e * d).square().sum() - reduced(problem, theta - e * d).square().sum()
+        reduced(problem, theta + e * d)[1] - reduced(problem, theta - e * d)[1]
         for d in torch.eye(2, **DOUBLE)
     ]
     close(gradient, torch.stack(losses) / (2 * e), 1e-3)
@@ -178,8 +174,8 @@ def test_outliers_do_not_move_a_robust_fit():
         return float((model.field.stiffness.detach() - torch.tensor([2.0, 0.5], **DOUBLE)).norm())
 
     clean = fitted(batch, "none")
-    assert fitted(spoilt, "none") > 10 * clean
-    assert fitted(spoilt, "student") < 4 * clean
+    assert fitted(spoilt, "none") > 4 * clean
+    assert fitted(spoilt, "student") < 2 * clean
 
 
 def test_segments_that_do_not_converge_are_left_out_and_counted():
@@ -208,4 +204,4 @@ def test_ranges_and_angles_of_a_station_fit_a_start():
     drift = lambda z, dt: torch.cat((dt[:, None] * z[:, 3:], torch.zeros_like(z[:, 3:])), -1)  # noqa: E731
     rough = Trial(drift, drift, ROBUST["none"])
     begun = guess(batch) + torch.tensor([30.0, -20.0, 10.0, 0.1, 0.1, -0.1], **DOUBLE)
-    close(fit_starts(rough, begun, batch, steps_between(grid, 30.0)), x, 1e-6)
+    close(fit_starts(rough, begun, batch, steps_between(grid, 30.0)).starts, x, 1e-6)
