@@ -36,7 +36,7 @@ def evaluate(arguments: list[str]) -> None:
     """
     with held():
         from ahnn.cli.again import Request, run_config
-        from ahnn.cli.parts import build_plugins, build_source, report_options
+        from ahnn.cli.parts import build_plugins, build_sensor, build_source, report_options
         from ahnn.cli.settings import check_again
         from ahnn.data import SplitData
         from ahnn.evaluation import evaluation_folder, load_results, report
@@ -52,7 +52,8 @@ def evaluate(arguments: list[str]) -> None:
     cfg = run_config(run.folder, request)
     check_again(cfg)
     set_threads(cfg.threads)
-    splits = SplitData(build_source(cfg), list(cfg.data.split))  # an evaluation needs no windows
+    source = build_source(cfg)
+    splits = SplitData(source, list(cfg.data.split), build_sensor(cfg, source))  # it needs no windows
     plugins = build_plugins(cfg, splits)
     note = splits.beside(run.about.get("data"))
     training = load_results(run.folder).training if (run.folder / "metrics.json").exists() else {}

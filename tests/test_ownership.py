@@ -109,12 +109,18 @@ def test_no_key_has_two_owners():
             assert owners.get(key[:k], owners[key]) == owners[key], f"{key[:k]} holds {key}"
 
 
+ON_MEASUREMENTS = ("shooting", "weak_first")
+"""Losses that compare measurements: their keys are others than those of windows of states."""
+
+
 def test_alternatives_of_a_choice_set_the_same_keys():
     """Otherwise one option would leave keys behind that only another one explains."""
     for group in ("budget", "recipe", "network", "hamiltonian", "inputs", "scaling", "loss", "evaluation"):
-        keys = {option: own_keys(group, option).keys() for option in GROUPS[group] if option != "shooting"}
+        keys = {option: own_keys(group, option).keys() for option in GROUPS[group] if option not in ON_MEASUREMENTS}
         assert all(found == keys[GROUPS[group][0]] for found in keys.values()), group
-    assert not own_keys("loss", "shooting").keys() & own_keys("loss", "recursive").keys()
+    first, *others = (own_keys("loss", option).keys() for option in ON_MEASUREMENTS)
+    assert all(other == first for other in others)
+    assert not first & own_keys("loss", "recursive").keys()
 
 
 @pytest.mark.parametrize("budget", BUDGETS)

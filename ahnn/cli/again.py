@@ -17,8 +17,8 @@ GROUPS = ("plugins", "measurement")
 NODES = ("system", "data", "evaluation", "plugins", "measurement")
 """Parts of a configuration that an evaluation builds from."""
 KEYS = ("label", "threads")
-DATA = ("trajectories", "split", "seed", "cache")
-"""Keys of `data` that say which trajectories there are; the others made the training."""
+DATA = ("trajectories", "split", "seed", "cache", "measured", "noise", "every", "gaps", "outliers")
+"""Keys of `data` that say which trajectories there are and what measures them, not the training."""
 
 
 class Request(NamedTuple):

@@ -53,7 +53,7 @@ def build_data(cfg: DictConfig, source: Source) -> WindowDataModule:
 
 def build_sensor(cfg: DictConfig, source: Source) -> Sensor | None:
     """Build what training sees of simulated trajectories; None where it sees their states."""
-    options = {name: cfg.data[name] for name in SENSOR}
+    options = {name: cfg.data.get(name) for name in SENSOR}  # shipped models have none of these
     if options["noise"] is None:
         given = {name: value for name, value in options.items() if value not in (None, 1, 0)}
         if given:

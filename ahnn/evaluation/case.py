@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from ahnn.integrators import Integrator
+from ahnn.measurements import Segment
 from ahnn.metrics import Scores, score
 from ahnn.systems import System
 from ahnn.types import Flow, Space, TimeStep, Trajectories
@@ -40,6 +41,7 @@ class Case:
         perturbation: (B, D) initial errors of the perturbed start, the same for every model; None where no
             P0 is known.
         folder: where results are written.
+        measured: measurements of the test trajectories, where training saw nothing else.
     """
 
     label: str
@@ -55,6 +57,7 @@ class Case:
     train: Trajectories
     perturbation: Tensor | None
     folder: Path
+    measured: Segment | None = None
 
     def starts(self) -> dict[Start, Tensor]:
         """Return the initial states (B, D) of the starts of the paper."""

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import torch
+from torch import Tensor
+
 from ahnn.data import SplitData
+from ahnn.data.segments import Segments
 from ahnn.dynamics import Dynamics, HasEnergy
 from ahnn.evaluation.case import Case, perturbations
+from ahnn.measurements import Segment
 from ahnn.statistics import sampling_interval
 
 
@@ -36,4 +41,15 @@ def make_case(dynamics: Dynamics, data: SplitData, *, label: str, seed: int, fol
         train=data["train"],
         perturbation=None if truth is None else perturbations(truth, len(test.states), seed),
         folder=folder,
+        measured=measured_test(data),
     )
+
+
+def measured_test(data: SplitData) -> Segment | None:
+    """Return the measurements of whole test trajectories; None where states are known."""
+    if data.sensor is None:
+        return None
+    spacing = sampling_interval(data["test"])
+    longest = float(spacing.nanmedian()) if isinstance(spacing, Tensor) else spacing
+    segments = Segments(data.measured("test"), None, data.sensor.instrument(longest))
+    return segments.gather(torch.arange(len(segments)))

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import Any, cast
 
 from ahnn.evaluation.case import Case, EvaluationPlugin, Findings, Row
+from ahnn.evaluation.consistency import explain
 from ahnn.evaluation.figures import open_loop_figures
 from ahnn.evaluation.open_loop import open_loop
 
@@ -22,6 +24,10 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
         figures: whether to keep figures; without them those of the open loop are not drawn.
     """
     findings = open_loop(case)
+    if case.measured is not None:
+        explained = explain(cast(Any, case.flow), case.measured)
+        findings.rows[0] = findings.rows[0]._replace(note=explained.sentence())
+        findings.numbers["measurements"] = explained.numbers()
     if figures:
         findings.figures |= open_loop_figures(case, findings.arrays)
     findings.arrays |= {"truth": case.test.states, "times": case.test.times}

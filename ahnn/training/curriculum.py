@@ -19,8 +19,8 @@ from ahnn.training.weak import Weak
 
 WEAK = "weak"
 """Name of the stage in the weak form, on whole trajectories of measured states."""
-WHOLE = "whole"
-"""Name of the stage that takes whole trajectories, all of them in each step."""
+WHOLE, ALL = "whole", "all"
+"""Names of the stages on whole trajectories: some in each step, or all of them."""
 
 
 @checked
@@ -29,8 +29,8 @@ class SegmentOptions:
     """What training on measurements minimises, and when.
 
     Attributes:
-        stages: intervals of a stretch, `whole` or `weak`, and the fraction of the epochs up to which they
-            hold. Short ones first: over long ones a model that is still wrong never meets the measurements.
+        stages: intervals of a stretch, `weak`, `whole` or `all`, and the fraction of the epochs up to which
+            they hold. Short ones first: over long ones a model that is still wrong never meets them.
         robust: the loss of single residuals: none (squares), huber or student.
         balance: 0, since standard deviations weigh measurements.
 
@@ -50,8 +50,8 @@ class SegmentOptions:
             or not _covers([s[1] for s in self.stages])
         ):
             message = (
-                "loss.stages: expected intervals >= 3, weak or whole, with fractions of the epochs that "
-                f"increase to 1, such as [[4, 0.6], [16, 0.8], [whole, 1.0]]; received {self.stages}"
+                "loss.stages: expected intervals >= 3, weak, whole or all, with fractions of the epochs that "
+                f"increase to 1, such as [[4, 0.6], [16, 0.8], [all, 1.0]]; received {self.stages}"
             )
             raise UserError(message)
 
@@ -92,9 +92,9 @@ class Curriculum:
         return objective.intervals
 
     def all_at_once(self, epoch: int, epochs: int) -> bool:
-        """Return whether each step of an epoch takes all stretches: those on whole trajectories do."""
+        """Return whether each step of an epoch takes all stretches."""
         objective = self.at(epoch, epochs)
-        return isinstance(objective, Shooting) and objective.intervals is None
+        return isinstance(objective, Shooting) and objective.all_at_once
 
 
 def make_curriculum(size: int, window: int, options: dict[str, Any]) -> tuple[nn.Module, Curriculum]:
@@ -126,7 +126,7 @@ def windowed(loss: Loss, window: int) -> Curriculum:
 def staged(options: SegmentOptions) -> Curriculum:
     """Return shooting over stretches that grow; whole trajectories judge."""
     phases = [
-        (until, Weak(options.robust) if name == WEAK else Shooting(intervals_of(name), options.robust))
+        (until, objective_of(name, options.robust))
         for name, until in cast("list[tuple[int | str, float]]", options.stages)
     ]
     return Curriculum(phases, Shooting(None, options.robust), None)
@@ -136,7 +136,7 @@ def _is_stage(stage: list[int | float | str]) -> bool:
     """Return whether this is a stage: intervals or a name, and a fraction."""
     if len(stage) != 2 or isinstance(stage[1], str):
         return False
-    return stage[0] in (WHOLE, WEAK) or (isinstance(stage[0], int) and stage[0] >= 3)
+    return stage[0] in (WHOLE, ALL, WEAK) or (isinstance(stage[0], int) and stage[0] >= 3)
 
 
 def _covers(ends: list[Any]) -> bool:
@@ -144,6 +144,8 @@ def _covers(ends: list[Any]) -> bool:
     return ends == sorted(set(ends)) and ends[0] > 0 and ends[-1] == 1
 
 
-def intervals_of(stage: int | str) -> int | None:
-    """Return the intervals of a stretch in a stage of this name; None takes whole trajectories."""
-    return None if stage == WHOLE else int(stage)
+def objective_of(stage: int | str, robust: RobustName) -> Shooting | Weak:
+    """Return the objective of a stage of this name."""
+    if stage == WEAK:
+        return Weak(robust)
+    return Shooting(None if stage in (WHOLE, ALL) else int(stage), robust, all_at_once=stage == ALL)

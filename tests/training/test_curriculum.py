@@ -67,7 +67,7 @@ def test_a_fifth_of_a_batch_makes_the_step_and_the_rest_checks_it(cache, count, 
     assert len(Derivative(unit_loss(), 4).divided(batch)[0].start) == max(1, count // 5)
 
 
-STAGES = [["weak", 0.25], [4, 0.5], ["whole", 1.0]]
+STAGES = [["weak", 0.25], [4, 0.5], ["whole", 0.75], ["all", 1.0]]
 
 
 def test_stages_of_measurements_are_objectives_and_whole_trajectories_judge():
@@ -75,7 +75,7 @@ def test_stages_of_measurements_are_objectives_and_whole_trajectories_judge():
     held = [curriculum.at(epoch, 8) for epoch in range(8)]
     assert [type(o) for o in held] == [Weak, Weak, *[Shooting] * 6]
     assert [curriculum.intervals(epoch, 8) for epoch in range(8)] == [None, None, 4, 4, *[None] * 4]
-    assert [curriculum.all_at_once(epoch, 8) for epoch in range(8)] == [False] * 4 + [True] * 4
+    assert [curriculum.all_at_once(epoch, 8) for epoch in range(8)] == [False] * 6 + [True] * 2
     assert {o.robust for o in (*held, curriculum.judge)} == {"huber"}
     assert curriculum.judge.intervals is None
 
@@ -88,7 +88,7 @@ def test_stages_of_measurements_are_objectives_and_whole_trajectories_judge():
         [[4, 0.5], [8, 0.5], ["whole", 1.0]],
         [[4, 0.8], [8, 0.6], ["whole", 1.0]],
         [[2, 1.0]],
-        [["all", 1.0]],
+        [["every", 1.0]],
         [[4]],
         [[4, "1.0"]],
         [[4, -1.0], ["whole", 1.0]],
