@@ -116,7 +116,11 @@ ON_MEASUREMENTS = ("shooting", "weak_first")
 def test_alternatives_of_a_choice_set_the_same_keys():
     """Otherwise one option would leave keys behind that only another one explains."""
     for group in ("budget", "recipe", "network", "hamiltonian", "inputs", "scaling", "loss", "evaluation"):
-        keys = {option: own_keys(group, option).keys() for option in GROUPS[group] if option not in ON_MEASUREMENTS}
+        keys = {
+            option: own_keys(group, option).keys()
+            for option in GROUPS[group]
+            if option not in ON_MEASUREMENTS
+        }
         assert all(found == keys[GROUPS[group][0]] for found in keys.values()), group
     first, *others = (own_keys("loss", option).keys() for option in ON_MEASUREMENTS)
     assert all(other == first for other in others)

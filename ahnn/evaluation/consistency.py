@@ -83,11 +83,13 @@ def explain(dynamics: nn.Module, segment: Segment) -> Explained:
     part = segment.rows(met)
     residuals = part.residuals(fitted.states[met][:, steps.ends])
     correlation, pairs = serial(residuals.masked_fill(part.values.isnan(), torch.nan))
+    # Residuals of a fit correlate by about minus the share of the numbers that it has spent on its unknowns.
+    spent = 1 - total / float(part.measured.sum()) if total else 0.0
     return Explained(
         chi_square=chi,
-        band=band(total, 1) if total else (float("nan"), float("nan")),
+        band=band(1, total) if total else (float("nan"), float("nan")),
         correlation=correlation,
-        correlation_band=NORMAL95 / max(pairs, 1) ** 0.5,
+        correlation_band=NORMAL95 / max(pairs, 1) ** 0.5 + spent,
         lost=int((~met).sum()),
         trajectories=len(met),
     )
