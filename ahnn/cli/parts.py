@@ -71,13 +71,22 @@ def build_sensor(cfg: DictConfig, source: Source) -> Sensor | None:
 def build_model(cfg: DictConfig, data: WindowDataModule) -> AbstractModel:
     """Build the model, with the factories of its optimiser, and what checkpoints say of it."""
     from ahnn.models import Optimisation
+    from ahnn.training.identifiability import require_identifiable
 
     space = data.source.space
     given = {"dof": space.dof, "inertia": space.inertia, "window": cfg.window}
     model = build(cfg.model, "model", **given).to(data.dtype)
+    if data.sensor is not None:
+        require_identifiable(model.dynamics, data.sensor, windows=model.curriculum.span is not None)
     if model.curriculum.span is not None:
         data.require_span(model.curriculum.span)
     else:
+        if data.sensor is None:
+            message = (
+                "loss.stages: expected measurements; received exact states. Set data.noise, or choose "
+                "recipe=second_order"
+            )
+            raise UserError(message)
         data.stages, data.epochs = model.curriculum, cfg.trainer.max_epochs
     scheduler = build(cfg.scheduler, "scheduler") if cfg.scheduler else None
     model.optimisation = Optimisation(build(cfg.optimizer, "optimizer"), scheduler)

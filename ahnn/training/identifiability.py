@@ -1,0 +1,36 @@
+"""What measurements can tell of dynamics, asked before any are generated."""
+
+from __future__ import annotations
+
+from ahnn.data.sensor import Sensor
+from ahnn.dynamics import Dynamics
+from ahnn.dynamics.energies import Quadratic
+from ahnn.errors import UserError
+
+
+def require_identifiable(dynamics: Dynamics, sensor: Sensor, *, windows: bool) -> None:
+    """Refuse dynamics or a loss that the measurements do not determine.
+
+    From positions alone only a known kinetic energy says what the momenta are: any other p(q, dq/dt) gives a
+    Hamiltonian with the same positions.
+
+    Args:
+        dynamics: what is to be learned.
+        sensor: what training sees.
+        windows: whether the loss compares windows of states.
+
+    Raises:
+        UserError: names what can be learned instead.
+    """
+    if sensor.gives_states:
+        return
+    received = f"received {', '.join(sensor.measurement.names)}"
+    if windows:
+        message = f"loss: expected measured states for windows of them; {received}. Use recipe=measurements"
+        raise UserError(message)
+    if not isinstance(getattr(getattr(dynamics, "field", None), "kinetic", None), Quadratic):
+        message = (
+            f"data.measured: expected momenta among the measurements, or a known kinetic energy; {received} "
+            f"for a {dynamics.assumes.split(',')[0]}. Use hamiltonian=mechanical or central_body"
+        )
+        raise UserError(message)
