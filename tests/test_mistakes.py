@@ -41,7 +41,7 @@ MISTAKES = {
     "recipe=measurements": "loss.stages: expected measurements; received exact states",
     "recipe=measurements data.measured=position data.noise=0.01": "Use hamiltonian=mechanical",
     "recipe=measurements data.noise=0.01 loss.stages=[[4,0.5]]": "loss.stages: expected intervals >= 3",
-    "recipe=measurements data.noise=0.01 loss.robust=cauchy": "loss.robust: expected one of none, huber, student",
+    "recipe=measurements data.noise=0.01 loss.robust=cauchy": "loss.robust: expected one of none, huber",
     "model=mlp loss.derivative=1": "model mlp: expected loss=recursive, since a map has no field",
     "model=hnn_derivative loss.derivative=0": "loss.derivative: expected 1.0 with model hnn_derivative",
     "hydra/launcher=nope": "hydra/launcher: unknown option 'nope'; it takes ahnn_process, basic",

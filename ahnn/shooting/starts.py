@@ -20,7 +20,7 @@ SHORTEST = 4
 """Intervals over which starts are fitted first."""
 GROWTH = 3
 """Factor from one span to the next."""
-HOPELESS = 100.0
+HOPELESS = 1e4
 """Mean squared residual of a segment that is given up."""
 ROUGHLY, ITERATIONS = 3, 8
 """Steps on a span that is still to grow, and on the last one."""

@@ -56,6 +56,8 @@ class LevenbergMarquardt(Optimizer):
         group = self.param_groups[0]
         theta = parameters_to_vector(group["params"]).detach()
         loss, degrees, blocks = problem.equations(theta, [p.numel() for p in group["params"]])
+        if not blocks:  # nothing depends on the parameters: another batch may
+            return loss / degrees
         group["gradient_norm"] = 2 * gradient_norm(blocks) / degrees  # of the mean square
         other = 1.0 if held_back is None else held_back.loss(theta)
         for _ in range(ATTEMPTS):

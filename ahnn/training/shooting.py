@@ -138,8 +138,10 @@ class ShootingProblem:
 
     @torch.no_grad()
     def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
-        """Return loss and normal equations, starts eliminated."""
+        """Return loss and normal equations, starts eliminated; no equations if no segment converged."""
         del sizes
+        if not len(self.starts):
+            return Equations(theta.new_tensor(LOST), 1, [])
         count = len(theta)
         loss, gradient = theta.new_zeros(()), theta.new_zeros(count)
         matrix = theta.new_zeros(count, count)

@@ -16,7 +16,7 @@ from ahnn.shooting.paths import path, steps_between
 from ahnn.shooting.robust import ROBUST
 from ahnn.shooting.starts import Trial, fit_starts, refine
 from ahnn.training import LevenbergMarquardt, Shooting
-from ahnn.training.shooting import ShootingProblem, converged
+from ahnn.training.shooting import LOST, ShootingProblem, converged
 
 DOUBLE = {"dtype": torch.float64}
 
@@ -185,6 +185,11 @@ def test_segments_that_do_not_converge_are_left_out_and_counted():
     problem = ShootingProblem(Swing(), batch._replace(values=values), ROBUST["none"])
     assert problem.lost == 1
     assert len(problem.starts) == 9
+    model = Swing()
+    nothing = batch._replace(values=1e9 * torch.randn(values.shape, generator=generator(5), **DOUBLE))
+    loss = LevenbergMarquardt(model.parameters()).step(lambda: (Shooting(None).problem(model, nothing), None))
+    assert float(loss) == LOST
+    close(model.field.stiffness, torch.tensor([2.0, 0.5]), 0)
     sums, degrees = torch.tensor([10.0, torch.inf, 12.0, 900.0, 1.0]), torch.tensor([10, 10, 10, 10, 0])
     assert converged(sums, degrees).tolist() == [True, False, True, False, False]
 
