@@ -48,6 +48,8 @@ class Explained(NamedTuple):
 
     def sentence(self) -> str:
         """Return the finding as a note under the table."""
+        if self.lost == self.trajectories:
+            return f"from no start does it meet the measurements of any of {self.lost} unseen trajectories"
         low, high = self.band
         text = (
             f"it leaves {self.chi_square:#.4g} of the noise's variance in unseen measurements "

@@ -61,6 +61,13 @@ def test_gaps_are_no_residuals_and_what_is_not_met_is_counted():
     assert "not explained" in spoilt.sentence()
 
 
+def test_nothing_explained_is_said_in_words():
+    batch = measured(count=3)
+    found = explain(Spring(SPRING), batch._replace(values=1e9 * torch.randn(batch.values.shape)))
+    assert found.lost == 3
+    assert found.sentence() == "from no start does it meet the measurements of any of 3 unseen trajectories"
+
+
 def test_serial_correlation():
     noise = torch.randn(200, 500, 1, generator=torch.Generator().manual_seed(0))
     moved = (noise[:, 1:] + 0.5 * noise[:, :-1]) / 1.25**0.5
