@@ -63,7 +63,9 @@ def test_gaps_are_no_residuals_and_what_is_not_met_is_counted():
 
 def test_nothing_explained_is_said_in_words():
     batch = measured(count=3)
-    found = explain(Spring(SPRING), batch._replace(values=1e9 * torch.randn(batch.values.shape)))
+    found = explain(
+        Spring(SPRING), batch._replace(values=1e9 * torch.randn(batch.values.shape, dtype=torch.float64))
+    )
     assert found.lost == 3
     assert found.sentence() == "from no start does it meet the measurements of any of 3 unseen trajectories"
 
