@@ -18,7 +18,7 @@ from ahnn.shooting.robust import Robust
 
 SHORTEST = 4
 """Intervals over which starts are fitted first."""
-GROWTH = 3
+GROWTH = 2
 """Factor from one span to the next."""
 HOPELESS = 1e4
 """Mean squared residual of a segment that is given up."""

@@ -22,7 +22,7 @@ from ahnn.measurements import Segment
 from ahnn.measurements.smoothing import guess
 from ahnn.shooting.paths import path, sensitivities, steps_between
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
-from ahnn.shooting.starts import Trial, fit_starts, followed, linearised, refine
+from ahnn.shooting.starts import HOPELESS, Trial, fit_starts, followed, linearised, refine
 from ahnn.training.least_squares import parametrised
 from ahnn.training.normal_equations import Block, Equations, gram
 
@@ -180,9 +180,12 @@ def freedom(batch: Segment) -> Tensor:
 
 
 def converged(sums: Tensor, degrees: Tensor) -> Tensor:
-    """Return which segments are finite and near the others in chi-square per degree of freedom, (B,) bool."""
+    """Return which segments are near the others in chi-square per degree of freedom, (B,) bool.
+
+    One beyond `HOPELESS` never is: steps on such segments would ruin dynamics that are nearly right.
+    """
     reduced = sums / degrees.clamp(min=1)
-    fits = reduced.isfinite() & (degrees > 0)
+    fits = (reduced <= HOPELESS) & (degrees > 0)
     if not bool(fits.any()):
         return fits
     return fits & (reduced <= TIMES_TYPICAL * reduced[fits].median().clamp(min=1.0))
