@@ -36,3 +36,13 @@ def described(value: object) -> str:
     shape, dtype = getattr(value, "shape", None), str(getattr(value, "dtype", ""))
     kind = f"{type(value).__name__} of {dtype}" if "complex" in dtype else type(value).__name__
     return kind + ("" if shape is None else f" {tuple(shape)}")
+
+
+def chi_square_quantile(probability: float, degrees: float) -> float:
+    """Return what a chi-square variable stays below with a probability.
+
+    By the inverse of the incomplete gamma function: `scipy.stats` takes half a second to import.
+    """
+    from scipy.special import gammaincinv
+
+    return 2 * float(gammaincinv(degrees / 2, probability))

@@ -8,8 +8,9 @@ now does so for a while, and the NEES of one member at many times count as few.
 from __future__ import annotations
 
 import torch
-from scipy.stats import chi2
 from torch import Tensor
+
+from ahnn.numbers import chi_square_quantile
 
 GAUSSIAN = {1: 0.6826894921370859, 2: 0.9544997361036416, 3: 0.9973002039367398}
 """Probability of an error within so many standard deviations, erf(k / sqrt 2)."""
@@ -40,7 +41,7 @@ def band(degrees: float, count: float, probability: float = 0.95) -> tuple[float
     """
     count = max(count, 1)
     tail = (1 - probability) / 2
-    low, high = (float(chi2.ppf(p, count * degrees)) / count for p in (tail, 1 - tail))
+    low, high = (chi_square_quantile(p, count * degrees) / count for p in (tail, 1 - tail))
     return low, high
 
 

@@ -6,8 +6,9 @@ from functools import cache
 from typing import NamedTuple
 
 import torch
-from scipy.stats import chi2
 from torch import Tensor
+
+from ahnn.numbers import chi_square_quantile
 
 
 class Gate(NamedTuple):
@@ -54,4 +55,4 @@ def thresholds(gate: Gate, width: int, device: torch.device | None = None) -> Te
 
 @cache
 def _quantile(probability: float, degrees: int) -> float:
-    return float(chi2.ppf(probability, degrees))
+    return chi_square_quantile(probability, degrees)

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 
 import pytest
+import scipy.stats
 import torch
 
 from ahnn.estimation.consistency import GAUSSIAN, band, coverage, independent_count, nees, share_within
+from ahnn.numbers import chi_square_quantile
 
 F64 = torch.float64
 
@@ -136,3 +138,10 @@ def test_the_probabilities_of_a_gaussian_and_what_lies_on_an_edge():
     error = torch.tensor([[[1.0, -2.0, 3.0, 4.0]]], dtype=F64)
     assert coverage(error, torch.ones_like(error)) == {1: 0.25, 2: 0.5, 3: 0.75}
     assert share_within(torch.tensor([1.0, 2.0, 3.0, 4.0]), (1.0, 3.0)) == 0.75
+
+
+@pytest.mark.parametrize("degrees", [1, 2, 6.5, 100, 250_000])
+@pytest.mark.parametrize("probability", [0.025, 0.5, 0.9999])
+def test_quantiles_are_those_of_scipy(degrees, probability):
+    expected = scipy.stats.chi2.ppf(probability, degrees)
+    assert chi_square_quantile(probability, degrees) == pytest.approx(expected, rel=1e-12)
