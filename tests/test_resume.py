@@ -25,7 +25,8 @@ CASES = {
         "recipe=measurements",
         "data.noise=0.01",
         "data.gaps=0.1",
-        "loss.stages=[[weak,0.3],[4,0.6],[whole,1.0]]",
+        "loss.stages=[[weak,0.4],[4,1.0]]",
+        "data.every=3",
     ],
     "levenberg_marquardt": ["model=hnn", "optimizer=levenberg_marquardt", "data.precision=64"],
 }

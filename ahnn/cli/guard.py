@@ -14,7 +14,7 @@ import traceback
 from collections.abc import Callable
 from typing import Any
 
-from ahnn.cli.stops import listen
+from ahnn.cli.stops import arrived, listen
 from ahnn.errors import Stopped, TrainingError, UserError
 
 
@@ -36,7 +36,7 @@ def guard(entry: Callable[[], Any]) -> int:
     except UserError as error:
         return report(str(error), 2)
     except Exception as error:
-        if stop := stop_behind(error):
+        if stop := stop_behind(error) or arrived():
             return end(stop)
         if type(error).__module__.partition(".")[0] in ("hydra", "omegaconf"):  # some of them are OSErrors
             cause = error.__cause__

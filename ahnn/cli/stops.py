@@ -15,18 +15,30 @@ if TYPE_CHECKING:
     from lightning import Trainer
 
 
+_arrived: list[int] = []
+
+
 def _raise(number: int, frame: Any) -> None:
     del frame
+    _arrived.append(number)
+    if number == signal.SIGINT:
+        raise KeyboardInterrupt
     raise Stopped(number)
 
 
+def arrived() -> Stopped | None:
+    """Return the signal that arrived since `listen`, if any: whatever fails after it fails because of it.
+
+    An import that it interrupts may swallow the exception and fail in a way of its own.
+    """
+    return Stopped(_arrived[0]) if _arrived else None
+
+
 def listen() -> None:
-    """Let SIGTERM and SIGHUP raise `Stopped`, unless somebody chose that they are ignored (nohup)."""
+    """Let signals raise `KeyboardInterrupt` or `Stopped`, unless somebody has them ignored (nohup)."""
     if threading.current_thread() is not threading.main_thread():
         return
-    if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-    for number in (signal.SIGTERM, signal.SIGHUP):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _raise)
 
