@@ -120,7 +120,7 @@ class WeakProblem:
             message = (
                 "loss.stages: weak expects measured states and dynamics with a field; received "
                 f"{type(batch.instrument.measurement).__name__} and {type(dynamics).__name__}. "
-                "Begin with stretches, such as {4: 0.5, whole: 1.0}"
+                "Begin with stretches, such as [[4, 0.5], [whole, 1.0]]"
             )
             raise UserError(message)
         self.batch, self.robust = batch, robust
