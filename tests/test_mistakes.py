@@ -41,6 +41,8 @@ MISTAKES = {
     "recipe=measurements": "loss.stages: expected measurements; received exact states",
     "recipe=measurements data.measured=position data.noise=0.01": "Use hamiltonian=mechanical",
     "recipe=measurements data.noise=0.01 loss.stages=[[4,0.5]]": "loss.stages: expected intervals >= 3",
+    "recipe=measurements data.noise=0.01 data.emphasis=0.5": "data.emphasis: expected 0, since stretches",
+    "recipe=measurements data.noise=0.01 callbacks.best.monitor=val/rollout": "expected val/loss or val/lost",
     "recipe=measurements data.noise=0.01 loss.robust=cauchy": "loss.robust: expected one of none, huber",
     "model=mlp loss.derivative=1": "model mlp: expected loss=recursive, since a map has no field",
     "model=hnn_derivative loss.derivative=0": "loss.derivative: expected 1.0 with model hnn_derivative",

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 SIMULATION = ("trajectories", "seed", "cache")
 """Keys of `data` that say how many trajectories are simulated, and where they are kept."""
-
 SENSOR = ("measured", "noise", "every", "gaps", "outliers")
 """Keys of `data` that say what training sees of the trajectories."""
 
@@ -81,13 +80,7 @@ def build_model(cfg: DictConfig, data: WindowDataModule) -> AbstractModel:
     if model.curriculum.span is not None:
         data.require_span(model.curriculum.span)
     else:
-        if data.sensor is None:
-            message = (
-                "loss.stages: expected measurements; received exact states. Set data.noise, or choose "
-                "recipe=second_order"
-            )
-            raise UserError(message)
-        data.stages, data.epochs = model.curriculum, cfg.trainer.max_epochs
+        data.follow(model.curriculum, cfg.trainer.max_epochs)
     scheduler = build(cfg.scheduler, "scheduler") if cfg.scheduler else None
     model.optimisation = Optimisation(build(cfg.optimizer, "optimizer"), scheduler)
     known = {"recipe": data.source.recipe(), "split": list(data.splits.fractions)}

@@ -7,19 +7,20 @@ from typing import Annotated, Any, Literal, Protocol
 
 import torch
 from lightning import LightningDataModule
-from torch import Tensor
 
 from ahnn.arguments import Count, Seed, Within, checked
 from ahnn.data.loader import SegmentLoader, WindowLoader
-from ahnn.data.measured import measured_statistics, smooth
+from ahnn.data.measured import EXAMPLES, measured_statistics
 from ahnn.data.segments import Segments
 from ahnn.data.sensor import Sensor
 from ahnn.data.sources import Source
 from ahnn.data.splits import Split, SplitData
 from ahnn.data.windows import Windows, require_span
+from ahnn.errors import UserError
 from ahnn.measurements import Instrument
+from ahnn.measurements.smoothing import Local, smoothed
 from ahnn.memory import require_memory
-from ahnn.statistics import Statistics, sampling_interval
+from ahnn.statistics import Statistics
 from ahnn.types import Trajectories
 
 
@@ -93,19 +94,39 @@ class WindowDataModule(LightningDataModule):
         """Return the whole trajectories of a split, as training may see them."""
         return self.splits.measured(split)
 
-    def statistics(self) -> Statistics:
-        """Return the statistics of the training split, float64, measurements smoothed."""
-        train = self.trajectories("train")
-        return Statistics.of(train) if self.sensor is None else measured_statistics(train, self.instrument)
+    @cached_property
+    def smooth(self) -> Local:
+        """Polynomials at some of the training measurements, which scalings and widths are read off."""
+        return smoothed(self.splits.instrument(), *self.trajectories("train"), EXAMPLES)
 
     @cached_property
     def instrument(self) -> Instrument:
-        """What gave the measurements; an integrator steps as far as the samples of the truth lie apart."""
-        assert self.sensor is not None
-        spacing = sampling_interval(self.splits["test"])
-        longest = float(spacing.nanmedian()) if isinstance(spacing, Tensor) else spacing
-        width = smooth(self.trajectories("train"), self.sensor.instrument(longest)).width
-        return self.sensor.instrument(longest, width)
+        """What gave the measurements, with how smooth the motion is beside their noise."""
+        return self.splits.instrument()._replace(width=self.smooth.width)
+
+    def statistics(self) -> Statistics:
+        """Return the statistics of the training split, float64, measurements smoothed."""
+        train = self.trajectories("train")
+        if self.sensor is None:
+            return Statistics.of(train)
+        return measured_statistics(self.smooth, self.instrument, train.times)
+
+    def follow(self, stages: Stages, epochs: int) -> None:
+        """Hand out stretches of measurements that grow over so many epochs, in place of windows.
+
+        Raises:
+            UserError: no measurements, or windows that are to be drawn by speed.
+        """
+        if self.sensor is None:
+            message = (
+                "loss.stages: expected measurements; received exact states. Set data.noise, or choose "
+                "recipe=second_order"
+            )
+            raise UserError(message)
+        if self.emphasis:
+            message = f"data.emphasis: expected 0, since stretches are drawn alike; received {self.emphasis}"
+            raise UserError(message)
+        self.stages, self.epochs = stages, epochs
 
     def train_dataloader(self) -> WindowLoader | SegmentLoader:
         """Return shuffled training batches."""

@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 import torch
+from torch import Tensor
 
 from ahnn.measurements import Instrument
-from ahnn.measurements.smoothing import Local, as_states, smoothed
+from ahnn.measurements.smoothing import Local, as_states
 from ahnn.statistics import Statistics
-from ahnn.types import Trajectories
 
 EXAMPLES = 4_000
 """Samples whose neighbourhood is smoothed."""
 
 
-def smooth(measured: Trajectories, instrument: Instrument) -> Local:
-    """Return polynomials at some of the samples."""
-    return smoothed(instrument, measured.states, measured.times, EXAMPLES)
-
-
-def measured_statistics(measured: Trajectories, instrument: Instrument) -> Statistics:
-    """Return the statistics of measurements (B, T, M), read off polynomials that are local in time.
+def measured_statistics(local: Local, instrument: Instrument, times: Tensor) -> Statistics:
+    """Return the statistics of measurements at times (B, T), read off polynomials that are local in time.
 
     Rates come from the polynomials and not from differences, which noise inflates.
     """
-    times, local = measured.times, smooth(measured, instrument)
     states = as_states(local.value, local.rate, instrument)
     rates = as_states(local.rate, local.curvature, instrument)
     positions, forces = states.chunk(2, dim=-1)[0], rates.chunk(2, dim=-1)[1]

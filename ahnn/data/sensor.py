@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ahnn.arguments import Count, Seed, Within, checked
 from ahnn.errors import UserError
-from ahnn.measurements import Instrument, Locating, Measurement, Position, State, observe
+from ahnn.measurements import Instrument, Locating, Measurement, State, observe, reading
 from ahnn.types import Space, Trajectories
 
 Share = Annotated[float, Within(0, 0.9)]
@@ -49,14 +49,19 @@ class Sensor:
         seed: Seed = 0,
     ) -> None:
         self.space = space
-        self.measurement: Any = named(measured, space) if isinstance(measured, str) else measured
+        try:
+            self.measurement: Any = reading(measured, space) if isinstance(measured, str) else measured
+        except ValueError as error:
+            message = f"data.measured: {error}"
+            raise UserError(message) from error
         if not isinstance(self.measurement, Locating):
             message = (
                 "data.measured: expected state, position, or a model with a method `locate`, from which "
                 f"starts can be guessed; received {type(self.measurement).__name__}"
             )
             raise UserError(message)
-        self.deviations = deviations(self.measurement, noise, space)  # pyright: ignore[reportArgumentType]
+        measured_by: Any = self.measurement
+        self.deviations = deviations(measured_by, noise, space)
         self.every, self.gaps, self.outliers, self.seed = every, gaps, outliers, seed
 
     @property
@@ -64,11 +69,9 @@ class Sensor:
         """Whether whole states are measured."""
         return isinstance(self.measurement, State)
 
-    def instrument(self, longest: float, width: int = 2) -> Instrument:
-        """Return what a fit must know: the longest step of an integrator, and how smooth the motion is."""
-        return Instrument(
-            self.measurement, self.deviations, longest, self.space.dof, self.space.inertia, width
-        )
+    def instrument(self, longest: float) -> Instrument:
+        """Return what a fit must know; `longest` is the longest step of an integrator."""
+        return Instrument(self.measurement, self.deviations, longest, self.space.dof, self.space.inertia)
 
     def measure(self, truth: Trajectories, part: int) -> Trajectories:
         """Return measurements (B, K, M) of true trajectories, with a seed for each part of the data."""
@@ -82,16 +85,6 @@ class Sensor:
         values = torch.where(off, values + OUTLIER * sign * self.deviations, values)
         missing = torch.rand(values.shape[:2], **draw) < self.gaps
         return Trajectories(values.masked_fill(missing.unsqueeze(-1), torch.nan), times)
-
-
-def named(measured: str, space: Space) -> Measurement:
-    """Return the measurement of whole states, or of positions."""
-    if measured == "position":
-        return Position(space.dof, space.units.position)
-    if measured == "state":
-        return State(space.dof, (space.units.position, f"{space.units.velocity} · mass"))
-    message = f"data.measured: expected state, position or a model; received {measured!r}"
-    raise UserError(message)
 
 
 def deviations(measurement: Measurement, noise: float | Sequence[float], space: Space) -> Tensor:

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
+from torch import Tensor
+
 from ahnn.data.sensor import Sensor
 from ahnn.data.sources import Source
 from ahnn.errors import UserError
+from ahnn.measurements import Instrument
+from ahnn.statistics import sampling_interval
 from ahnn.types import Trajectories
 
 Split = Literal["train", "val", "test"]
@@ -72,6 +76,12 @@ class SplitData:
         if split not in self._measured:
             self._measured[split] = self.sensor.measure(self[split], SPLITS.index(split))
         return self._measured[split]
+
+    def instrument(self) -> Instrument:
+        """Return what measures; an integrator steps as far as the samples of the truth lie apart."""
+        assert self.sensor is not None
+        spacing = sampling_interval(self["test"])
+        return self.sensor.instrument(float(spacing.nanmedian()) if isinstance(spacing, Tensor) else spacing)
 
 
 def check_fractions(fractions: list[float]) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import torch
-from torch import Tensor
 
 from ahnn.data import SplitData
 from ahnn.data.segments import Segments
@@ -49,7 +48,5 @@ def measured_test(data: SplitData) -> Segment | None:
     """Return the measurements of whole test trajectories; None where states are known."""
     if data.sensor is None:
         return None
-    spacing = sampling_interval(data["test"])
-    longest = float(spacing.nanmedian()) if isinstance(spacing, Tensor) else spacing
-    segments = Segments(data.measured("test"), None, data.sensor.instrument(longest))
+    segments = Segments(data.measured("test"), None, data.instrument())
     return segments.gather(torch.arange(len(segments)))

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, cast
 
 from ahnn.evaluation.case import Case, EvaluationPlugin, Findings, Row
-from ahnn.evaluation.consistency import explain
+from ahnn.evaluation.explained import explain
 from ahnn.evaluation.figures import open_loop_figures
 from ahnn.evaluation.open_loop import open_loop
 

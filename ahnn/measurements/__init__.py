@@ -9,7 +9,7 @@ from __future__ import annotations
 from ahnn.measurements.base import Locating, Measurement, Sighted, Time, observe, wrap
 from ahnn.measurements.gnss import GnssRange
 from ahnn.measurements.ground_station import GroundStation
-from ahnn.measurements.readings import Position, State
+from ahnn.measurements.readings import Position, State, reading
 from ahnn.measurements.schedule import Schedule, every, schedule
 from ahnn.measurements.segment import Instrument, Segment
 
@@ -27,6 +27,7 @@ __all__ = [
     "Time",
     "every",
     "observe",
+    "reading",
     "schedule",
     "wrap",
 ]

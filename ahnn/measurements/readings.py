@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from ahnn.measurements.base import Time
+from ahnn.measurements.base import Measurement, Time
+from ahnn.types import Space
 
 
 class Position:
@@ -55,3 +56,17 @@ class State:
     def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
         """Return y - y_pred."""
         return y - y_pred
+
+
+def reading(name: str, space: Space) -> Measurement:
+    """Return the measurement called `position` or `state` of a space.
+
+    Raises:
+        ValueError: another name.
+    """
+    if name == "position":
+        return Position(space.dof, space.units.position)
+    if name == "state":
+        return State(space.dof, (space.units.position, f"{space.units.velocity} · mass"))
+    message = f"expected state, position or a model; received {name!r}"
+    raise ValueError(message)

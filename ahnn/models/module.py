@@ -27,6 +27,9 @@ from ahnn.training import (
 from ahnn.training.finite import require_finite_loss, require_finite_weights
 from ahnn.types import Flow, TimeStep, Window
 
+STAGED = ("val/loss", "val/lost")
+"""What validations on measurements log."""
+
 
 class Optimisation(NamedTuple):
     """Factories of the optimiser and its scheduler, which belong to a training and not to a model."""
@@ -94,6 +97,8 @@ class AbstractModel(LightningModule, ABC):
         Raises:
             UserError: settings that do not go together.
         """
+        if self.curriculum.span is None:
+            self._check_stages(trainer)
         configured = self.configure_optimizers()
         self.stepper.check(trainer, self.dynamics)
         if isinstance(trainer.strategy, DDPStrategy) and not trainer.strategy._ddp_kwargs:
@@ -110,6 +115,19 @@ class AbstractModel(LightningModule, ABC):
         except (ArithmeticError, TypeError, ValueError) as error:
             message = f"scheduler: it cannot take a step with these settings: {error}"
             raise UserError(message) from error
+
+    def _check_stages(self, trainer: Trainer) -> None:
+        """Refuse what training on measurements cannot: no CPU, or values that it does not log."""
+        device = trainer.strategy.root_device.type
+        asked = {"trainer.accelerator": (device, ("cpu",)), "trainer.devices": (trainer.world_size, (1,))}
+        for callback in trainer.callbacks:  # pyright: ignore[reportAttributeAccessIssue]
+            if isinstance(monitor := getattr(callback, "monitor", None), str):
+                asked[f"{type(callback).__name__}.monitor"] = monitor, STAGED
+        for name, (received, fitting) in asked.items():
+            if received not in fitting:
+                expected = " or ".join(map(str, fitting))
+                message = f"{name}: expected {expected} for training on measurements; received {received}"
+                raise UserError(message)
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Add what the dynamics are and were trained on, and the latest validation loss, as plain values."""

@@ -87,14 +87,11 @@ class Curriculum:
 
     def intervals(self, epoch: int, epochs: int) -> int | None:
         """Return the intervals of a stretch in an epoch; None takes whole trajectories."""
-        objective = self.at(epoch, epochs)
-        assert isinstance(objective, Shooting | Weak)
-        return objective.intervals
+        return cast(Shooting | Weak, self.at(epoch, epochs)).intervals
 
     def all_at_once(self, epoch: int, epochs: int) -> bool:
         """Return whether each step of an epoch takes all stretches."""
-        objective = self.at(epoch, epochs)
-        return isinstance(objective, Shooting) and objective.all_at_once
+        return cast(Shooting | Weak, self.at(epoch, epochs)).all_at_once
 
 
 def make_curriculum(size: int, window: int, options: dict[str, Any]) -> tuple[nn.Module, Curriculum]:

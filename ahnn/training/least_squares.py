@@ -7,12 +7,13 @@ the sensitivity of their state along instead: W steps then cost W passes and not
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, cast
 
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call, jacrev, vmap
 
+from ahnn.dynamics import HasField
 from ahnn.training.normal_equations import Equations, normal_equations
 from ahnn.types import TimeStep, Window
 
@@ -81,6 +82,18 @@ def parametrised(
         return functional_call(wrapped, {**parameters, **buffers}, arguments)
 
     return call
+
+
+def field_jacobian(dynamics: HasField) -> Callable[[Tensor, Tensor], Tensor]:
+    """Return (theta (P,), x (..., D)) -> df/dtheta, shape (..., D, P), float32, of the field f."""
+    field = parametrised(cast(nn.Module, dynamics), lambda x: dynamics.field(x), torch.float32)
+    single = lambda theta, x: field(theta, x.unsqueeze(0)).squeeze(0)  # noqa: E731
+    rows = vmap(jacrev(single), (None, 0), chunk_size=20_000)
+
+    def jacobian(theta: Tensor, x: Tensor) -> Tensor:
+        return rows(theta.float(), x.float().flatten(0, -2)).unflatten(0, x.shape[:-1])
+
+    return jacobian
 
 
 def pointwise_problem(

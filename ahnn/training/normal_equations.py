@@ -7,7 +7,7 @@ known kinetic energy leaves half of the rows empty, and no residual depends on t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import torch
@@ -40,6 +40,32 @@ class Equations(NamedTuple):
     loss: Tensor
     degrees: int
     blocks: list[Block]
+
+
+class Rows(NamedTuple):
+    """Some of the residuals of a problem.
+
+    Attributes:
+        loss: what they contribute to it.
+        residuals: r, shape (N,).
+        jacobian: J, shape (N, P); products are formed in its precision.
+    """
+
+    loss: Tensor
+    residuals: Tensor
+    jacobian: Tensor
+
+
+def accumulated(parts: Iterable[Rows], theta: Tensor, degrees: int) -> Equations:
+    """Return the equations of all parts in the parameters theta, shape (P,), in one block."""
+    count = len(theta)
+    loss, gradient = theta.new_zeros(()), theta.new_zeros(count)
+    matrix = theta.new_zeros(count, count)
+    for part in parts:
+        loss += part.loss
+        gradient += (part.jacobian.T @ part.residuals.to(part.jacobian)).to(theta)
+        matrix += gram(part.jacobian).to(theta)
+    return Equations(loss, degrees, [Block(torch.arange(count), matrix, gradient)])
 
 
 def normal_equations(jacobian: Tensor, residuals: Tensor, sizes: Sequence[int]) -> list[Block]:

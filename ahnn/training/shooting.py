@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
-from torch.func import jacrev, vmap
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from ahnn.dynamics import Dynamics, HasField
@@ -23,8 +22,8 @@ from ahnn.measurements.smoothing import guess
 from ahnn.shooting.paths import path, sensitivities, steps_between
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
 from ahnn.shooting.starts import HOPELESS, Trial, fit_starts, followed, linearised, refine
-from ahnn.training.least_squares import parametrised
-from ahnn.training.normal_equations import Block, Equations, gram
+from ahnn.training.least_squares import field_jacobian
+from ahnn.training.normal_equations import Equations, Rows, accumulated
 
 CELLS = 5e7
 """Numbers in the largest tensor of sensitivities; longer batches are cut into parts of segments."""
@@ -57,8 +56,7 @@ class Shooting:
         gradient is the one along the best starts (the envelope theorem).
         """
         problem = self.problem(dynamics, batch)
-        exact = lambda x, dt: dynamics.increment(x, dt)  # noqa: E731
-        states = path(exact, problem.starts, problem.steps.lengths)[:, problem.steps.ends]
+        states = path(dynamics.increment, problem.starts, problem.steps.lengths)[:, problem.steps.ends]
         residuals = problem.batch.residuals(states)
         return residuals * ROBUST[self.robust].weight(residuals.detach()).sqrt()
 
@@ -105,10 +103,9 @@ class ShootingProblem:
                 f"{type(dynamics).__name__}. Use model=ahnn or model=node"
             )
             raise UserError(message)
-        field, self.robust = dynamics.field, robust
+        self.robust, self._forcing = robust, field_jacobian(dynamics)
         self._exact = copy.deepcopy(dynamics).requires_grad_(False)
         self._rough = copy.deepcopy(dynamics).requires_grad_(False).float()
-        self._field = parametrised(dynamics, lambda x: field(x), torch.float32)
         trial = self._at(parameters_to_vector(dynamics.parameters()).detach())
         steps = steps_between(batch.times, batch.instrument.longest)
         fitted = fit_starts(trial, guess(batch), batch, steps)
@@ -142,18 +139,11 @@ class ShootingProblem:
         del sizes
         if not len(self.starts):
             return Equations(theta.new_tensor(LOST), 1, [])
-        count = len(theta)
-        loss, gradient = theta.new_zeros(()), theta.new_zeros(count)
-        matrix = theta.new_zeros(count, count)
-        for part in self._parts(count):
-            cost, rows, design = self._projected(theta, part)
-            loss += cost
-            gradient += (design.T @ rows.to(design)).to(theta)
-            matrix += gram(design).to(theta)
-        return Equations(loss, self.count, [Block(torch.arange(count), matrix, gradient)])
+        parts = (self._projected(theta, part) for part in self._parts(len(theta)))
+        return accumulated(parts, theta, self.count)
 
-    def _projected(self, theta: Tensor, part: slice) -> tuple[Tensor, Tensor, Tensor]:
-        """Return loss, residuals (R,) and their Jacobian (R, P), float32, in the complement of the starts."""
+    def _projected(self, theta: Tensor, part: slice) -> Rows:
+        """Return residuals and their Jacobian, float32, in the complement of the starts."""
         steps = self.steps.rows(part)
         trial, segment = self._at(theta), self.batch.rows(part)
         states, sums = followed(trial, self.starts[part], segment, steps)
@@ -164,14 +154,7 @@ class ShootingProblem:
         rows = now.residuals.flatten(1)
         rows = rows - (basis @ (basis.mT @ rows.unsqueeze(-1))).squeeze(-1)
         low = basis.float()
-        return sums.sum(), rows.flatten(), (of_theta - low @ (low.mT @ of_theta)).flatten(0, 1)
-
-    def _forcing(self, theta: Tensor, states: Tensor) -> Tensor:
-        """Return the derivative of the field with respect to theta, (B, N + 1, D, P), float32."""
-        single = lambda t, x: self._field(t, x.unsqueeze(0)).squeeze(0)  # noqa: E731
-        states = states.float()
-        rows = vmap(jacrev(single), (None, 0), chunk_size=20_000)(theta.float(), states.flatten(0, 1))
-        return rows.unflatten(0, states.shape[:2])
+        return Rows(sums.sum(), rows.flatten(), (of_theta - low @ (low.mT @ of_theta)).flatten(0, 1))
 
 
 def freedom(batch: Segment) -> Tensor:

@@ -13,19 +13,18 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, cast
+from typing import ClassVar, NamedTuple, cast
 
 import torch
 from torch import Tensor
-from torch.func import jacrev, vmap
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.errors import UserError
 from ahnn.measurements import Segment, State
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
-from ahnn.training.least_squares import parametrised
-from ahnn.training.normal_equations import Block, Equations, gram
+from ahnn.training.least_squares import field_jacobian
+from ahnn.training.normal_equations import Equations, Rows, accumulated
 
 POWER = 4
 """Of phi = (1 - u^2)^p: so many derivatives vanish at its ends, where sums then equal integrals."""
@@ -86,7 +85,8 @@ class Weak:
     """
 
     robust: RobustName = "none"
-    intervals: int | None = None
+    intervals: ClassVar[None] = None  # whole trajectories
+    all_at_once: ClassVar[bool] = False
 
     def residuals(self, dynamics: Dynamics, batch: Segment) -> Tensor:
         """Return the weighted residuals, shape (B, J, D), with a graph."""
@@ -125,8 +125,7 @@ class WeakProblem:
             raise UserError(message)
         self.batch, self.robust = batch, robust
         self._exact = copy.deepcopy(dynamics).requires_grad_(False)
-        field = dynamics.field
-        self._field = parametrised(dynamics, lambda x: field(x), torch.float32)
+        self._forcing = field_jacobian(dynamics)
         present = batch.values.isfinite().all(-1)
         times = batch.times - batch.times[:, :1]
         alike = bool((times - times[:1]).abs().max() <= 1e-9 * times.max()) and bool(present.all())
@@ -165,25 +164,18 @@ class WeakProblem:
     def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
         """Return loss and normal equations."""
         del sizes
-        count, field = len(theta), self._at(theta)
-        loss, gradient = theta.new_zeros(()), theta.new_zeros(count)
-        matrix = theta.new_zeros(count, count)
-        for part in self._parts(count):
-            plain = self.integrals(field, part)
-            weight = self.robust.weight(plain).sqrt()
-            design = self._design(theta, part, weight.float())
-            loss += self.robust.cost(plain).sum()
-            gradient += (design.T @ (weight * plain).flatten().to(design)).to(theta)
-            matrix += gram(design).to(theta)
-        return Equations(loss, self.count, [Block(torch.arange(count), matrix, gradient)])
+        field = self._at(theta)
+        return accumulated(
+            (self._rows(theta, field, part) for part in self._parts(len(theta))), theta, self.count
+        )
 
-    def _design(self, theta: Tensor, part: slice, weight: Tensor) -> Tensor:
-        """Return the Jacobian (R, P) of the residuals of some segments, float32."""
-        single = lambda t, x: self._field(t, x.unsqueeze(0)).squeeze(0)  # noqa: E731
-        tests, x = self._of(part), self.values[part].float()
-        forcing = vmap(jacrev(single), (None, 0), chunk_size=20_000)(theta.float(), x.flatten(0, 1))
-        forcing = forcing.unflatten(0, x.shape[:2]).flatten(2)  # (B, K + 1, D P)
-        weights = (tests.whiten @ tests.values).float()
-        scale = weight / self.batch.instrument.deviations.to(weight)
-        rows = (weights @ forcing).unflatten(-1, (x.shape[-1], -1)) * scale.unsqueeze(-1)
-        return rows.flatten(0, 2)
+    def _rows(self, theta: Tensor, field: torch.nn.Module, part: slice) -> Rows:
+        """Return the residuals of some segments and their Jacobian, float32."""
+        plain = self.integrals(field, part)
+        weight = self.robust.weight(plain).sqrt()
+        tests, x = self._of(part), self.values[part]
+        forcing = self._forcing(theta, x).flatten(2)  # (B, K + 1, D P)
+        integrated = (tests.whiten @ tests.values).float() @ forcing
+        scale = (weight / self.batch.instrument.deviations.to(weight)).float()
+        jacobian = integrated.unflatten(-1, (x.shape[-1], -1)) * scale.unsqueeze(-1)
+        return Rows(self.robust.cost(plain).sum(), (weight * plain).flatten(), jacobian.flatten(0, 2))

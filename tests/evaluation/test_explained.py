@@ -11,7 +11,7 @@ from torch import nn
 
 from ahnn.data.segments import Segments
 from ahnn.data.sensor import Sensor
-from ahnn.evaluation.consistency import explain, serial
+from ahnn.evaluation.explained import explain, serial
 from ahnn.integrators import INTEGRATORS
 
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from ahnn.arguments import Count, Positive, checked
 from ahnn.errors import UserError
 from ahnn.estimation.scenario import Setting
-from ahnn.measurements import Measurement, Position, State
+from ahnn.measurements import Measurement, reading
 from ahnn.systems import System
 
 
@@ -42,18 +42,11 @@ def make_setting(
         UserError: no measurement falls within a trajectory, or an option does not fit the system.
     """
     updates = _cadence(cadence, steps) if times is None else _samples(times, system.dt, steps)
-    model = named(measurement, system) if isinstance(measurement, str) else measurement
+    model = reading(measurement, system.space) if isinstance(measurement, str) else measurement
     default = system.noise.measurement if measurement == "position" else None
     sd = _deviations(model, default if measurement_sd is None else measurement_sd)
     _try(model, system, updates[0] * system.dt)
     return Setting(model, sd, _start(system, start_sd), updates)
-
-
-def named(measurement: str, system: System) -> Measurement:
-    """Return the measurement of a system's positions, or of its whole states."""
-    if measurement == "position":
-        return Position(system.dof, system.units.position)
-    return State(system.dof, (system.units.position, f"{system.units.velocity} · mass"))
 
 
 def _cadence(cadence: int, steps: int) -> tuple[int, ...]:
