@@ -17,8 +17,8 @@ from ahnn.shooting.paths import Increment, Steps, path, pointwise_jacobian, step
 from ahnn.shooting.robust import Robust
 
 SHORTEST = 4
-"""Intervals over which starts are fitted first."""
-GROWTH = 2
+"""Intervals over which starts are fitted first, at least."""
+GROWTH = 4
 """Factor from one span to the next."""
 HOPELESS = 1e4
 """Mean squared residual of a segment that is given up."""
@@ -76,6 +76,10 @@ class Fitted(NamedTuple):
         """(B, D) the first states."""
         return self.states[:, 0]
 
+    def rows(self, part: Tensor) -> Fitted:
+        """Return some of the segments."""
+        return Fitted(self.states[part], self.sums[part])
+
 
 def linearised(trial: Trial, states: Tensor, segment: Segment, steps: Steps) -> Linearised:
     """Return the residuals of paths (B, N + 1, D), and their derivatives."""
@@ -102,13 +106,12 @@ def fit_starts(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> F
     A segment that does not meet its measurements over one span is not tried over longer ones.
     """
     intervals, start = len(steps.ends) - 1, start.clone()
-    span, alive = min(SHORTEST, intervals), torch.arange(len(start))
-    while span < intervals:
+    alive = torch.arange(len(start))
+    for span in growing(intervals):
         part, grid = segment.rows(alive).first(span), steps.rows(alive).first(span)
         fitted = refine(trial, start[alive], part, grid, ROUGHLY)
         start[alive] = fitted.starts
         alive = alive[fitted.sums <= HOPELESS * part.measured]
-        span = min(GROWTH * span, intervals)
     states = start.new_full((len(start), steps.lengths.shape[1] + 1, start.shape[1]), torch.nan)
     sums = start.new_full((len(start),), torch.inf)
     fitted = refine(trial, start[alive], segment.rows(alive), steps.rows(alive), ITERATIONS)
@@ -116,23 +119,31 @@ def fit_starts(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> F
     return Fitted(states, sums)
 
 
+def growing(intervals: int) -> list[int]:
+    """Return the spans over which starts are fitted before all of the intervals."""
+    spans = []
+    while (intervals := -(-intervals // GROWTH)) >= SHORTEST:
+        spans.append(intervals)
+    return spans[::-1]
+
+
 @torch.no_grad()
 def refine(trial: Trial, start: Tensor, segment: Segment, steps: Steps, iterations: int) -> Fitted:
     """Return the fit after at most so many Levenberg-Marquardt steps, each segment damped by itself."""
-    damping, fitted = start.new_full((len(start),), 1e-3), followed(trial, start, segment, steps)
+    fitted = followed(trial, start, segment, steps)
+    damping, moving = start.new_full((len(start),), 1e-3), fitted.sums.isfinite().nonzero().squeeze(1)
     for _ in range(iterations):
-        now = linearised(trial, fitted.states, segment, steps)
-        moves = damped_moves(now.of_start.flatten(1, 2), now.residuals.flatten(1), damping)
-        candidate = followed(trial, fitted.starts + moves, segment, steps)
-        better = (candidate.sums <= fitted.sums) & candidate.sums.isfinite()
-        settled = (fitted.sums - candidate.sums).abs() <= SETTLED
-        fitted = Fitted(
-            torch.where(better[:, None, None], candidate.states, fitted.states),
-            torch.where(better, candidate.sums, fitted.sums),
-        )
-        damping = torch.where(better, damping / 10, damping * 10).clamp(SMALLEST, LARGEST)
-        if bool((settled | ~fitted.sums.isfinite()).all()):
+        if not len(moving):
             break
+        part, grid, before = segment.rows(moving), steps.rows(moving), fitted.rows(moving)
+        now = linearised(trial, before.states, part, grid)
+        moves = damped_moves(now.of_start.flatten(1, 2), now.residuals.flatten(1), damping[moving])
+        after = followed(trial, before.starts + moves, part, grid)
+        better = after.sums <= before.sums
+        fitted.states[moving[better]], fitted.sums[moving[better]] = after.rows(better)
+        factor = torch.where(better, 0.1, 10.0)
+        damping[moving] = (damping[moving] * factor).clamp(SMALLEST, LARGEST)
+        moving = moving[(before.sums - after.sums).abs() > SETTLED]
     return fitted
 
 

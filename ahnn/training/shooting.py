@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -28,9 +29,7 @@ from ahnn.training.normal_equations import Equations, Rows, accumulated
 CELLS = 5e7
 """Numbers in the largest tensor of sensitivities; longer batches are cut into parts of segments."""
 TIMES_TYPICAL = 5.0
-"""A segment whose chi-square is so many times the median has not converged, and is left out."""
-LOST = 1e6
-"""Chi-square per degree of freedom that a segment counts with if its path never met the measurements."""
+"""A segment whose chi-square is so many times the median counts with the logarithm of what is beyond."""
 REFITS = 2
 """Steps that move the starts after the parameters moved."""
 
@@ -58,7 +57,10 @@ class Shooting:
         problem = self.problem(dynamics, batch)
         states = path(dynamics.increment, problem.starts, problem.steps.lengths)[:, problem.steps.ends]
         residuals = problem.batch.residuals(states)
-        return residuals * ROBUST[self.robust].weight(residuals.detach()).sqrt()
+        fixed = residuals.detach()
+        of_segments = problem.limit.weight(ROBUST[self.robust].cost(fixed).sum((1, 2)))
+        weight = ROBUST[self.robust].weight(fixed) * of_segments[:, None, None]
+        return residuals * weight.sqrt()
 
     def problem(self, dynamics: Dynamics, batch: Segment) -> ShootingProblem:
         """Return the same residuals as a problem in the parameters of the dynamics."""
@@ -69,13 +71,10 @@ class Shooting:
         return batch, None
 
     def validation(self, dynamics: Dynamics, batch: Segment) -> dict[str, Tensor]:
-        """Return chi-square per degree of freedom, a lost segment as `LOST`, and the share of these."""
-        problem = self.problem(dynamics, batch)
-        theta = parameters_to_vector(dynamics.parameters()).detach()
-        count = len(batch.values)
-        mean = problem.loss(theta) / max(problem.count, 1)
-        lost = problem.lost / count
-        return {"loss": mean.clamp(max=LOST) * (1 - lost) + LOST * lost, "lost": theta.new_tensor(lost)}
+        """Return chi-square per degree of freedom, a lost segment as `HOPELESS`, and the share of these."""
+        fitted, degrees = self.problem(dynamics, batch).fitted, freedom(batch)
+        sums = torch.minimum(fitted.sums, HOPELESS * degrees)
+        return {"loss": sums.sum() / degrees.sum(), "lost": (~near(fitted.sums, degrees)).double().mean()}
 
 
 class ShootingProblem:
@@ -87,7 +86,9 @@ class ShootingProblem:
         robust: the loss of single residuals.
 
     Attributes:
+        fitted: all segments from the starts that fit them best.
         batch, starts: the segments that converged, and their first states (B, D).
+        limit: how much a single segment may count.
         steps: of the integrator between measurements.
         lost: how many segments did not converge.
         count: degrees of freedom, parameters not taken off.
@@ -108,10 +109,11 @@ class ShootingProblem:
         self._rough = copy.deepcopy(dynamics).requires_grad_(False).float()
         trial = self._at(parameters_to_vector(dynamics.parameters()).detach())
         steps = steps_between(batch.times, batch.instrument.longest)
-        fitted = fit_starts(trial, guess(batch), batch, steps)
-        kept = converged(fitted.sums, freedom(batch))
-        self.steps, self.batch, self.starts = steps.rows(kept), batch.rows(kept), fitted.starts[kept]
+        self.fitted = fit_starts(trial, guess(batch), batch, steps)
+        kept = near(self.fitted.sums, freedom(batch))
+        self.steps, self.batch, self.starts = steps.rows(kept), batch.rows(kept), self.fitted.starts[kept]
         self.lost = int((~kept).sum())
+        self.limit = Limit.of(self.fitted.sums[kept], freedom(self.batch))
         self.count = int(freedom(self.batch).sum())
 
     def _at(self, theta: Tensor) -> Trial:
@@ -127,18 +129,18 @@ class ShootingProblem:
 
     @torch.no_grad()
     def loss(self, theta: Tensor) -> Tensor:
-        """Return the sum of squared residuals, each segment from the start that fits it best."""
+        """Return the sum of squared residuals, each segment from the start that fits it best, limited."""
         if not len(self.starts):
             return theta.new_full((), torch.inf)
         trial = self._at(theta)
-        return refine(trial, self.starts, self.batch, self.steps, REFITS).sums.sum()
+        return self.limit.cost(refine(trial, self.starts, self.batch, self.steps, REFITS).sums).sum()
 
     @torch.no_grad()
     def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
         """Return loss and normal equations, starts eliminated; no equations if no segment converged."""
         del sizes
         if not len(self.starts):
-            return Equations(theta.new_tensor(LOST), 1, [])
+            return Equations(theta.new_tensor(HOPELESS), 1, [])
         parts = (self._projected(theta, part) for part in self._parts(len(theta)))
         return accumulated(parts, theta, self.count)
 
@@ -146,6 +148,7 @@ class ShootingProblem:
         """Return residuals and their Jacobian, float32, in the complement of the starts."""
         steps = self.steps.rows(part)
         trial, segment = self._at(theta), self.batch.rows(part)
+        limit = self.limit.rows(part)
         states, sums = followed(trial, self.starts[part], segment, steps)
         now = linearised(trial, states, segment, steps)
         moved = sensitivities(now.jacobians.float(), self._forcing(theta, states), steps)
@@ -153,8 +156,9 @@ class ShootingProblem:
         basis = torch.linalg.qr(now.of_start.flatten(1, 2)).Q
         rows = now.residuals.flatten(1)
         rows = rows - (basis @ (basis.mT @ rows.unsqueeze(-1))).squeeze(-1)
-        low = basis.float()
-        return Rows(sums.sum(), rows.flatten(), (of_theta - low @ (low.mT @ of_theta)).flatten(0, 1))
+        low, weight = basis.float(), limit.weight(sums).sqrt()
+        of_theta = (of_theta - low @ (low.mT @ of_theta)) * weight[:, None, None].float()
+        return Rows(limit.cost(sums).sum(), (rows * weight[:, None]).flatten(), of_theta.flatten(0, 1))
 
 
 def freedom(batch: Segment) -> Tensor:
@@ -162,13 +166,34 @@ def freedom(batch: Segment) -> Tensor:
     return batch.measured - 2 * batch.instrument.dof
 
 
-def converged(sums: Tensor, degrees: Tensor) -> Tensor:
-    """Return which segments are near the others in chi-square per degree of freedom, (B,) bool.
+def near(sums: Tensor, degrees: Tensor) -> Tensor:
+    """Return which segments converged, (B,) bool: none beyond `HOPELESS`, whose derivatives mean nothing."""
+    return (sums <= HOPELESS * degrees) & (degrees > 0)
 
-    One beyond `HOPELESS` never is: steps on such segments would ruin dynamics that are nearly right.
+
+class Limit(NamedTuple):
+    """How much single segments may count: where dynamics are still wrong they would outweigh all others.
+
+    Attributes:
+        most: (B,) sum of squares up to which a segment counts as it is; beyond, by its logarithm.
     """
-    reduced = sums / degrees.clamp(min=1)
-    fits = (reduced <= HOPELESS) & (degrees > 0)
-    if not bool(fits.any()):
-        return fits
-    return fits & (reduced <= TIMES_TYPICAL * reduced[fits].median().clamp(min=1.0))
+
+    most: Tensor
+
+    @classmethod
+    def of(cls, sums: Tensor, degrees: Tensor) -> Limit:
+        """Return the limits of segments with these sums of squares and degrees of freedom, (B,)."""
+        typical = (sums / degrees).median().clamp(min=1.0) if len(sums) else 1.0
+        return cls(TIMES_TYPICAL * typical * degrees)
+
+    def rows(self, part: slice) -> Limit:
+        """Return the limits of some of the segments."""
+        return Limit(self.most[part])
+
+    def cost(self, sums: Tensor) -> Tensor:
+        """Return what sums of squares (B,) count."""
+        return torch.where(sums <= self.most, sums, self.most * (1 + (sums / self.most).log()))
+
+    def weight(self, sums: Tensor) -> Tensor:
+        """Return the derivative of the cost, (B,)."""
+        return (self.most / sums).clamp(max=1.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 from helpers import close, generator
@@ -14,9 +16,9 @@ from ahnn.measurements import GroundStation, Instrument, Position, Segment, Stat
 from ahnn.measurements.smoothing import guess
 from ahnn.shooting.paths import path, steps_between
 from ahnn.shooting.robust import ROBUST
-from ahnn.shooting.starts import Trial, fit_starts, refine
+from ahnn.shooting.starts import HOPELESS, Trial, fit_starts, growing, refine
 from ahnn.training import LevenbergMarquardt, Shooting
-from ahnn.training.shooting import LOST, ShootingProblem, converged
+from ahnn.training.shooting import Limit, ShootingProblem, near
 
 DOUBLE = {"dtype": torch.float64}
 
@@ -181,17 +183,52 @@ def test_outliers_do_not_move_a_robust_fit():
 def test_segments_that_do_not_converge_are_left_out_and_counted():
     _, batch = segment(rows=10)
     values = batch.values.clone()
-    values[3] += 5 * torch.arange(values.shape[1], **DOUBLE).unsqueeze(-1).sin()
+    values[3] += 50 * torch.arange(values.shape[1], **DOUBLE).unsqueeze(-1).sin()
     problem = ShootingProblem(Swing(), batch._replace(values=values), ROBUST["none"])
     assert problem.lost == 1
     assert len(problem.starts) == 9
     model = Swing()
     nothing = batch._replace(values=1e9 * torch.randn(values.shape, generator=generator(5), **DOUBLE))
     loss = LevenbergMarquardt(model.parameters()).step(lambda: (Shooting(None).problem(model, nothing), None))
-    assert float(loss) == LOST
+    assert float(loss) == HOPELESS
     close(model.field.stiffness, torch.tensor([2.0, 0.5]), 0)
-    sums, degrees = torch.tensor([10.0, torch.inf, 12.0, 900.0, 1.0]), torch.tensor([10, 10, 10, 10, 0])
-    assert converged(sums, degrees).tolist() == [True, False, True, False, False]
+    validation = Shooting(None).validation(model, nothing)
+    assert (float(validation["loss"]), float(validation["lost"])) == (HOPELESS, 1.0)
+    degrees = torch.tensor([10, 10, 10, 10, 0])
+    sums = torch.tensor([10.0, torch.inf, 1e5, 1.1e5, 1.0])
+    assert near(sums, degrees).tolist() == [True, False, True, False, False]
+
+
+def test_a_segment_far_from_the_others_counts_by_its_logarithm():
+    sums, degrees = torch.tensor([8.0, 12.0, 10.0, 500.0], **DOUBLE), torch.tensor([10, 10, 10, 10])
+    limit = Limit.of(sums, degrees)  # the lower median is 1 a degree, five of which are 50
+    close(limit.cost(sums), torch.tensor([8.0, 12.0, 10.0, 50 * (1 + math.log(10))], **DOUBLE), 1e-12)
+    step = 1e-4
+    slope = (limit.cost(sums + step) - limit.cost(sums - step)) / (2 * step)
+    close(limit.weight(sums), slope, 1e-6)
+    assert float(Limit.of(sums * 1e-3, degrees).most[0]) == 50  # never below the noise
+
+
+def test_a_wrong_region_moves_the_dynamics_instead_of_being_left_out():
+    """One segment in ten has the only large amplitude: what it says of the cubic force must count."""
+    _, batch = segment(rows=10)
+    model = Swing(2.0, 1.0)
+    problem = Shooting(None).problem(model, batch)
+    theta = parameters_to_vector(model.parameters()).detach()
+    far = problem.fitted.sums > problem.limit.most
+    assert bool(far.any())
+    assert problem.lost == 0
+    step = 1e-5
+    for k in range(2):
+        shift = step * torch.nn.functional.one_hot(torch.tensor(k), 2).to(theta)
+        slope = (problem.loss(theta + shift) - problem.loss(theta - shift)) / (4 * step)
+        close(problem.equations(theta, [2]).blocks[0].gradient[k], slope, 2e-2)
+
+
+def test_spans_of_a_fit_grow_by_a_factor_to_all_intervals():
+    assert growing(288) == [5, 18, 72]
+    assert growing(16) == [4]
+    assert growing(8) == []
 
 
 def test_ranges_and_angles_of_a_station_fit_a_start():
