@@ -164,6 +164,8 @@ def fit(
     if trainer.is_global_zero:
         write_atomically(folder / "config.yaml", stored(cfg))
         done = 0 if checkpoint is None else read_checkpoint(checkpoint)["global_step"]
+        if remark := data.remark():
+            log.warning(remark)
         announce(cfg.label, trainer, data, model, done)
     started = time.monotonic()
     with interruptible(trainer, lambda: go_on(cfg)):

@@ -11,6 +11,7 @@ from lightning import LightningDataModule
 from ahnn.arguments import Count, Seed, Within, checked
 from ahnn.data.loader import SegmentLoader, WindowLoader
 from ahnn.data.measured import EXAMPLES, measured_statistics
+from ahnn.data.noise_floor import remark_on
 from ahnn.data.segments import Segments
 from ahnn.data.sensor import Sensor
 from ahnn.data.sources import Source
@@ -110,6 +111,12 @@ class WindowDataModule(LightningDataModule):
         if self.sensor is None:
             return Statistics.of(train)
         return measured_statistics(self.smooth, self.instrument, train.times)
+
+    def remark(self) -> str | None:
+        """Return what the user should know of the noise of the training data, or None."""
+        names = self.source.space.components if self.sensor is None else self.sensor.measurement.names
+        stated = None if self.sensor is None or self.stages is None else self.sensor.deviations
+        return remark_on(self.trajectories("train"), names, stated)
 
     def follow(self, stages: Stages, epochs: int) -> None:
         """Hand out stretches of measurements that grow over so many epochs, in place of windows.

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ahnn.errors import UserError
 from ahnn.measurements import Instrument, Segment
-from ahnn.measurements.smoothing import DEGREE, FIRST
+from ahnn.measurements.smoothing import DEGREE, FIRST, located_at
 from ahnn.types import Trajectories
 
 
@@ -30,7 +30,7 @@ class Segments:
         rows, samples = times.shape
         self.instrument = instrument
         self.intervals = samples - 1 if intervals is None else intervals
-        there = self.flat.isfinite().all(-1)
+        there = located_at(instrument, self.flat, times).isfinite().all(-1)
         good = there & (ahead(there, FIRST) > DEGREE)
         last = (times.isfinite() * torch.arange(samples)).amax(1, keepdim=True)
         if intervals is not None:

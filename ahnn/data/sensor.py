@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ahnn.arguments import Count, Seed, Within, checked
 from ahnn.errors import UserError
-from ahnn.measurements import Instrument, Locating, Measurement, State, observe, reading
+from ahnn.measurements import Instrument, Locating, Measurement, Several, State, observe, reading
 from ahnn.types import Space, Trajectories
 
 Share = Annotated[float, Within(0, 0.9)]
@@ -25,8 +25,8 @@ class Sensor:
     Args:
         space: what the numbers of a state mean.
         measured: `state`, `position`, or a measurement model.
-        noise: standard deviations in the units of the system: one number for all that is measured, one for
-            positions and one for momenta, or one for each component.
+        noise: standard deviations in the units of what is measured: one number for all, one for positions
+            and one for momenta, one for each component, or those of one of several stations.
         every: samples of a trajectory between two measurements.
         gaps: share of the measurements that are missing, drawn at random.
         outliers: share of the measured numbers that are off by 50 standard deviations.
@@ -88,13 +88,16 @@ class Sensor:
 
 
 def deviations(measurement: Measurement, noise: float | Sequence[float], space: Space) -> Tensor:
-    """Return standard deviations (M,) from one number, one for each block of a state, or one for each."""
+    """Return standard deviations (M,) from one for all, one for each, or those of a block or an instrument.
+
+    A block is that of positions or of momenta, an instrument one of several of a kind.
+    """
     size = len(measurement.names)
     given = list(noise) if isinstance(noise, Sequence) else [noise]
-    blocks = len(given) == 2 and isinstance(measurement, State)
-    values = (
-        [v for v in given for _ in range(space.dof)] if blocks else given * (size if len(given) == 1 else 1)
-    )
+    if len(given) == 2 and isinstance(measurement, State):
+        given = [v for v in given for _ in range(space.dof)]
+    alike = isinstance(measurement, Several) and {*measurement.sizes} == {len(given)}
+    values = given * (size // len(given)) if alike or len(given) == 1 else given
     if len(values) != size or not all(v > 0 and v < float("inf") for v in values):
         names = ", ".join(f"{n} [{u}]" for n, u in zip(measurement.names, measurement.units, strict=True))
         message = (

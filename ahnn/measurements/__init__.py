@@ -12,6 +12,7 @@ from ahnn.measurements.ground_station import GroundStation
 from ahnn.measurements.readings import Position, State, reading
 from ahnn.measurements.schedule import Schedule, every, schedule
 from ahnn.measurements.segment import Instrument, Segment
+from ahnn.measurements.several import Several
 
 __all__ = [
     "GnssRange",
@@ -22,6 +23,7 @@ __all__ = [
     "Position",
     "Schedule",
     "Segment",
+    "Several",
     "Sighted",
     "State",
     "Time",

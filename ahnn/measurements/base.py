@@ -44,7 +44,7 @@ class Sighted(Protocol):
     """A measurement model that does not see every state."""
 
     def in_view(self, x: Tensor, t: Time) -> Tensor:
-        """Return which of the states x (..., D) are in view at time t, (...) bool."""
+        """Return which of the M numbers are measured of the states x (..., D) at time t, (..., M) bool."""
         ...
 
 
@@ -70,7 +70,7 @@ def observe(measurement: Measurement, x: Tensor, t: Time) -> Tensor:
     """
     y = measurement(x, t)
     if isinstance(measurement, Sighted):
-        return torch.where(measurement.in_view(x, t).unsqueeze(-1), y, torch.nan)
+        return torch.where(measurement.in_view(x, t), y, torch.nan)
     return y
 
 

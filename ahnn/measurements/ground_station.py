@@ -106,8 +106,9 @@ class GroundStation:
         return site + (axes @ local.unsqueeze(-1)).squeeze(-1)
 
     def in_view(self, x: Tensor, t: Time) -> Tensor:
-        """Return which of the states x (..., D) stand at the least elevation or higher, (...) bool."""
-        return self(x, t)[..., 2] >= self.min_elevation
+        """Return whether the states x (..., D) stand at the least elevation or higher, (..., M) bool."""
+        seen = self(x, t)
+        return (seen[..., 2:3] >= self.min_elevation).expand_as(seen)
 
     def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
         """Return y - y_pred, the azimuth wrapped to (-pi, pi]."""

@@ -91,7 +91,7 @@ def smoothed(instrument: Instrument, values: Tensor, times: Tensor, count: int, 
         count: of samples.
         seed: of their choice.
     """
-    rows = values.isfinite().all(-1).nonzero()
+    rows = located_at(instrument, values, times).isfinite().all(-1).nonzero()
     draw = torch.randperm(len(rows), generator=torch.Generator().manual_seed(seed))[:count]
     chosen = rows[draw]
     best, least = None, torch.inf
@@ -113,12 +113,16 @@ def scale_of(local: Local) -> Tensor:
 
 
 def around(instrument: Instrument, values: Tensor, times: Tensor, chosen: Tensor, width: int) -> Local:
-    """Return polynomials through `width` samples on either side of the chosen ones, (E, 2) row and column."""
+    """Return polynomials through `width` samples on either side of the chosen ones, (E, 2) row and column.
+
+    Those with hardly a neighbour, such as the only sighting of a pass, are left out.
+    """
     offsets = torch.arange(-width, width + 1)
     columns = chosen[:, 1:] + offsets
     inside = (columns >= 0) & (columns < values.shape[1])
     columns = columns.clamp(0, values.shape[1] - 1)
     there = times[chosen[:, :1], columns].masked_fill(~inside, torch.nan)
-    taken = values[chosen[:, :1], columns]
+    located = located_at(instrument, values[chosen[:, :1], columns], there.nan_to_num())
     middle = times[chosen[:, 0], chosen[:, 1]].unsqueeze(-1)
-    return local_polynomials(located_at(instrument, taken, there.nan_to_num()), there - middle, width)
+    enough = (located.isfinite().all(-1) & inside).sum(1) > DEGREE + 1
+    return local_polynomials(located[enough], (there - middle)[enough], width)

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import logging
-
 from ahnn.data.sensor import Sensor
 from ahnn.dynamics import Dynamics
 from ahnn.dynamics.energies import Quadratic
 from ahnn.errors import UserError
-
-log = logging.getLogger("ahnn")
 
 
 def require_identifiable(dynamics: Dynamics, sensor: Sensor, *, windows: bool) -> None:
@@ -27,11 +23,6 @@ def require_identifiable(dynamics: Dynamics, sensor: Sensor, *, windows: bool) -
         UserError: names what can be learned instead.
     """
     if sensor.gives_states:
-        if windows:
-            log.warning(
-                "noisy states are trained on as if they were exact: recipe=noisy_states and "
-                "recipe=measurements take the noise into account"
-            )
         return
     received = f"received {', '.join(sensor.measurement.names)}"
     if windows:

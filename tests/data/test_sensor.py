@@ -55,7 +55,7 @@ def test_what_a_station_does_not_see_is_missing():
     orbits = generate(MOLNIYA, 2, 0)
     station = GroundStation(60.0, 30.0, min_elevation=10.0)
     seen = Sensor(MOLNIYA.space, measured=station, noise=[0.05, 1e-4, 1e-4]).measure(orbits, 0)
-    visible = station.in_view(orbits.states, orbits.times)
+    visible = station.in_view(orbits.states, orbits.times)[..., 0]
     assert 0.1 < float(visible.double().mean()) < 0.9
     assert torch.equal(seen.states.isfinite().all(-1), visible)
     sightings = seen.states[visible]

@@ -10,7 +10,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ahnn.measurements import GnssRange, GroundStation, Position, State, observe, wrap
+from ahnn.measurements import GnssRange, GroundStation, Position, Several, State, observe, wrap
 from ahnn.measurements.ground_station import EARTH_RATE
 
 F64 = torch.float64
@@ -187,7 +187,7 @@ def test_what_stands_lower_than_the_least_elevation_is_not_observed(least):
     x = torch.stack([neighbour(latitude, longitude, north=math.cos(a), up=math.sin(a), t=t) for a in angles])
     seen = torch.tensor([math.degrees(a) > least for a in angles])
     y = observe(station, x, t)
-    assert torch.equal(station.in_view(x, t), seen)
+    assert torch.equal(station.in_view(x, t), seen.unsqueeze(-1).expand(-1, 3))
     assert torch.equal(y[seen], station(x, t)[seen])
     assert bool(y[~seen].isnan().all())
     assert bool(station(x, t).isfinite().all())
@@ -238,7 +238,8 @@ def test_a_station_of_which_only_the_place_is_said_stands_on_the_ellipsoid_at_th
     x = torch.tensor([[5000.0, 3000.0, 6000.0], [-5000.0, 100.0, -4000.0]], dtype=F64)
     assert plain.names == ("range", "azimuth", "elevation")
     assert torch.equal(plain(x, 900.0), spelled(x, 900.0))
-    assert plain.in_view(x, 900.0).tolist() == spelled.in_view(x, 900.0).tolist() == [True, False]
+    assert torch.equal(plain.in_view(x, 900.0), spelled.in_view(x, 900.0))
+    assert plain.in_view(x, 900.0)[:, 0].tolist() == [True, False]
     assert plain.min_elevation == 0.0
     for limit in (-90.0, 90.0):
         assert GroundStation(limit, 0.0, min_elevation=limit).min_elevation == math.radians(limit)
@@ -256,3 +257,29 @@ def test_positions_and_states_are_by_default_those_of_three_dimensions():
     assert (Position().names, Position().units) == (("q1", "q2", "q3"), ("km",) * 3)
     assert State().names == ("q1", "q2", "q3", "p1", "p2", "p3")
     assert State().units == ("km",) * 3 + ("km/s",) * 3
+
+
+def test_several_stations_measure_side_by_side():
+    stations = [GroundStation(60.0, 30.0, min_elevation=10.0), GroundStation(60.0, 210.0, min_elevation=10.0)]
+    network = Several([*stations, Position(3)])
+    x = torch.tensor([[3e3, 2e3, 2.4e4], [-3e3, -2e4, 1.5e4], [0.0, 0.0, -9e3]], dtype=F64)
+    t = torch.tensor([0.0, 600.0, 900.0], dtype=F64)
+    y = network(x, t)
+    assert network.names[3:7] == ("2.range", "2.azimuth", "2.elevation", "3.q1")
+    assert torch.equal(y, torch.cat([stations[0](x, t), stations[1](x, t), x], -1))
+    seen = observe(network, x, t)
+    for k, station in enumerate(stations):
+        assert torch.equal(seen[:, 3 * k : 3 * k + 3].isnan(), observe(station, x, t).isnan())
+    assert {*seen[..., 0].isnan().tolist()} == {True, False}
+    assert torch.equal(seen[..., 6:], x)
+    torch.testing.assert_close(network.locate(seen, t), x, rtol=1e-12, atol=0)
+    only = Several(stations)
+    assert bool(only.locate(observe(only, x, t), t)[2].isnan().all())
+    turned = y.clone()
+    turned[:, [1, 4]] += 2 * math.pi
+    torch.testing.assert_close(network.residual(turned, y), torch.zeros_like(y), rtol=0, atol=1e-14)
+
+
+def test_several_of_none_is_refused():
+    with pytest.raises(ValueError, match="expected at least one measurement model"):
+        Several([])

@@ -1,0 +1,72 @@
+"""How much noise samples have, read off their differences of high order, before anything is trained."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from ahnn.types import Trajectories
+
+ORDERS = (8, 9, 10)
+"""Of the differences: a smooth motion is gone from them, unless it is sampled too rarely."""
+PLATEAU = 0.2
+"""Change from one order to the next beyond which it is the motion that is seen."""
+NORMAL = 0.6745
+"""Median absolute value of a standard normal number."""
+SHARE = 1e-4
+"""Noise in increments from which objectives that compare windows of samples learn it."""
+TWICE = 2.0
+"""Factor by which stated and found noise may differ without a word."""
+
+
+def noise_floor(trajectories: Trajectories) -> Tensor:
+    """Return the standard deviation of the noise of each component, (D,); NaN where it cannot be told.
+
+    The k-th difference of independent noise has the variance (2k over k) sigma^2, and of a smooth motion
+    goes to zero with k. Medians leave out events such as the passage of a periapsis.
+
+    Args:
+        trajectories: sampled about evenly; absent samples are NaN.
+    """
+    difference, found = trajectories.states, []
+    if difference.shape[1] <= ORDERS[-1]:
+        return difference.new_full(difference.shape[-1:], torch.nan)
+    for order in range(1, ORDERS[-1] + 1):
+        difference = difference.diff(dim=1)
+        if order in ORDERS:
+            typical = difference.abs().flatten(0, 1).nanmedian(0).values
+            found.append(typical / (NORMAL * math.sqrt(math.comb(2 * order, order))))
+    level = torch.stack(found)
+    changes = (level[1:] / level[:-1] - 1).abs()
+    return torch.where((changes <= PLATEAU).all(0), level[0], torch.nan)
+
+
+def remark_on(samples: Trajectories, names: Sequence[str], stated: Tensor | None) -> str | None:
+    """Return what the user should know of the noise of samples before a training, or None.
+
+    Args:
+        samples: what training sees.
+        names: of their D components.
+        stated: (D,) standard deviations that the loss takes into account; None for a loss that takes samples
+            as exact.
+    """
+    floor = noise_floor(samples)
+    if stated is None:
+        typical = samples.states.diff(dim=1).abs().flatten(0, 1).nanmedian(0).values
+        suspicious = (floor > SHARE * typical) & (typical > 0)
+        advice = (
+            "which this loss learns. Say so: sensor=..., or data.noise=... with recipe=measurements "
+            "(recipe=noisy_states where whole states come densely)"
+        )
+    else:
+        suspicious = (floor > TWICE * stated) | (floor < stated / TWICE)
+        advice = "data.noise says otherwise: check it, it weighs the measurements"
+    found = [f"{names[k]} {float(floor[k]):.2g}" for k in (suspicious & floor.isfinite()).nonzero().flatten()]
+    return (
+        f"the samples seem to have noise of {', '.join(found)} (standard deviations); {advice}"
+        if found
+        else None
+    )
