@@ -107,3 +107,17 @@ def test_an_entry_set_to_null_is_left_out(tmp_path):
 def test_build_offers_only_what_a_target_takes():
     node = OmegaConf.create({"_target_": "ahnn.integrators.GaussLegendre4", "tolerance": 1e-9})
     assert build(node, "x", max_iterations=9, unknown=3) == GaussLegendre4(1e-9, 9)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "loss"),
+    [
+        (["sensor=spring_states"], "weak_first"),
+        (["system=molniya", "sensor=orbit_positions"], "shooting"),
+        (["sensor=orbit_states", "system=molniya"], "shooting"),
+        (["sensor=spring_states", "recipe=second_order"], "derivative_first"),
+        (["system=molniya"], "derivative_first"),
+    ],
+)
+def test_a_sensor_brings_its_recipe_unless_another_is_named(tmp_path, overrides, loss):
+    assert composed(tmp_path, *overrides).hydra.runtime.choices.loss == loss

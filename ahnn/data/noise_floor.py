@@ -64,9 +64,8 @@ def remark_on(samples: Trajectories, names: Sequence[str], stated: Tensor | None
     else:
         suspicious = (floor > TWICE * stated) | (floor < stated / TWICE)
         advice = "data.noise says otherwise: check it, it weighs the measurements"
-    found = [f"{names[k]} {float(floor[k]):.2g}" for k in (suspicious & floor.isfinite()).nonzero().flatten()]
-    return (
-        f"the samples seem to have noise of {', '.join(found)} (standard deviations); {advice}"
-        if found
-        else None
-    )
+    levels = zip(names, floor.tolist(), suspicious.tolist(), strict=True)
+    found = ", ".join(f"{name} {level:.2g}" for name, level, noisy in levels if noisy)
+    if not found:
+        return None
+    return f"the samples seem to have noise of {found} (standard deviations); {advice}"

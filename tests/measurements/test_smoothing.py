@@ -64,3 +64,16 @@ def test_starts_are_guessed_from_the_first_samples():
     states = torch.cat((values, values + 5), dim=-1)
     whole = Segment(states, t, Instrument(State(1), torch.ones(2), 0.1, 1, 3.0))
     close(guess(whole), states[:, 0], 1e-9)
+
+
+def test_a_sample_without_neighbours_says_nothing_of_rates():
+    """The only sighting of a pass."""
+    instrument = Instrument(Position(1), torch.ones(1), 0.01, 1, 1.0)
+    values, t = waves(1e-3)
+    lonely = values.clone()
+    lonely[:10, :] = torch.nan
+    lonely[:10, 500] = values[:10, 500]
+    local = smoothed(instrument, lonely, t, 100_000)
+    assert len(local.value) == 10 * 1001
+    assert bool(local.curvature.isfinite().all())
+    close(local.rate.square().mean().sqrt(), torch.tensor(2**0.5), 0.05)
