@@ -20,8 +20,8 @@ SHORTEST = 4
 """Intervals over which starts are fitted first, at least."""
 GROWTH = 4
 """Factor from one span to the next."""
-HOPELESS = 1e4
-"""Mean squared residual of a segment that is given up."""
+HOPELESS = 1e9
+"""Mean squared residual of a segment that is given up; what fits badly is limited, and not left out."""
 ROUGHLY, ITERATIONS = 3, 8
 """Steps on a span that is still to grow, and on the last one."""
 SETTLED = 1e-3

@@ -163,7 +163,7 @@ class ShootingProblem:
 
 def freedom(batch: Segment) -> Tensor:
     """Return the degrees of freedom of each segment, (B,): measured numbers beyond the start's 2n."""
-    return batch.measured - 2 * batch.instrument.dof
+    return (batch.measured - 2 * batch.instrument.dof).double()
 
 
 def near(sums: Tensor, degrees: Tensor) -> Tensor:
