@@ -1,0 +1,99 @@
+"""Does the recursive loss pay under noise? Every objective on the same noisy states, for the same CPU time.
+
+    python benchmarks/bench_noise.py --seconds 30 --out noise.csv
+
+Rows are appended as they are measured, and those that the file has are not measured again. The error is that of
+rollouts of unseen trajectories from their true start, mean of the rms vector norm, as in every table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import itertools
+import tempfile
+import time
+from pathlib import Path
+
+import torch
+from hydra import compose, initialize_config_dir
+
+from ahnn.metrics import errors, rmse_norm
+from ahnn.paths import conf_dir
+from ahnn.rollouts import rollout
+from ahnn.train import prepare
+
+SYSTEMS = {
+    "spring": (["system=mass_spring", "network=tanh_16"], ["0.001", "0.01", "0.1"]),
+    "orbit": (
+        ["system=molniya", "hamiltonian=mechanical", "inputs=isotropic", "network=tanh_16"],
+        ["[0.01,1e-5]", "[0.1,1e-4]", "[1.0,1e-3]"],
+    ),
+}
+STAGES = {
+    "spring": "[[16,0.3],[64,0.6],[200,0.9],[whole,1.0]]",
+    "orbit": "[[8,0.3],[32,0.6],[128,1.0]]",
+}
+WINDOWS = (1, 3, 5, 10, 20, 50)
+EPOCHS = 20
+"""In which stages are counted; they end when the time does."""
+
+
+def methods(system: str) -> dict[str, list[str]]:
+    """Return the overrides of each objective."""
+    noisy = [f"loss.stages={STAGES[system]}", "data.batch_size=100"]
+    rows = {f"recursive W={w}": ["recipe=second_order", "loss=recursive", f"window={w}"] for w in WINDOWS}
+    return {
+        "derivative": ["recipe=second_order", "loss=derivative"],
+        **rows,
+        "weak": ["recipe=noisy_states", "loss.stages=[[weak,1.0]]", "data.batch_size=20"],
+        "shooting": ["recipe=measurements", *noisy],
+    }
+
+
+def trained(overrides: list[str], seconds: float) -> float:
+    """Return the error of a training that took so many seconds of CPU time."""
+    with tempfile.TemporaryDirectory() as folder, initialize_config_dir(str(conf_dir()), version_base=None):
+        cfg = compose("train", [f"folder={folder}", f"run={folder}", "data.trajectories=625", *overrides])
+        data, model, *_ = prepare(cfg)
+    statistics = data.statistics()
+    model.calibrate(statistics)
+    loader, optimizer = data.train_dataloader(), model.configure_optimizers()
+    data.epochs, begun, done = EPOCHS, time.process_time(), 0.0
+    while done < 1:
+        epoch = int(done * EPOCHS)
+        loader.set_epoch(epoch)
+        for batch in loader:
+            objective = model.curriculum.at(epoch, EPOCHS)
+            model.stepper.step(objective, model.loss, model.dynamics, batch, optimizer)
+            done = (time.process_time() - begun) / seconds
+            if int(done * EPOCHS) != epoch:
+                break
+    truth = data.splits["test"].states[:50]
+    prediction = rollout(model.flow(), truth[:, 0], statistics.dt, truth.shape[1])
+    return float(rmse_norm(errors(prediction, truth)[..., : data.source.space.dof]))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=30, help="CPU time of each training")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[7, 201, 719])
+    parser.add_argument("--systems", nargs="+", default=list(SYSTEMS), choices=SYSTEMS)
+    parser.add_argument("--out", type=Path, default=Path("noise.csv"))
+    args = parser.parse_args()
+    torch.set_num_threads(1)
+    known = {tuple(row[:4]) for row in csv.reader(args.out.open())} if args.out.exists() else set()
+    for seed, system in itertools.product(args.seeds, args.systems):
+        common, levels = SYSTEMS[system]
+        for noise, (name, overrides) in itertools.product(levels, methods(system).items()):
+            if (system, noise, name, str(seed)) in known:
+                continue
+            asked = ["model=ahnn", *common, "sensor=spring_states", f"data.noise={noise}", f"seed={seed}"]
+            error = trained([*asked, *overrides], args.seconds)
+            with args.out.open("a", newline="") as file:
+                csv.writer(file).writerow([system, noise, name, seed, f"{error:.4g}"])
+            print(system, noise, name, seed, f"{error:.3g}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
