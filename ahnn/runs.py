@@ -22,6 +22,8 @@ from ahnn.numbers import Numbers, as_float64
 from ahnn.pretrained import names, shipped
 from ahnn.rollouts import rollout
 from ahnn.types import Space, TimeStep, Units
+from ahnn.uncertainty import Uncertainty, load_uncertainty, rollout_covariances
+from ahnn.uncertainty.posterior import FILE
 
 if TYPE_CHECKING:
     from ahnn.evaluation.results import Results
@@ -72,6 +74,37 @@ class Run:
         """
         x = torch.atleast_2d(self._states(start, "start"))
         return rollout(self.dynamics, x, self.dt if dt is None else dt, steps + 1)
+
+    @cached_property
+    def uncertainty(self) -> Uncertainty | None:
+        """Covariance of the parameters; None unless these weights were trained on measurements.
+
+        Raises:
+            UserError: the file beside the weights is damaged.
+        """
+        return load_uncertainty(self.folder, self.dynamics.state_dict())
+
+    def band(self, start: Numbers, steps: int, dt: float | None = None) -> Tensor:
+        """Return standard deviations of `rollout`, shape (B, steps + 1, 2n), for exactly known starts.
+
+        Args:
+            start: (B, 2n) or (2n,) states, in the units of the space.
+            steps: number of time steps.
+            dt: time step; the sampling interval of the training data if None.
+
+        Raises:
+            UserError: the covariance of the parameters is not known.
+        """
+        if self.uncertainty is None:
+            message = (
+                f"band: expected {FILE} in {self.folder}, of these weights; received none. Only a "
+                "training on measurements writes it, for its best weights"
+            )
+            raise UserError(message)
+        x = torch.atleast_2d(self._states(start, "start"))
+        lengths = x.new_full((len(x), steps), self.dt if dt is None else dt)
+        covariances = rollout_covariances(self.dynamics, x, lengths, self.uncertainty.spread)
+        return covariances.diagonal(dim1=-2, dim2=-1).sqrt()
 
     @cached_property
     def config(self) -> dict[str, Any]:

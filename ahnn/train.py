@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from ahnn.data.datamodule import WindowDataModule
     from ahnn.evaluation import EvaluationPlugin
     from ahnn.models import AbstractModel
+    from ahnn.runs import Run
+    from ahnn.uncertainty import Uncertainty
 
 log = logging.getLogger("ahnn")  # `__name__` is `__main__` where this is run as a module
 
@@ -230,13 +232,28 @@ def judge(
     folder = Path(cfg.folder)
     run = load(folder)
     loss = math.nan if run.about["val_loss"] is None else float(run.about["val_loss"])
-    case = make_case(run.dynamics, data.splits, label=cfg.label, seed=cfg.evaluation.seed, folder=folder)
+    options = {"label": cfg.label, "seed": cfg.evaluation.seed, "folder": folder}
+    case = make_case(run.dynamics, data.splits, uncertainty=learned_covariance(cfg, run, data), **options)
     boards = [logger for logger in trainer.loggers if isinstance(logger, TensorBoardLogger)]
     sinks = [TensorBoardSink(board, searched_settings(cfg)) for board in boards]
     report(case, plugins, {**training, "val_loss": loss}, more=sinks, **report_options(cfg))
     if boards:
         log.info("TensorBoard: tensorboard --logdir %s", folder)
     return loss
+
+
+def learned_covariance(cfg: DictConfig, run: Run, data: WindowDataModule) -> Uncertainty | None:
+    """Return the covariance of parameters that measurements taught, written beside the weights."""
+    from ahnn.training.laplace import laplace
+    from ahnn.uncertainty import save_uncertainty
+
+    if data.stages is None:
+        return None
+    log.info("covariance of the parameters, from all measurements of the training")
+    found = laplace(run.dynamics, data.whole("train"), data.whole("val"), cfg.loss.robust)
+    if found is not None:
+        save_uncertainty(run.folder, found, run.dynamics.state_dict())
+    return found
 
 
 def go_on(cfg: DictConfig) -> str:

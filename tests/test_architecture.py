@@ -34,12 +34,13 @@ MAY_IMPORT = {
     "systems": GROUND,
     "data": GROUND | {"systems"},
     "shooting": OPEN | {"measurements"},
-    "training": GROUND | {"dynamics", "data", "shooting"},
+    "uncertainty": GROUND | {"dynamics", "shooting"},
+    "training": GROUND | {"dynamics", "data", "shooting", "uncertainty"},
     "models": GROUND | {"dynamics", "training"},
     "estimation": GROUND | {"systems", "data"},
-    "evaluation": GROUND | {"dynamics", "systems", "data", "estimation", "shooting"},
+    "evaluation": GROUND | {"dynamics", "systems", "data", "estimation", "shooting", "uncertainty"},
     "pretrained": OPEN | {"checkpoints"},
-    "runs": GROUND | {"dynamics", "pretrained", "evaluation"},
+    "runs": GROUND | {"dynamics", "pretrained", "evaluation", "uncertainty"},
 }
 ENTRIES = {"train", "evaluate", "fitting", "cli", "__init__", "__main__"}
 """The doors of the house: they may import every room, and no room imports them."""

@@ -18,7 +18,7 @@ from ahnn.data.sources import Source
 from ahnn.data.splits import Split, SplitData
 from ahnn.data.windows import Windows, require_span
 from ahnn.errors import UserError
-from ahnn.measurements import Instrument
+from ahnn.measurements import Instrument, Segment
 from ahnn.measurements.smoothing import Local, smoothed
 from ahnn.memory import require_memory
 from ahnn.statistics import Statistics
@@ -149,6 +149,11 @@ class WindowDataModule(LightningDataModule):
         whole = self.trajectories("val").part(slice(self.val_windows))
         segments = Segments(whole, None, self.instrument)
         return SegmentLoader(lambda _: (segments, True), len(segments), 0, 0)
+
+    def whole(self, split: Split) -> Segment:
+        """Return all measurements of a split, a stretch for each trajectory."""
+        segments = Segments(self.trajectories(split), None, self.instrument)
+        return segments.gather(torch.arange(len(segments)))
 
     def _stage(self, epoch: int) -> tuple[Segments, bool]:
         """Return the stretches of an epoch, and whether each step takes them all."""

@@ -16,6 +16,7 @@ from ahnn.measurements import Segment
 from ahnn.metrics import Scores, score
 from ahnn.systems import System
 from ahnn.types import Flow, Space, TimeStep, Trajectories
+from ahnn.uncertainty import Uncertainty
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,6 +43,7 @@ class Case:
             P0 is known.
         folder: where results are written.
         measured: measurements of the test trajectories, where training saw nothing else.
+        uncertainty: covariance of the learned parameters, where the training left one.
     """
 
     label: str
@@ -58,6 +60,7 @@ class Case:
     perturbation: Tensor | None
     folder: Path
     measured: Segment | None = None
+    uncertainty: Uncertainty | None = None
 
     def starts(self) -> dict[Start, Tensor]:
         """Return the initial states (B, D) of the starts of the paper."""

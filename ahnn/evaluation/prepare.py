@@ -12,9 +12,18 @@ from ahnn.dynamics import Dynamics, HasEnergy
 from ahnn.evaluation.case import Case, perturbations
 from ahnn.measurements import Segment
 from ahnn.statistics import sampling_interval
+from ahnn.uncertainty import Uncertainty
 
 
-def make_case(dynamics: Dynamics, data: SplitData, *, label: str, seed: int, folder: Path) -> Case:
+def make_case(
+    dynamics: Dynamics,
+    data: SplitData,
+    *,
+    label: str,
+    seed: int,
+    folder: Path,
+    uncertainty: Uncertainty | None = None,
+) -> Case:
     """Return the case of learned dynamics on the test trajectories of its data.
 
     Args:
@@ -23,6 +32,7 @@ def make_case(dynamics: Dynamics, data: SplitData, *, label: str, seed: int, fol
         label: name in tables.
         seed: of the initial errors.
         folder: where the results are written.
+        uncertainty: of the parameters of the dynamics, if it is known.
     """
     source, test = data.source, data["test"]
     truth = source.truth
@@ -41,6 +51,7 @@ def make_case(dynamics: Dynamics, data: SplitData, *, label: str, seed: int, fol
         perturbation=None if truth is None else perturbations(truth, len(test.states), seed),
         folder=folder,
         measured=measured_test(data),
+        uncertainty=uncertainty,
     )
 
 

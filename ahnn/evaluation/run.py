@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any, cast
 
+from ahnn.evaluation.bands import band_figure, banded
 from ahnn.evaluation.case import Case, EvaluationPlugin, Findings, Row
 from ahnn.evaluation.explained import explain
 from ahnn.evaluation.figures import open_loop_figures
 from ahnn.evaluation.open_loop import open_loop
+from ahnn.uncertainty import Uncertainty
 
 
 def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bool = True) -> Findings:
@@ -30,6 +32,8 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
         findings.numbers["measurements"] = explained.numbers()
     if figures:
         findings.figures |= open_loop_figures(case, findings.arrays)
+    if case.uncertainty is not None:
+        add_band(case, case.uncertainty, findings, figures=figures)
     findings.arrays |= {"truth": case.test.states, "times": case.test.times}
     for name, plugin in plugins.items():
         more = plugin(case)
@@ -38,6 +42,18 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
         findings.arrays |= {f"{name}/{key}": value for key, value in more.arrays.items()}
         findings.figures |= {f"{name}/{key}": drawn for key, drawn in more.figures.items() if figures}
     return findings
+
+
+def add_band(case: Case, uncertainty: Uncertainty, findings: Findings, *, figures: bool) -> None:
+    """Add the band of the prediction from the true start to the findings of the open loop."""
+    prediction, row = findings.arrays["true_start"], findings.rows[0]
+    band = banded(case, uncertainty, prediction)
+    findings.rows[0] = row._replace(note="; ".join(part for part in (row.note, band.sentence()) if part))
+    inflation = {"inflation": uncertainty.inflation, **uncertainty.about}
+    findings.numbers["uncertainty"] = {**inflation, **band.numbers()}
+    findings.arrays["true_start_deviations"] = band.deviations
+    if figures:
+        findings.figures["band"] = band_figure(case, prediction, band.deviations)
 
 
 def distinct(rows: Iterable[Row], taken: Iterable[Row], name: str) -> list[Row]:

@@ -14,6 +14,7 @@ from ahnn.shooting.robust import RobustName
 from ahnn.statistics import Statistics
 from ahnn.training.loss import Loss, LossOptions
 from ahnn.training.objectives import Derivative, Objective, Recursive
+from ahnn.training.posterior import Posterior
 from ahnn.training.shooting import Shooting
 from ahnn.training.weak import Weak
 
@@ -145,4 +146,6 @@ def objective_of(stage: int | str, robust: RobustName) -> Shooting | Weak:
     """Return the objective of a stage of this name."""
     if stage == WEAK:
         return Weak(robust)
-    return Shooting(None if stage in (WHOLE, ALL) else int(stage), robust, all_at_once=stage == ALL)
+    if stage == ALL:
+        return Posterior(robust=robust)
+    return Shooting(None if stage == WHOLE else int(stage), robust)

@@ -7,13 +7,13 @@ the sensitivity of their state along instead: W steps then cost W passes and not
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol, cast
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor, nn
-from torch.func import functional_call, jacrev, vmap
+from torch.func import jacrev, vmap
 
-from ahnn.dynamics import HasField
+from ahnn.dynamics.derivatives import parametrised
 from ahnn.training.normal_equations import Equations, normal_equations
 from ahnn.types import TimeStep, Window
 
@@ -51,49 +51,6 @@ class LeastSquares(NamedTuple):
         residuals = self.residuals(theta)
         blocks = normal_equations(self.jacobian(theta).detach(), residuals, sizes)
         return Equations(residuals @ residuals, residuals.numel(), blocks)
-
-
-class _Forward(nn.Module):
-    """A function of a module as a forward pass, which `functional_call` can parametrise."""
-
-    def __init__(self, module: nn.Module, function: Callable[..., Tensor]) -> None:
-        super().__init__()
-        self.module, self.function = module, function
-
-    def forward(self, *arguments: Any) -> Tensor:
-        return self.function(*arguments)
-
-
-def parametrised(
-    module: nn.Module, function: Callable[..., Tensor], dtype: torch.dtype
-) -> Callable[..., Tensor]:
-    """Return (theta, *arguments) -> function(*arguments), with theta as the module's parameters.
-
-    Buffers are used in `dtype`, so that a float64 module can be evaluated in float32.
-    """
-    wrapped = _Forward(module, function)
-    shapes = {name: p.shape for name, p in wrapped.named_parameters()}
-    sizes = [shape.numel() for shape in shapes.values()]
-    buffers = {name: b.to(dtype) for name, b in wrapped.named_buffers()}
-
-    def call(theta: Tensor, *arguments: Any) -> Tensor:
-        parts = zip(shapes.items(), theta.split(sizes), strict=True)
-        parameters = {name: part.view(shape) for (name, shape), part in parts}
-        return functional_call(wrapped, {**parameters, **buffers}, arguments)
-
-    return call
-
-
-def field_jacobian(dynamics: HasField) -> Callable[[Tensor, Tensor], Tensor]:
-    """Return (theta (P,), x (..., D)) -> df/dtheta, shape (..., D, P), float32, of the field f."""
-    field = parametrised(cast(nn.Module, dynamics), lambda x: dynamics.field(x), torch.float32)
-    single = lambda theta, x: field(theta, x.unsqueeze(0)).squeeze(0)  # noqa: E731
-    rows = vmap(jacrev(single), (None, 0), chunk_size=20_000)
-
-    def jacobian(theta: Tensor, x: Tensor) -> Tensor:
-        return rows(theta.float(), x.float().flatten(0, -2)).unflatten(0, x.shape[:-1])
-
-    return jacobian
 
 
 def pointwise_problem(

@@ -17,13 +17,13 @@ from torch import Tensor
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from ahnn.dynamics import Dynamics, HasField
+from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.errors import UserError
 from ahnn.measurements import Segment
 from ahnn.measurements.smoothing import guess
 from ahnn.shooting.paths import path, sensitivities, steps_between
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
 from ahnn.shooting.starts import HOPELESS, Trial, fit_starts, followed, linearised, refine
-from ahnn.training.least_squares import field_jacobian
 from ahnn.training.normal_equations import Equations, Rows, accumulated
 
 CELLS = 5e7

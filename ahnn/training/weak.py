@@ -20,10 +20,10 @@ from torch import Tensor
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from ahnn.dynamics import Dynamics, HasField
+from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.errors import UserError
 from ahnn.measurements import Segment, State
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
-from ahnn.training.least_squares import field_jacobian
 from ahnn.training.normal_equations import Equations, Rows, accumulated
 
 POWER = 4

@@ -10,6 +10,7 @@ from ahnn.errors import UserError
 from ahnn.training import Curriculum, FirstOrder, LevenbergMarquardt, Loss, LossOptions, SecondOrder
 from ahnn.training.curriculum import make_curriculum, windowed
 from ahnn.training.objectives import PARTS, Derivative, Recursive
+from ahnn.training.posterior import Posterior
 from ahnn.training.shooting import Shooting
 from ahnn.training.steppers import problems, stepper_of
 from ahnn.training.weak import Weak
@@ -73,7 +74,7 @@ STAGES = [["weak", 0.25], [4, 0.5], ["whole", 0.75], ["all", 1.0]]
 def test_stages_of_measurements_are_objectives_and_whole_trajectories_judge():
     _, curriculum = make_curriculum(2, 5, {"stages": STAGES, "robust": "huber"})
     held = [curriculum.at(epoch, 8) for epoch in range(8)]
-    assert [type(o) for o in held] == [Weak, Weak, *[Shooting] * 6]
+    assert [type(o) for o in held] == [Weak, Weak, *[Shooting] * 4, Posterior, Posterior]
     assert [curriculum.intervals(epoch, 8) for epoch in range(8)] == [None, None, 4, 4, *[None] * 4]
     assert [curriculum.all_at_once(epoch, 8) for epoch in range(8)] == [False] * 6 + [True] * 2
     assert {o.robust for o in (*held, curriculum.judge)} == {"huber"}

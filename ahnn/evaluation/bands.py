@@ -1,0 +1,103 @@
+"""Prediction bands of a model whose parameters have a covariance, held against what then happened."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple, cast
+
+import torch
+from matplotlib.figure import Figure
+from torch import Tensor
+
+from ahnn.dynamics import Dynamics
+from ahnn.evaluation import style
+from ahnn.evaluation.case import Case
+from ahnn.metrics import errors
+from ahnn.uncertainty import Uncertainty, rollout_covariances
+
+SIGMAS = (1, 2, 3)
+"""Half widths of the bands, in standard deviations."""
+NORMAL = tuple(math.erf(k / math.sqrt(2)) for k in SIGMAS)
+"""What they hold of normal errors."""
+
+
+class Band(NamedTuple):
+    """Standard deviations of rollouts from the true start, and what they were worth.
+
+    Attributes:
+        deviations: (B, T, D).
+        coverage: shares of the components of unseen states within 1, 2 and 3 of them.
+        expected: rms norms of the errors, of positions and of velocities, that they stand for.
+        bound: the same from noise alone: the Cramer-Rao bound of the regularised parameters.
+        efficiency: rms norms of the errors in units of that bound.
+    """
+
+    deviations: Tensor
+    coverage: tuple[float, ...]
+    expected: tuple[float, float]
+    bound: tuple[float, float]
+    efficiency: tuple[float, float]
+
+    def sentence(self) -> str:
+        """Return the finding as a note under the table."""
+        shares = ", ".join(f"{100 * share:.3g}" for share in self.coverage)
+        return (
+            f"its bands of 1, 2 and 3 standard deviations hold {shares} % of unseen states; the error is "
+            f"{self.efficiency[0]:.2f} (position) and {self.efficiency[1]:.2f} (velocity) of the noise bound"
+        )
+
+    def numbers(self) -> dict[str, Any]:
+        """Return plain values for metrics.json."""
+        found = {name: list(value) for name, value in self._asdict().items() if name != "deviations"}
+        return {"sigmas": list(SIGMAS), "of_normal_errors": list(NORMAL), **found}
+
+
+def banded(case: Case, uncertainty: Uncertainty, prediction: Tensor) -> Band:
+    """Return the band of a prediction (B, T, D) of the test trajectories from their true starts."""
+    count, samples = case.test.times.shape
+    lengths = torch.as_tensor(case.dt, dtype=torch.float64).expand(count, samples - 1)
+    dynamics, start = cast(Dynamics, case.flow), case.test.states[:, 0]
+    deviations, alone = (
+        rollout_covariances(dynamics, start, lengths, factor).diagonal(dim1=-2, dim2=-1).sqrt()
+        for factor in (uncertainty.spread, uncertainty.factor)
+    )
+    off = errors(prediction, case.test.states)
+    bound = norms(alone.where(off.isfinite(), torch.nan), case.space.inertia)
+    real = norms(off, case.space.inertia)
+    later, band = off[:, 1:].abs(), deviations[:, 1:]
+    there = later.isfinite()
+    return Band(
+        deviations=deviations,
+        coverage=tuple(float((later <= k * band)[there].double().mean()) for k in SIGMAS),
+        expected=norms(deviations.where(off.isfinite(), torch.nan), case.space.inertia),
+        bound=bound,
+        efficiency=(real[0] / bound[0], real[1] / bound[1]),
+    )
+
+
+def norms(values: Tensor, inertia: float) -> tuple[float, float]:
+    """Return the rms norm over trajectories and times of the positions and velocities in (B, T, D)."""
+    position, momentum = (float(block.square().sum(-1).nanmean().sqrt()) for block in values.chunk(2, dim=-1))
+    return position, momentum / inertia
+
+
+def band_figure(case: Case, prediction: Tensor, deviations: Tensor) -> Figure:
+    """Draw the errors of one unseen trajectory within their band, positions above and velocities below."""
+    figure = style.canvas(8, 6)
+    panels = figure.subplots(2, 1, sharex=True)
+    axis, names = style.time_axis(case), style.state_labels(case)
+    off = errors(prediction, case.test.states)[0]
+    for axes, i, unit in zip(panels, (0, case.space.dof), (1.0, case.space.inertia), strict=True):
+        sd = deviations[0, :, i] / unit
+        for k, alpha in zip(SIGMAS, (0.5, 0.3, 0.15), strict=True):
+            axes.fill_between(
+                axis.time, -k * sd, k * sd, color=style.BAND, alpha=alpha, lw=0, label=f"{k} sigma"
+            )
+        axes.plot(axis.time, off[:, i] / unit, **style.MODEL, label=case.label)
+        axes.set_ylabel(f"error of {names[i]}")
+        axes.ticklabel_format(axis="y", scilimits=(-3, 4))
+        axes.grid(alpha=0.3)
+    style.label_time(panels[-1], axis)
+    style.legend_below(figure, panels[0])
+    panels[0].set_title(f"{case.space.name}: error on one unseen trajectory and its band, true start")
+    return figure

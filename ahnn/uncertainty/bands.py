@@ -1,0 +1,78 @@
+"""What uncertain parameters do to a rollout: to first order, and by samples of them."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.func import jvp, vmap
+from torch.nn.utils import parameters_to_vector
+
+from ahnn.dynamics import Dynamics
+from ahnn.dynamics.derivatives import field_jacobian, parametrised
+from ahnn.shooting.paths import Steps, path, sensitivities, step_jacobians
+
+CELLS = 4e7
+"""Numbers in the largest tensor of sensitivities; longer batches are cut into parts."""
+
+
+@torch.no_grad()
+def rollout_covariances(dynamics: Dynamics, start: Tensor, lengths: Tensor, factor: Tensor) -> Tensor:
+    """Return the covariances (B, N + 1, D, D) of the states that follow from exactly known starts.
+
+    With x_k the state after k steps, C_k = (dx_k/dtheta) L L^T (dx_k/dtheta)^T: right to first order, so that
+    a band as wide as the motion itself only says that nothing is known there.
+
+    Args:
+        dynamics: with a field, float64; the parameters are theta.
+        start: (B, D).
+        lengths: of the steps, (B, N).
+        factor: L, shape (P, R); L L^T is the covariance of theta.
+    """
+    theta = parameters_to_vector(dynamics.parameters()).detach()
+    rough, forcing = copy.deepcopy(dynamics).float(), field_jacobian(dynamics)  # pyright: ignore[reportArgumentType]
+    ends = torch.arange(lengths.shape[1] + 1)
+    rows = max(1, int(CELLS // (len(ends) * start.shape[1] * len(theta))))
+    found = []
+    for x, dt in zip(start.split(rows), lengths.split(rows), strict=True):
+        states = path(dynamics.increment, x, dt)
+        jacobians = step_jacobians(rough.increment, states[:, :-1].float(), dt.float())
+        moved = sensitivities(jacobians, forcing(theta, states) @ factor.float(), Steps(dt, ends))
+        found.append((moved @ moved.mT).double())
+    return torch.cat(found)
+
+
+@torch.no_grad()
+def sampled_rollouts(
+    dynamics: Dynamics, start: Tensor, lengths: Tensor, factor: Tensor, count: int, seed: int = 0
+) -> Tensor:
+    """Return rollouts (count, B, N + 1, D) of dynamics whose parameters are drawn from N(theta, L L^T).
+
+    The increments are linear in the draw, the rollouts are not. A network itself is not linear over the
+    widths of parameters that no data determine, and draws of them say nothing (Immer, Korzepa & Bauer 2021,
+    AISTATS).
+
+    Args:
+        dynamics: float64; the parameters are theta.
+        start: (B, D).
+        lengths: of the steps, (B, N).
+        factor: L, shape (P, R).
+        count: of the draws.
+        seed: of the draws.
+    """
+    theta = parameters_to_vector(dynamics.parameters()).detach()
+    generator = torch.Generator().manual_seed(seed)
+    draws = torch.randn(count, factor.shape[1], generator=generator, dtype=theta.dtype) @ factor.mT
+    increment = parametrised(dynamics, dynamics.increment, theta.dtype)
+
+    def moved(draw: Tensor, x: Tensor, dt: Tensor) -> Tensor:
+        pair: Any = jvp(lambda parameters: increment(parameters, x, dt), (theta,), (draw,))
+        return x + sum(pair)  # the increment, and its change
+
+    step = vmap(moved, (0, 0, None))
+    states = [start.expand(count, *start.shape)]
+    for dt in lengths.unbind(1):
+        states.append(step(draws, states[-1], dt))
+    return torch.stack(states, dim=2)

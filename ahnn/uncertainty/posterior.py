@@ -1,0 +1,69 @@
+"""The covariance of learned parameters, as a file beside the weights that it belongs to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ahnn.checkpoints import FORMAT, Weights, checksum, read_weights, write_weights
+from ahnn.errors import UserError
+
+FILE = "covariance.safetensors"
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """Learned parameters as a normal distribution (Laplace's approximation).
+
+    Attributes:
+        factor: L, shape (P, P), float64; L L^T is the covariance that unit noise alone gives.
+        offset: (P,) step from the learned parameters to the optimum, which a training has not reached quite.
+        inflation: factor on the covariance, at least 1, for what noise does not explain.
+        about: plain values: `determined` (effective number of parameters), `strengths` of the prior,
+            `chi_square` of the training, `remaining` (squared length of the offset in standard deviations),
+            `held_out` (the part of the inflation that validation measurements ask for), `log_evidence`.
+    """
+
+    factor: Tensor
+    offset: Tensor
+    inflation: float
+    about: dict[str, Any]
+
+    @property
+    def spread(self) -> Tensor:
+        """Factor, shape (P, P + 1), of the second moment of true minus learned parameters, inflated."""
+        return self.inflation**0.5 * torch.cat((self.factor, self.offset.unsqueeze(-1)), dim=-1)
+
+    @property
+    def covariance(self) -> Tensor:
+        """That second moment, shape (P, P), in the order of `dynamics.parameters()`."""
+        return self.spread @ self.spread.mT
+
+
+def save_uncertainty(folder: Path, uncertainty: Uncertainty, state: dict[str, Tensor]) -> None:
+    """Write the covariance into a run folder, with the checksum of the weights that it belongs to."""
+    about = {"format": FORMAT, "weights": checksum(state, ""), "inflation": uncertainty.inflation}
+    about["found"] = uncertainty.about
+    write_weights(folder / FILE, Weights({"factor": uncertainty.factor, "offset": uncertainty.offset}, about))
+
+
+def load_uncertainty(folder: Path, state: dict[str, Tensor]) -> Uncertainty | None:
+    """Return the covariance in a run folder; None where there is none, or where it is of other weights.
+
+    Raises:
+        UserError: the file is damaged.
+    """
+    if not (folder / FILE).is_file():
+        return None
+    tensors, about = read_weights(folder / FILE)
+    if about.get("weights") != checksum(state, ""):
+        return None
+    factor, offset = tensors.get("factor"), tensors.get("offset")
+    if factor is None or offset is None or factor.shape != (len(offset), len(offset)):
+        message = f"{folder / FILE}: expected a square factor of the parameters' covariance; received another"
+        raise UserError(message)
+    return Uncertainty(factor, offset, float(about["inflation"]), dict(about["found"]))

@@ -1,0 +1,125 @@
+"""The covariance of parameters that measurements taught, on an oscillator whose two parameters are known."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+import torch
+from helpers import close, generator
+from oscillators import Swing, segment
+from torch.nn.utils import parameters_to_vector
+
+from ahnn.measurements import Position
+from ahnn.shooting.robust import ROBUST
+from ahnn.training import LevenbergMarquardt, Shooting
+from ahnn.training.evidence import Prior
+from ahnn.training.laplace import held_out_scale, laplace
+from ahnn.training.normal_equations import Block
+from ahnn.training.posterior import Posterior, PosteriorProblem
+from ahnn.training.shooting import ShootingProblem
+
+DOUBLE = {"dtype": torch.float64}
+TRUE = torch.tensor([2.0, 0.5], **DOUBLE)
+
+
+def learned(batch, steps=5):
+    model = Swing(1.95, 0.55)
+    optimizer = LevenbergMarquardt(model.parameters(), damping=1e-4)
+    for _ in range(steps):
+        optimizer.step(lambda: (Posterior().problem(model, batch), None))
+    return model
+
+
+def batch_of(seed, rows=40, longest=0.05):
+    return segment(rows=rows, intervals=20, measurement=Position(1), seed=seed, longest=longest)[1]
+
+
+def flat(model):
+    return parameters_to_vector(model.parameters()).detach()
+
+
+def test_the_covariance_is_that_of_repeated_experiments():
+    """At the truth the step to the optimum is noise alone: in its covariance a chi-square of 2 each time."""
+    total = 0.0
+    for seed in range(12):
+        batch = batch_of(seed, rows=10)
+        found = laplace(Swing(), batch, batch)
+        total += float(found.offset @ torch.linalg.solve(found.factor @ found.factor.mT, found.offset))
+    assert 9.9 < total < 45.6  # chi-square of 24: 0.5 % on either side
+
+
+def test_too_small_a_standard_deviation_inflates_the_covariance():
+    batch, other = batch_of(0), batch_of(1, rows=10)
+    halved = lambda b: b._replace(  # noqa: E731
+        instrument=b.instrument._replace(deviations=b.instrument.deviations / 2)
+    )
+    model = learned(batch)
+    plain, blown = laplace(model, batch, other), laplace(model, halved(batch), halved(other))
+    assert blown.inflation == pytest.approx(blown.about["chi_square"])
+    assert blown.inflation == pytest.approx(4, rel=0.15)
+    close(blown.covariance, max(plain.inflation, 1) * plain.covariance, 0.15)
+
+
+def test_a_training_that_ended_early_says_how_far_it_is_from_its_optimum():
+    batch, other = batch_of(0), batch_of(1, rows=10)
+    optimum = flat(learned(batch, 7))
+    early = Swing(2.01, 0.49)
+    found = laplace(early, batch, other)
+    close(found.offset, optimum - flat(early), 0.1)
+    assert found.about["remaining"] > 4
+    error = flat(early) - TRUE
+    assert float(error @ torch.linalg.solve(found.covariance, error)) < 13.8  # chi-square of 2, 99.9 %
+
+
+def test_nothing_is_said_where_nothing_is_explained():
+    batch = batch_of(0)
+    noise = 1e9 * torch.randn(batch.values.shape, generator=generator(5), **DOUBLE)
+    assert laplace(Swing(), batch._replace(values=noise), batch) is None
+
+
+@pytest.mark.parametrize("factor", [1.0, 9.0, 100.0])
+def test_held_out_measurements_find_the_scale_of_a_covariance(factor):
+    """Drawn from the model itself: theta off by N(0, f L L^T), and other measurements of 400 parameters."""
+    size = 400
+    lower = torch.randn(size, size, generator=generator(0), **DOUBLE) / size**0.5
+    matrix = 0.2 * torch.linalg.inv(lower @ lower.mT)
+    off = factor**0.5 * lower @ torch.randn(size, generator=generator(1), **DOUBLE)
+    root = torch.linalg.cholesky(matrix)
+    gradient = matrix @ off + root @ torch.randn(size, generator=generator(2), **DOUBLE)
+    found = held_out_scale(lower, Block(torch.arange(size), matrix, gradient))
+    assert found == (1.0 if factor == 1 else pytest.approx(factor, rel=0.4))
+
+
+def test_the_prior_is_part_of_loss_and_equations_alike():
+    batch, model = batch_of(0), Swing(1.9, 0.6)
+    problem, plain = PosteriorProblem(model, batch, ROBUST["none"]), Shooting(None).problem(model, batch)
+    theta = flat(model)
+    close(problem.loss(theta), plain.loss(theta), 1e-12)
+    loss, degrees, (block,) = problem.equations(theta, [2])
+    other = plain.equations(theta, [2])
+    assert isinstance(problem.prior, Prior)
+    alpha = float(problem.prior.strengths)
+    assert alpha == pytest.approx(2 / float(theta @ theta), rel=0.01)
+    close(loss - other.loss, alpha * theta @ theta, 1e-6)
+    close(block.gradient - other.blocks[0].gradient, alpha * theta, 0.1)
+    close(problem.loss(theta + 0.01) - plain.loss(theta + 0.01), problem.prior.penalty(theta + 0.01), 1e-6)
+    assert degrees == other.degrees
+
+
+def test_equations_are_summed_in_float64():
+    """Two parameters that act alike but for a part in a million: float32 cannot tell them apart."""
+    _, batch = segment(rows=4)
+    narrow = ShootingProblem(Swing(), batch, ROBUST["none"])
+    wide = PosteriorProblem(Swing(), batch, ROBUST["none"])
+    theta = flat(Swing())
+    assert narrow._projected(theta, slice(None)).jacobian.dtype == torch.float32
+    assert wide._projected(theta, slice(None)).jacobian.dtype == torch.float64
+
+
+def test_stages_of_all_measurements_keep_the_robust_loss():
+    assert dataclasses.asdict(Posterior(robust="student")) == {
+        "intervals": None,
+        "robust": "student",
+        "all_at_once": True,
+    }
