@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import pickle
 import zipfile
@@ -51,6 +52,17 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         message = f"checkpoint {path}: expected a checkpoint written by ahnn; received something else"
         raise UserError(message)
     return content
+
+
+def replace_weights(path: Path, state: dict[str, Tensor], loss: float) -> None:
+    """Write other weights of the dynamics, and their validation loss, into a Lightning checkpoint."""
+    content = read_checkpoint(path)
+    own = content["state_dict"]
+    own |= {f"dynamics.{key}": value.to(own[f"dynamics.{key}"]) for key, value in state.items()}
+    content["ahnn"]["val_loss"] = loss
+    buffer = io.BytesIO()
+    torch.save(content, buffer)
+    write_atomically(path, buffer.getvalue())
 
 
 def _is_plain(about: Any) -> bool:

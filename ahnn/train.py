@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from ahnn.data.datamodule import WindowDataModule
     from ahnn.evaluation import EvaluationPlugin
     from ahnn.models import AbstractModel
-    from ahnn.runs import Run
     from ahnn.uncertainty import Uncertainty
 
 log = logging.getLogger("ahnn")  # `__name__` is `__main__` where this is run as a module
@@ -230,10 +229,11 @@ def judge(
     from ahnn.runs import load
 
     folder = Path(cfg.folder)
+    uncertainty = None if data.stages is None else concluded(cfg, data, trainer)
     run = load(folder)
     loss = math.nan if run.about["val_loss"] is None else float(run.about["val_loss"])
     options = {"label": cfg.label, "seed": cfg.evaluation.seed, "folder": folder}
-    case = make_case(run.dynamics, data.splits, uncertainty=learned_covariance(cfg, run, data), **options)
+    case = make_case(run.dynamics, data.splits, uncertainty=uncertainty, **options)
     boards = [logger for logger in trainer.loggers if isinstance(logger, TensorBoardLogger)]
     sinks = [TensorBoardSink(board, searched_settings(cfg)) for board in boards]
     report(case, plugins, {**training, "val_loss": loss}, more=sinks, **report_options(cfg))
@@ -242,17 +242,24 @@ def judge(
     return loss
 
 
-def learned_covariance(cfg: DictConfig, run: Run, data: WindowDataModule) -> Uncertainty | None:
-    """Return the covariance of parameters that measurements taught, written beside the weights."""
-    from ahnn.training.laplace import laplace
+def concluded(cfg: DictConfig, data: WindowDataModule, trainer: Trainer) -> Uncertainty | None:
+    """Take the last steps of a training on measurements, keep the weights, and return their uncertainty."""
+    from ahnn.checkpoints import replace_weights
+    from ahnn.runs import load, weights_path
+    from ahnn.training.laplace import conclude
     from ahnn.uncertainty import save_uncertainty
 
-    if data.stages is None:
+    folder = Path(cfg.folder)
+    dynamics, judge = load(folder).dynamics, trainer.lightning_module.curriculum.judge  # pyright: ignore
+    log.info(
+        "last steps on all measurements, at most %d, and the covariance of the parameters", cfg.loss.closing
+    )
+    found = conclude(dynamics, data.whole("train"), data.whole("val"), cfg.loss.closing, cfg.loss.robust)
+    if found is None:
         return None
-    log.info("covariance of the parameters, from all measurements of the training")
-    found = laplace(run.dynamics, data.whole("train"), data.whole("val"), cfg.loss.robust)
-    if found is not None:
-        save_uncertainty(run.folder, found, run.dynamics.state_dict())
+    loss = float(judge.validation(dynamics, next(iter(data.val_dataloader())))["loss"])
+    replace_weights(weights_path(folder), dynamics.state_dict(), loss)
+    save_uncertainty(folder, found, load(folder).dynamics.state_dict())
     return found
 
 

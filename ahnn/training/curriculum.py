@@ -33,6 +33,7 @@ class SegmentOptions:
         stages: intervals of a stretch, `weak`, `whole` or `all`, and the fraction of the epochs up to which
             they hold. Short ones first: over long ones a model that is still wrong never meets them.
         robust: the loss of single residuals: none (squares), huber or student.
+        closing: steps on all measurements, at most, that follow the last epoch.
         balance: 0, since standard deviations weigh measurements.
 
     Raises:
@@ -41,6 +42,7 @@ class SegmentOptions:
 
     stages: list[list[int | float | str]]
     robust: RobustName = "none"
+    closing: Annotated[int, Within(0, 100)] = 2
     balance: Annotated[float, Within(0, 0)] = 0.0
 
     def __post_init__(self) -> None:

@@ -1,7 +1,8 @@
-"""How well the parameters are known at the end of a training on measurements (Laplace's approximation).
+"""The end of a training on measurements: its last steps on all of them, and how well they determine it.
 
-The covariance is the inverse of J^T J over all training measurements, starts eliminated, and the prior. What
-noise alone gives is then held against three things that no truth is needed for:
+With all measurements in every step there is no noise of mini-batches left: Gauss-Newton steps on residuals
+and prior end in the optimum. The covariance of the parameters is the inverse of J^T J there, starts eliminated,
+and the prior (Laplace's approximation). Three things that no truth is needed for may widen it:
 
 - chi-square of the training per degree of freedom, where it exceeds 1: the noise is larger than was said, or
   the model does not reach the data;
@@ -11,64 +12,141 @@ noise alone gives is then held against three things that no truth is needed for:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
-from torch.nn.utils import parameters_to_vector
+from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from ahnn.dynamics import Dynamics
 from ahnn.measurements import Segment
 from ahnn.shooting.robust import ROBUST, RobustName
-from ahnn.training.evidence import by_evidence, determined, log_evidence, posterior_factor
-from ahnn.training.normal_equations import Block
-from ahnn.training.posterior import WideProblem
+from ahnn.training.evidence import Prior, by_evidence, determined, log_evidence, posterior_factor
+from ahnn.training.normal_equations import Block, damped_step
+from ahnn.training.posterior import WideProblem, with_prior
 from ahnn.uncertainty import Uncertainty
 
+ARRIVED = 0.05
+"""Squared length of the step that is left, as a share of what noise alone gives, that is not worth a step."""
+DAMPINGS = (0.0, 1e-6, 1e-4, 1e-2)
+"""Tried one after the other, until residuals and prior go down."""
 SCALES = torch.logspace(0, 6, 601, dtype=torch.float64)
 """Factors on the covariance that are compared."""
 REFUSED = 1.353
 """Gain in log-likelihood that a factor above 1 must bring: 1 is then refused with 95 %, one-sided."""
 
 
-def laplace(
-    dynamics: Dynamics, train: Segment, held_out: Segment, robust: RobustName = "none"
+class Place(NamedTuple):
+    """Residuals and prior to second order about some parameters.
+
+    Attributes:
+        theta: (P,).
+        loss, degrees, block: of the residuals, as in `Equations`.
+        prior: the one of the largest evidence here.
+        factor: L, (P, P); L L^T is the inverse of the matrix of residuals and prior.
+        determined: number of parameters that the data determine.
+        offset: (P,) the step to the optimum.
+        remaining: its squared length in standard deviations.
+    """
+
+    theta: Tensor
+    loss: Tensor
+    degrees: int
+    block: Block
+    prior: Prior
+    factor: Tensor
+    determined: float
+    offset: Tensor
+    remaining: float
+
+    @property
+    def chi_square(self) -> float:
+        """Squared residuals per degree of freedom."""
+        return float(self.loss) / max(self.degrees - self.determined, 1.0)
+
+
+@torch.no_grad()
+def conclude(
+    dynamics: Dynamics, train: Segment, held_out: Segment, steps: int, robust: RobustName = "none"
 ) -> Uncertainty | None:
-    """Return the covariance of the parameters; None if no trajectory is explained.
+    """Take the last steps of a training and return the covariance of the parameters that it ended at.
 
     With a robust loss its mean takes the place of chi-square, which outliers raise: the covariance is then on
     the safe side.
 
     Args:
-        dynamics: with a field, float64, as they were trained.
+        dynamics: with a field, float64; their parameters are moved.
         train: all measurements of the training.
         held_out: measurements that no step was taken on.
+        steps: at most so many.
         robust: the loss of single residuals.
+
+    Returns:
+        None if no trajectory is explained; the parameters then stay where they are.
     """
     parameters = list(dynamics.parameters())
-    theta, sizes = parameters_to_vector(parameters).detach(), [p.numel() for p in parameters]
-    loss, degrees, blocks = WideProblem(dynamics, train, ROBUST[robust]).equations(theta, sizes)
-    _, _, other = WideProblem(dynamics, held_out, ROBUST[robust]).equations(theta, sizes)
-    if not blocks or not other:
+    sizes = [p.numel() for p in parameters]
+    problem = WideProblem(dynamics, train, ROBUST[robust])
+    here = place(problem, parameters_to_vector(parameters), sizes)
+    for _ in range(steps):
+        if here is None or here.remaining <= ARRIVED * here.determined:
+            break
+        theta = lower(problem, here)
+        if theta is None:
+            break
+        problem.follow(theta)
+        here = place(problem, theta, sizes)
+    if here is None:
         return None
-    (block,), (test,) = blocks, other
+    vector_to_parameters(here.theta, parameters)
+    _, _, others = WideProblem(dynamics, held_out, ROBUST[robust]).equations(here.theta, sizes)
+    names = [name for name, _ in dynamics.named_parameters()]
+    return uncertainty(here, others, dict(zip(names, here.prior.strengths.tolist(), strict=True)))
+
+
+def place(problem: WideProblem, theta: Tensor, sizes: Sequence[int]) -> Place | None:
+    """Return the problem to second order at theta, shape (P,); None if nothing depends on it."""
+    loss, degrees, blocks = problem.equations(theta, sizes)
+    if not blocks:
+        return None
+    (block,) = blocks
     prior = by_evidence(block.matrix, theta, sizes)
     factor = posterior_factor(block.matrix, prior)
-    gamma = float(determined(factor, prior).sum())
-    chi_square = float(loss) / max(degrees - gamma, 1.0)
-    offset = -factor @ (factor.mT @ (block.gradient + prior.precision * theta))
-    inflation = max(chi_square, 1.0)
-    spread = Uncertainty(factor, offset, inflation, {}).spread
-    unexplained = held_out_scale(spread, test)
-    names = [name for name, _ in dynamics.named_parameters()]
+    pull = factor.mT @ with_prior(block, prior, theta).gradient
+    count = float(determined(factor, prior).sum())
+    return Place(theta, loss, degrees, block, prior, factor, count, -factor @ pull, float(pull @ pull))
+
+
+def lower(problem: WideProblem, here: Place) -> Tensor | None:
+    """Return parameters (P,) after a step that lowers residuals and prior; None if none is found."""
+    block = with_prior(here.block, here.prior, here.theta)
+    before = here.loss + here.prior.penalty(here.theta)
+    for damping in DAMPINGS:
+        move = damped_step([block], damping, here.theta)
+        if move is None:
+            continue
+        theta = here.theta + move
+        if bool(problem.loss(theta) + here.prior.penalty(theta) < before):
+            return theta
+    return None
+
+
+def uncertainty(here: Place, held_out: Sequence[Block], strengths: dict[str, float]) -> Uncertainty:
+    """Return the covariance at a place, as wide as the held-out measurements ask for."""
+    inflation = max(here.chi_square, 1.0)
+    spread = Uncertainty(here.factor, here.offset, inflation, {}).spread
+    unexplained = held_out_scale(spread, held_out[0]) if held_out else 1.0
     about = {
-        "determined": gamma,
-        "parameters": len(theta),
-        "chi_square": chi_square,
-        "remaining": float(offset @ (block.matrix @ offset + prior.precision * offset)),
+        "parameters": len(here.theta),
+        "determined": here.determined,
+        "chi_square": here.chi_square,
+        "remaining": here.remaining,
         "held_out": unexplained,
-        "strengths": dict(zip(names, prior.strengths.tolist(), strict=True)),
-        "log_evidence": log_evidence(block.matrix, loss, int(train.measured.sum()), theta, prior),
+        "strengths": strengths,
+        "log_evidence": log_evidence(here.block.matrix, here.loss, here.degrees, here.theta, here.prior),
     }
-    return Uncertainty(factor, offset, inflation * unexplained, about)
+    return Uncertainty(here.factor, here.offset, inflation * unexplained, about)
 
 
 def held_out_scale(factor: Tensor, test: Block) -> float:

@@ -11,9 +11,10 @@ from torch import Tensor
 from ahnn.dynamics import Dynamics
 from ahnn.measurements import Segment
 from ahnn.shooting.robust import ROBUST
+from ahnn.shooting.starts import refine
 from ahnn.training.evidence import Prior, by_evidence
-from ahnn.training.normal_equations import Equations, Rows
-from ahnn.training.shooting import Shooting, ShootingProblem
+from ahnn.training.normal_equations import Block, Equations, Rows
+from ahnn.training.shooting import REFITS, Shooting, ShootingProblem
 
 
 class WideProblem(ShootingProblem):
@@ -22,6 +23,18 @@ class WideProblem(ShootingProblem):
     def _projected(self, theta: Tensor, part: slice) -> Rows:
         rows = super()._projected(theta, part)
         return rows._replace(jacobian=rows.jacobian.to(theta))
+
+    @torch.no_grad()
+    def follow(self, theta: Tensor) -> None:
+        """Move the starts to where they fit best after a step to theta, shape (P,)."""
+        self.starts = refine(self._at(theta), self.starts, self.batch, self.steps, REFITS).starts
+
+
+def with_prior(block: Block, prior: Prior, theta: Tensor) -> Block:
+    """Return the normal equations of residuals and prior at theta, shape (P,)."""
+    precision = prior.precision
+    matrix = block.matrix + torch.diag(precision)
+    return block._replace(matrix=matrix, gradient=block.gradient + precision * theta)
 
 
 class PosteriorProblem(WideProblem):
@@ -47,11 +60,7 @@ class PosteriorProblem(WideProblem):
             return Equations(loss, degrees, blocks)
         (block,) = blocks
         self.prior = by_evidence(block.matrix, theta, sizes)
-        precision = self.prior.precision
-        own = block._replace(
-            matrix=block.matrix + torch.diag(precision), gradient=block.gradient + precision * theta
-        )
-        return Equations(loss + self.prior.penalty(theta), degrees, [own])
+        return Equations(loss + self.prior.penalty(theta), degrees, [with_prior(block, self.prior, theta)])
 
 
 @dataclass(frozen=True, eq=False)

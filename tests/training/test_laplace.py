@@ -14,7 +14,7 @@ from ahnn.measurements import Position
 from ahnn.shooting.robust import ROBUST
 from ahnn.training import LevenbergMarquardt, Shooting
 from ahnn.training.evidence import Prior
-from ahnn.training.laplace import held_out_scale, laplace
+from ahnn.training.laplace import conclude, held_out_scale
 from ahnn.training.normal_equations import Block
 from ahnn.training.posterior import Posterior, PosteriorProblem
 from ahnn.training.shooting import ShootingProblem
@@ -44,7 +44,7 @@ def test_the_covariance_is_that_of_repeated_experiments():
     total = 0.0
     for seed in range(12):
         batch = batch_of(seed, rows=10)
-        found = laplace(Swing(), batch, batch)
+        found = conclude(Swing(), batch, batch, 0)
         total += float(found.offset @ torch.linalg.solve(found.factor @ found.factor.mT, found.offset))
     assert 9.9 < total < 45.6  # chi-square of 24: 0.5 % on either side
 
@@ -55,7 +55,7 @@ def test_too_small_a_standard_deviation_inflates_the_covariance():
         instrument=b.instrument._replace(deviations=b.instrument.deviations / 2)
     )
     model = learned(batch)
-    plain, blown = laplace(model, batch, other), laplace(model, halved(batch), halved(other))
+    plain, blown = (conclude(model, *data, 0) for data in ((batch, other), (halved(batch), halved(other))))
     assert blown.inflation == pytest.approx(blown.about["chi_square"])
     assert blown.inflation == pytest.approx(4, rel=0.15)
     close(blown.covariance, max(plain.inflation, 1) * plain.covariance, 0.15)
@@ -65,17 +65,26 @@ def test_a_training_that_ended_early_says_how_far_it_is_from_its_optimum():
     batch, other = batch_of(0), batch_of(1, rows=10)
     optimum = flat(learned(batch, 7))
     early = Swing(2.01, 0.49)
-    found = laplace(early, batch, other)
+    found = conclude(early, batch, other, 0)
     close(found.offset, optimum - flat(early), 0.1)
     assert found.about["remaining"] > 4
     error = flat(early) - TRUE
     assert float(error @ torch.linalg.solve(found.covariance, error)) < 13.8  # chi-square of 2, 99.9 %
 
 
+def test_the_last_steps_end_in_the_optimum():
+    batch, other = batch_of(0), batch_of(1, rows=10)
+    optimum, model = flat(learned(batch, 7)), Swing(2.1, 0.4)
+    found = conclude(model, batch, other, 4)
+    assert found.about["remaining"] < 0.05 * found.about["determined"]
+    gap = torch.linalg.solve(found.factor, flat(model) - optimum)  # in standard deviations
+    assert float(gap.square().sum()) < 0.2
+
+
 def test_nothing_is_said_where_nothing_is_explained():
     batch = batch_of(0)
     noise = 1e9 * torch.randn(batch.values.shape, generator=generator(5), **DOUBLE)
-    assert laplace(Swing(), batch._replace(values=noise), batch) is None
+    assert conclude(Swing(), batch._replace(values=noise), batch, 2) is None
 
 
 @pytest.mark.parametrize("factor", [1.0, 9.0, 100.0])
