@@ -229,7 +229,7 @@ def judge(
     from ahnn.runs import load
 
     folder = Path(cfg.folder)
-    uncertainty = None if data.stages is None else concluded(cfg, data, trainer)
+    uncertainty = None if data.stages is None else concluded(cfg, data)
     run = load(folder)
     loss = math.nan if run.about["val_loss"] is None else float(run.about["val_loss"])
     options = {"label": cfg.label, "seed": cfg.evaluation.seed, "folder": folder}
@@ -242,23 +242,22 @@ def judge(
     return loss
 
 
-def concluded(cfg: DictConfig, data: WindowDataModule, trainer: Trainer) -> Uncertainty | None:
+def concluded(cfg: DictConfig, data: WindowDataModule) -> Uncertainty | None:
     """Take the last steps of a training on measurements, keep the weights, and return their uncertainty."""
     from ahnn.checkpoints import replace_weights
     from ahnn.runs import load, weights_path
+    from ahnn.training import Shooting
     from ahnn.training.laplace import conclude
     from ahnn.uncertainty import save_uncertainty
 
-    folder = Path(cfg.folder)
-    dynamics, judge = load(folder).dynamics, trainer.lightning_module.curriculum.judge  # pyright: ignore
-    log.info(
-        "last steps on all measurements, at most %d, and the covariance of the parameters", cfg.loss.closing
-    )
-    found = conclude(dynamics, data.whole("train"), data.whole("val"), cfg.loss.closing, cfg.loss.robust)
+    folder, steps, robust = Path(cfg.folder), cfg.loss.closing, cfg.loss.robust
+    dynamics = load(folder).dynamics
+    log.info("at most %d last steps on all measurements, and what they leave open", steps)
+    found = conclude(dynamics, data.whole("train"), data.whole("val"), steps, robust)
     if found is None:
         return None
-    loss = float(judge.validation(dynamics, next(iter(data.val_dataloader())))["loss"])
-    replace_weights(weights_path(folder), dynamics.state_dict(), loss)
+    loss = Shooting(None, robust).validation(dynamics, next(iter(data.val_dataloader())))["loss"]
+    replace_weights(weights_path(folder), dynamics.state_dict(), float(loss))
     save_uncertainty(folder, found, load(folder).dynamics.state_dict())
     return found
 

@@ -1,8 +1,8 @@
 """The end of a training on measurements: its last steps on all of them, and how well they determine it.
 
 With all measurements in every step there is no noise of mini-batches left: Gauss-Newton steps on residuals
-and prior end in the optimum. The covariance of the parameters is the inverse of J^T J there, starts eliminated,
-and the prior (Laplace's approximation). Three things that no truth is needed for may widen it:
+and prior end in the optimum. The covariance of the parameters is the inverse of J^T J there, starts
+eliminated, and the prior (Laplace's approximation). Three things that no truth is needed for may widen it:
 
 - chi-square of the training per degree of freedom, where it exceeds 1: the noise is larger than was said, or
   the model does not reach the data;
@@ -95,11 +95,14 @@ def conclude(
         theta = lower(problem, here)
         if theta is None:
             break
-        problem.follow(theta)
+        vector_to_parameters(theta, parameters)
+        if problem.lost:  # what did not converge before may do so now
+            problem = WideProblem(dynamics, train, ROBUST[robust])
+        else:
+            problem.follow(theta)
         here = place(problem, theta, sizes)
     if here is None:
         return None
-    vector_to_parameters(here.theta, parameters)
     _, _, others = WideProblem(dynamics, held_out, ROBUST[robust]).equations(here.theta, sizes)
     names = [name for name, _ in dynamics.named_parameters()]
     return uncertainty(here, others, dict(zip(names, here.prior.strengths.tolist(), strict=True)))
