@@ -23,14 +23,16 @@ from ahnn.dynamics import Dynamics
 from ahnn.measurements import Segment
 from ahnn.shooting.robust import ROBUST, RobustName
 from ahnn.training.evidence import Prior, by_evidence, determined, log_evidence, posterior_factor
-from ahnn.training.normal_equations import Block, damped_step
+from ahnn.training.normal_equations import Block, promised_decrease
 from ahnn.training.posterior import WideProblem, with_prior
 from ahnn.uncertainty import Uncertainty
 
 ARRIVED = 0.05
 """Squared length of the step that is left, as a share of what noise alone gives, that is not worth a step."""
-DAMPINGS = (0.0, 1e-6, 1e-4, 1e-2)
-"""Tried one after the other, until residuals and prior go down."""
+DAMPINGS = (0.0, 1e1, 1e2, 1e3, 1e4, 1e5)
+"""Multiples of the prior's precision that hold a step back, where the data themselves do not guide it."""
+SUFFICIENT = 0.25
+"""Share of the promised decrease that a step must bring."""
 SCALES = torch.logspace(0, 6, 601, dtype=torch.float64)
 """Factors on the covariance that are compared."""
 REFUSED = 1.353
@@ -126,11 +128,11 @@ def lower(problem: WideProblem, here: Place) -> Tensor | None:
     block = with_prior(here.block, here.prior, here.theta)
     before = here.loss + here.prior.penalty(here.theta)
     for damping in DAMPINGS:
-        move = damped_step([block], damping, here.theta)
-        if move is None:
-            continue
+        damped = block.matrix + damping * torch.diag(here.prior.precision)
+        move = -torch.linalg.solve(damped, block.gradient)
         theta = here.theta + move
-        if bool(problem.loss(theta) + here.prior.penalty(theta) < before):
+        decrease = before - problem.loss(theta) - here.prior.penalty(theta)
+        if bool(decrease >= SUFFICIENT * promised_decrease([block], move)):
             return theta
     return None
 

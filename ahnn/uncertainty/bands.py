@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import copy
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
-from torch.func import jvp, vmap
+from torch.func import vjp, vmap
 from torch.nn.utils import parameters_to_vector
 
 from ahnn.dynamics import Dynamics
@@ -68,8 +68,10 @@ def sampled_rollouts(
     increment = parametrised(dynamics, dynamics.increment, theta.dtype)
 
     def moved(draw: Tensor, x: Tensor, dt: Tensor) -> Tensor:
-        pair: Any = jvp(lambda parameters: increment(parameters, x, dt), (theta,), (draw,))
-        return x + sum(pair)  # the increment, and its change
+        # The change J draw is the derivative of u -> u^T J: twice in reverse mode, whatever the operations.
+        pair: Any = vjp(lambda parameters: increment(parameters, x, dt), theta)
+        _, change = cast(Any, vjp(lambda u: pair[1](u)[0], torch.zeros_like(x)))
+        return x + pair[0] + change(draw)[0]
 
     step = vmap(moved, (0, 0, None))
     states = [start.expand(count, *start.shape)]
