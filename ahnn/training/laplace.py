@@ -23,16 +23,15 @@ from ahnn.dynamics import Dynamics
 from ahnn.measurements import Segment
 from ahnn.shooting.robust import ROBUST, RobustName
 from ahnn.training.evidence import Prior, by_evidence, determined, log_evidence, posterior_factor
-from ahnn.training.normal_equations import Block, promised_decrease
+from ahnn.training.levenberg_marquardt import ATTEMPTS, SUFFICIENT, adapted
+from ahnn.training.normal_equations import Block, damped_step, promised_decrease
 from ahnn.training.posterior import WideProblem, with_prior
 from ahnn.uncertainty import Uncertainty
 
 ARRIVED = 0.05
 """Squared length of the step that is left, as a share of what noise alone gives, that is not worth a step."""
-DAMPINGS = (0.0, 1e1, 1e2, 1e3, 1e4, 1e5)
-"""Multiples of the prior's precision that hold a step back, where the data themselves do not guide it."""
-SUFFICIENT = 0.25
-"""Share of the promised decrease that a step must bring."""
+DAMPING = 1e-5
+"""Of the first step: networks are not linear over the step that a full one would be."""
 SCALES = torch.logspace(0, 6, 601, dtype=torch.float64)
 """Factors on the covariance that are compared."""
 REFUSED = 1.353
@@ -91,10 +90,11 @@ def conclude(
     sizes = [p.numel() for p in parameters]
     problem = WideProblem(dynamics, train, ROBUST[robust])
     here = place(problem, parameters_to_vector(parameters), sizes)
+    damping = DAMPING
     for _ in range(steps):
         if here is None or here.remaining <= ARRIVED * here.determined:
             break
-        theta = lower(problem, here)
+        theta, damping = lower(problem, here, damping)
         if theta is None:
             break
         vector_to_parameters(theta, parameters)
@@ -123,18 +123,22 @@ def place(problem: WideProblem, theta: Tensor, sizes: Sequence[int]) -> Place | 
     return Place(theta, loss, degrees, block, prior, factor, count, -factor @ pull, float(pull @ pull))
 
 
-def lower(problem: WideProblem, here: Place) -> Tensor | None:
-    """Return parameters (P,) after a step that lowers residuals and prior; None if none is found."""
+def lower(problem: WideProblem, here: Place, damping: float) -> tuple[Tensor | None, float]:
+    """Return parameters (P,) after a step that lowers residuals and prior, if one does; and a damping."""
     block = with_prior(here.block, here.prior, here.theta)
     before = here.loss + here.prior.penalty(here.theta)
-    for damping in DAMPINGS:
-        damped = block.matrix + damping * torch.diag(here.prior.precision)
-        move = -torch.linalg.solve(damped, block.gradient)
+    for _ in range(ATTEMPTS):
+        move = damped_step([block], damping, here.theta)
+        if move is None:
+            break
         theta = here.theta + move
         decrease = before - problem.loss(theta) - here.prior.penalty(theta)
-        if bool(decrease >= SUFFICIENT * promised_decrease([block], move)):
-            return theta
-    return None
+        gain = float(decrease / promised_decrease([block], move))
+        accepted = gain > SUFFICIENT
+        damping = adapted(damping, gain, 0.0, accepted)
+        if accepted:
+            return theta, damping
+    return None, damping
 
 
 def uncertainty(here: Place, held_out: Sequence[Block], strengths: dict[str, float]) -> Uncertainty:
