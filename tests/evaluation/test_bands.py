@@ -1,0 +1,110 @@
+"""Coverage of prediction bands, counted by hand, and what an evaluation writes of them."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from cases import SPRING, drop, make_case
+from torch import nn
+
+from ahnn.dynamics.base import Dynamics
+from ahnn.evaluation import evaluate
+from ahnn.evaluation.bands import NORMAL, banded, norms
+from ahnn.integrators import INTEGRATORS
+from ahnn.rollouts import rollout
+from ahnn.uncertainty import Uncertainty
+
+DOUBLE = {"dtype": torch.float64}
+
+
+class Stiffness(nn.Module):
+    """A spring whose stiffness is learned."""
+
+    def __init__(self, stiffness):
+        super().__init__()
+        self.stiffness = nn.Parameter(torch.tensor([stiffness], **DOUBLE))
+
+    def forward(self, x):
+        q, p = x.chunk(2, dim=-1)
+        return torch.cat((p / SPRING.mass, -self.stiffness * q), dim=-1)
+
+
+class Learned(Dynamics):
+    """The same by RK4."""
+
+    def __init__(self, stiffness=SPRING.stiffness + 0.01):
+        super().__init__()
+        self.field = Stiffness(stiffness)
+
+    def fit(self, statistics):
+        pass
+
+    def increment(self, x, dt):
+        return INTEGRATORS["rk4"].increment(self.field, x, dt)
+
+
+def known(sd, offset=0.0, inflation=1.0):
+    return Uncertainty(
+        torch.tensor([[sd]], **DOUBLE), torch.tensor([offset], **DOUBLE), inflation, {"determined": 1.0}
+    )
+
+
+def case_of(tmp_path, uncertainty, **changes):
+    return make_case(tmp_path, flow=Learned(), uncertainty=uncertainty, **changes)
+
+
+def prediction(case):
+    return rollout(case.flow, case.test.states[:, 0], case.dt, case.test.states.shape[1])
+
+
+@pytest.mark.parametrize(("sd", "expected"), [(0.02, (1, 1, 1)), (0.00667, (0, 1, 1)), (0.004, (0, 0, 1))])
+def test_a_stiffness_that_is_off_by_some_deviations_is_covered_by_as_many(tmp_path, sd, expected):
+    """One parameter: to first order every error is the same number of standard deviations, 0.01 / sd."""
+    case = case_of(tmp_path, known(sd))
+    band = banded(case, known(sd), prediction(case))
+    assert [round(share, 1) for share in band.coverage] == list(expected)
+    assert band.efficiency[0] == pytest.approx(0.01 / sd, rel=0.02)
+    assert band.efficiency[1] == pytest.approx(0.01 / sd, rel=0.02)
+    assert band.expected == pytest.approx(band.bound)
+
+
+def test_the_bound_is_the_noise_alone_and_the_band_is_all_that_is_known(tmp_path):
+    found = known(0.003, offset=0.004, inflation=4.0)
+    case = case_of(tmp_path, found)
+    band = banded(case, found, prediction(case))
+    assert band.expected[0] == pytest.approx(band.bound[0] * 2 * 5 / 3, rel=1e-5)
+    off = prediction(case) - case.test.states
+    inside = (off.abs() <= 2 * band.deviations)[:, 1:].double().mean()
+    assert band.coverage[1] == pytest.approx(float(inside))
+
+
+def test_absent_samples_do_not_count(tmp_path):
+    found = known(0.02)
+    case = case_of(tmp_path, found)
+    cut = torch.rand(case.test.times.shape, generator=torch.Generator().manual_seed(0)) < 0.5
+    cut[:, 0] = False
+    band = banded(drop(case, cut), found, prediction(case))
+    assert band.coverage == (1, 1, 1)
+    assert all(math.isfinite(value) for value in (*band.expected, *band.bound, *band.efficiency))
+
+
+def test_norms_are_those_of_positions_and_velocities():
+    values = torch.tensor([[[3.0, 4.0, 6.0, 8.0]], [[0.0, 0.0, 0.0, 0.0]]])
+    assert norms(values, 2.0) == pytest.approx((5 / 2**0.5, 5 / 2**0.5))
+    assert pytest.approx((0.6827, 0.9545, 0.9973), abs=1e-4) == NORMAL
+
+
+def test_an_evaluation_tells_and_draws_the_band(tmp_path):
+    findings = evaluate(case_of(tmp_path, known(0.02)), {})
+    assert findings.rows[0].note.startswith(
+        "its bands of 1, 2 and 3 standard deviations hold 100, 100, 100 %"
+    )
+    assert findings.numbers["uncertainty"]["coverage"] == [1, 1, 1]
+    assert findings.numbers["uncertainty"]["determined"] == 1.0
+    assert "band" in findings.figures
+    assert findings.arrays["true_start_deviations"].shape == findings.arrays["true_start"].shape
+    without = evaluate(case_of(tmp_path, None), {}, figures=False)
+    assert "uncertainty" not in without.numbers
+    assert "band" not in evaluate(case_of(tmp_path, known(0.02)), {}, figures=False).figures

@@ -1,0 +1,71 @@
+"""A training on measurements leaves its uncertainty, and Python and a later evaluation find it."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+import torch
+from entry import call
+
+import ahnn
+from ahnn.checkpoints import replace_weights
+from ahnn.errors import UserError
+from ahnn.evaluation import load_results
+from ahnn.uncertainty.posterior import FILE
+
+TINY = ["data.trajectories=20", "data.windows_per_epoch=20", "data.batch_size=10", "data.val_windows=3"]
+TINY += ["loss.stages=[[all,1.0]]", "model.network.width=4", "trainer.max_epochs=1", "loss.closing=1"]
+TINY += ["experiment=pendulum_angles", "plugins=none", "logger=none", "callbacks.rollout.count=0"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A training on measurements, of two steps."""
+    place = tmp_path_factory.mktemp("runs") / "angles"
+    assert call("ahnn.train", *TINY, f"run={place}", "system.steps=60") == 0
+    return place
+
+
+def test_a_training_on_measurements_leaves_the_covariance_of_its_weights(folder):
+    run = ahnn.load(folder)
+    assert run.uncertainty is not None
+    count = sum(p.numel() for p in run.dynamics.parameters())
+    assert run.uncertainty.covariance.shape == (count, count)
+    assert list(run.uncertainty.about["strengths"]) == [n for n, _ in run.dynamics.named_parameters()]
+    found = load_results(folder).numbers["uncertainty"]
+    assert found["inflation"] == pytest.approx(run.uncertainty.inflation)
+    assert len(found["coverage"]) == 3
+    assert (folder / "figures" / "band.png").is_file()
+
+
+def test_a_run_has_bands_for_any_start(folder):
+    run = ahnn.load(folder)
+    band = run.band([[0.5, 0.0], [1.0, 0.0]], 30)
+    assert band.shape == (2, 31, 2)
+    assert float(band[:, 0].abs().max()) == 0
+    assert bool((band[:, 1:].isfinite() & (band[:, 1:] > 0)).all())
+
+
+def test_a_later_evaluation_finds_the_band_too(folder):
+    assert call("ahnn.evaluate", f"run={folder}", "name=again", "evaluation.figures=false") == 0
+    first, again = (load_results(f) for f in (folder, folder / "evaluations" / "again"))
+    assert again.numbers["uncertainty"]["coverage"] == pytest.approx(first.numbers["uncertainty"]["coverage"])
+
+
+def test_other_weights_have_no_band(folder, tmp_path):
+    best = ahnn.load(folder)
+    assert load_results(folder).training["val_loss"] == best.about["val_loss"]
+    other = shutil.copy(folder / "checkpoints" / "best.ckpt", tmp_path / "other.ckpt")
+    moved = {name: value + 1e-6 for name, value in best.dynamics.state_dict().items()}
+    replace_weights(other, moved, 0.25)
+    run = ahnn.load(folder, str(other))
+    assert run.about["val_loss"] == 0.25
+    assert all(torch.equal(value, moved[name]) for name, value in run.dynamics.state_dict().items())
+    with pytest.raises(UserError, match=f"band: expected {FILE}"):
+        run.band([0.5, 0.0], 3)
+
+
+def test_a_model_that_was_not_measured_has_no_band():
+    with pytest.raises(UserError, match="band: expected"):
+        ahnn.load("molniya_mechanical").band(torch.zeros(6), 3)
