@@ -14,7 +14,7 @@ from ahnn.shooting.robust import ROBUST
 from ahnn.shooting.starts import refine
 from ahnn.training.evidence import Prior, by_evidence
 from ahnn.training.normal_equations import Block, Equations, Rows
-from ahnn.training.shooting import REFITS, Shooting, ShootingProblem
+from ahnn.training.shooting import REFITS, Limit, Shooting, ShootingProblem, freedom
 
 
 class WideProblem(ShootingProblem):
@@ -27,7 +27,8 @@ class WideProblem(ShootingProblem):
     @torch.no_grad()
     def follow(self, theta: Tensor) -> None:
         """Move the starts to where they fit best after a step to theta, shape (P,)."""
-        self.starts = refine(self._at(theta), self.starts, self.batch, self.steps, REFITS).starts
+        fitted = refine(self._at(theta), self.starts, self.batch, self.steps, REFITS)
+        self.starts, self.limit = fitted.starts, Limit.of(fitted.sums, freedom(self.batch))
 
 
 def with_prior(block: Block, prior: Prior, theta: Tensor) -> Block:
