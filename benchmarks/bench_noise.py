@@ -2,8 +2,8 @@
 
     python benchmarks/bench_noise.py --seconds 30 --out noise.csv
 
-Rows are appended as they are measured, and those that the file has are not measured again. The error is that of
-rollouts of unseen trajectories from their true start, mean of the rms vector norm, as in every table.
+Rows are appended as they are measured, and those that the file has are not measured again. The error is
+that of rollouts of unseen trajectories from their true start, mean of the rms vector norm, as in every table.
 """
 
 from __future__ import annotations
@@ -75,7 +75,9 @@ def trained(overrides: list[str], seconds: float) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    """Measure what the file does not have."""
+    kind = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=kind)
     parser.add_argument("--seconds", type=float, default=30, help="CPU time of each training")
     parser.add_argument("--seeds", type=int, nargs="+", default=[7, 201, 719])
     parser.add_argument("--systems", nargs="+", default=list(SYSTEMS), choices=SYSTEMS)
