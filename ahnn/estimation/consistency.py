@@ -48,10 +48,8 @@ def band(degrees: float, count: float, probability: float = 0.95) -> tuple[float
 def independent_count(values: Tensor) -> float:
     """Return how many independent values (B, T) correlated ones are worth, for the variance of their mean.
 
-    N values of independent members with autocorrelations rho_k are worth N / (1 + 2 sum_k (1 - k/T) rho_k)
-    (Bayley & Hammersley 1946). The autocorrelations are estimated from all members, and summed up to the
-    first pair of lags whose sum is not positive (Geyer 1992, section 3.3: beyond it is noise). Never more
-    than N, nor less than one for each member.
+    N values of independent members are worth N over their `correlation_time` (Bayley & Hammersley 1946),
+    never more than N nor less than one for each member.
 
     Args:
         values: (B, T), NaN where missing; row b of a member holds all that it depends on.
@@ -59,21 +57,35 @@ def independent_count(values: Tensor) -> float:
     there = values.isfinite()
     count = float(there.sum())
     members = float(there.any(-1).sum())
+    time = correlation_time(values)
+    return members if time is None else min(max(count / max(time, 1.0), members), count)
+
+
+def correlation_time(values: Tensor) -> float | None:
+    """Return 1 + 2 sum_k (1 - k/T) rho_k of values (B, T), in samples; None where nothing varies.
+
+    The autocorrelations rho_k are estimated from all members, and summed up to the first pair of lags whose
+    sum is not positive (Geyer 1992, section 3.3: beyond it is noise). A first-order Gauss-Markov process that
+    keeps the fraction a from sample to sample has (1 + a) / (1 - a), for large T.
+
+    Args:
+        values: (B, T), NaN where missing.
+    """
+    there = values.isfinite()
     steps = values.shape[1]
-    if count == 0.0 or steps < 2:
-        return members
+    if not bool(there.any()) or steps < 2:
+        return None
     centred = torch.where(there, values - values[there].mean(), 0.0)
     products, pairs = (_lagged_sums(part) for part in (centred, there.to(values.dtype)))
     # A lag that no member has twice counts nothing.
     covariance = torch.where(pairs > 0.5, products / pairs.clamp(min=1.0), 0.0)
     if not float(covariance[0]) > 0.0:
-        return members
+        return None
     weight = 1.0 - torch.arange(steps, dtype=values.dtype) / steps
     rho = (covariance / covariance[0] * weight)[: steps // 2 * 2]
     sums = rho.reshape(-1, 2).sum(-1)
     positive = (sums > 0.0).to(values.dtype).cumprod(0)
-    time = 2.0 * float((sums * positive).sum()) - 1.0
-    return min(max(count / max(time, 1.0), members), count)
+    return 2.0 * float((sums * positive).sum()) - 1.0
 
 
 def _lagged_sums(values: Tensor) -> Tensor:

@@ -8,14 +8,18 @@ from typing import NamedTuple
 
 from torch import Tensor
 
+from ahnn.estimation.belief import Belief
 from ahnn.estimation.covariances import initial_belief
 from ahnn.estimation.gate import Gate
 from ahnn.estimation.scenario import Problem, Setting
+from ahnn.measurements import Measurement
 from ahnn.progress import progress_bar
 from ahnn.types import Flow, TimeStep
 from ahnn_plugins.ukf.filter import unscented_filter
+from ahnn_plugins.ukf.force_error import ForceError, of_states, smoothed_states
+from ahnn_plugins.ukf.smoother import unscented_smoother
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
-from ahnn_plugins.ukf.types import FilterResult, Form, UnscentedParameters
+from ahnn_plugins.ukf.types import FilterResult, Form, SmootherResult, UnscentedParameters
 
 
 class Filter(NamedTuple):
@@ -30,6 +34,7 @@ class Filter(NamedTuple):
         form: square-root or standard.
         gate: refuses improbable measurements; None takes all.
         floor: whether the flow is perfect knowledge.
+        force_error: a relative error of the force with memory, besides Q; None for none.
     """
 
     name: str
@@ -40,26 +45,62 @@ class Filter(NamedTuple):
     form: Form = SQUARE_ROOT
     gate: Gate | None = None
     floor: bool = False
+    force_error: ForceError | None = None
+
+    def scaled(self, q: Tensor | float, r: Tensor | float = 1.0) -> Filter:
+        """Return the filter with factors of all its process noise and of R, numbers or (B,)."""
+        error = self.force_error
+        return self._replace(
+            process_noise=_times(q, self.process_noise),
+            measurement_noise=_times(r, self.measurement_noise),
+            force_error=None if error is None else error._replace(size=q**0.5 * error.size),
+        )
 
 
-def assimilate(
-    chosen: Filter, setting: Setting, problem: Problem, *, smoothing: bool = False
-) -> FilterResult:
+def _times(factor: Tensor | float, matrix: Tensor) -> Tensor:
+    return matrix * (factor[:, None, None] if isinstance(factor, Tensor) else factor)
+
+
+class _Model(NamedTuple):
+    """What `unscented_filter` is given first: of the states themselves, or augmented by a force error."""
+
+    flow: Flow
+    belief: Belief
+    measurements: Tensor
+    measurement: Measurement
+    process_noise: Tensor
+    measurement_noise: Tensor
+    dt: float
+
+
+def assimilate(chosen: Filter, setting: Setting, problem: Problem) -> FilterResult:
     """Run a filter on a problem."""
-    belief = initial_belief(problem.starts, setting.start_covariance)
-    return unscented_filter(
-        chosen.flow,
-        belief,
-        problem.measurements,
-        setting.measurement,
-        chosen.process_noise,
-        chosen.measurement_noise,
-        problem.dt,
-        parameters=chosen.parameters,
-        form=chosen.form,
-        gate=chosen.gate,
-        smoothing=smoothing,
-    )
+    result = _filtered(chosen, _model(chosen, setting, problem))
+    return result if chosen.force_error is None else of_states(result)
+
+
+def assimilate_all(chosen: Filter, setting: Setting, problem: Problem) -> tuple[FilterResult, SmootherResult]:
+    """Run a filter on a problem, and the smoother behind it."""
+    result = _filtered(chosen, _model(chosen, setting, problem), smoothing=True)
+    smoothed = unscented_smoother(result)
+    if chosen.force_error is None:
+        return result, smoothed
+    return of_states(result), smoothed_states(smoothed)
+
+
+def _model(chosen: Filter, setting: Setting, problem: Problem) -> _Model:
+    belief, rows = initial_belief(problem.starts, setting.start_covariance), problem.measurements
+    q, r, error = chosen.process_noise, chosen.measurement_noise, chosen.force_error
+    if error is None:
+        return _Model(chosen.flow, belief, rows, setting.measurement, q, r, problem.dt)
+    flow, measurement = error.flow(chosen.flow), error.measurement(setting.measurement)
+    q = error.process_noise(q, problem.dt)
+    return _Model(flow, error.belief(belief), rows, measurement, q, r, problem.dt)
+
+
+def _filtered(chosen: Filter, model: _Model, *, smoothing: bool = False) -> FilterResult:
+    constants = {"parameters": chosen.parameters, "form": chosen.form, "gate": chosen.gate}
+    return unscented_filter(*model, **constants, smoothing=smoothing)
 
 
 @contextmanager

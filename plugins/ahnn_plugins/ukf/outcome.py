@@ -21,8 +21,7 @@ from ahnn.estimation.scenario import Problem, Setting
 from ahnn.evaluation import Case, Row, Who
 from ahnn.evaluation.titles import title
 from ahnn.metrics import Scores
-from ahnn_plugins.ukf.smoother import unscented_smoother
-from ahnn_plugins.ukf.types import FilterResult
+from ahnn_plugins.ukf.types import FilterResult, SmootherResult
 
 SMOOTHED = "_smoothed"
 """Ending of an estimator that is the smoother behind a filter."""
@@ -58,9 +57,10 @@ def filtered(who: Who, setting: Setting, problem: Problem, result: FilterResult)
     return _outcome(who, (result.means, result.chols), setting, problem, result)
 
 
-def smoothed(who: Who, setting: Setting, problem: Problem, result: FilterResult) -> Outcome:
-    """Return the outcome of the smoother behind a filter that ran with `smoothing=True`."""
-    s = unscented_smoother(result)
+def smoothed(
+    who: Who, setting: Setting, problem: Problem, result: FilterResult, s: SmootherResult
+) -> Outcome:
+    """Return the outcome of the smoother behind a filter."""
     behind = who._replace(estimator=f"{who.estimator}{SMOOTHED}")
     result = result._replace(initial=s.initial, backward=None)
     return _outcome(behind, (s.means, s.chols), setting, problem, result)

@@ -20,10 +20,10 @@ from ahnn.rollouts import rollout
 from ahnn.systems import System
 from ahnn.systems.truth import exact_flow
 from ahnn.types import Space
-from ahnn_plugins.ukf.assimilation import Filter, assimilate, shown
+from ahnn_plugins.ukf.assimilation import Filter, assimilate, assimilate_all, shown
 from ahnn_plugins.ukf.figures import ukf_figures
+from ahnn_plugins.ukf.noise_options import Deviation, NoiseOption, noise_option, with_process_noise
 from ahnn_plugins.ukf.outcome import Outcome, filtered, numbers, rows, smoothed
-from ahnn_plugins.ukf.process_noise import fitted_process_noise
 from ahnn_plugins.ukf.series import moving_averages
 from ahnn_plugins.ukf.setting import make_setting
 from ahnn_plugins.ukf.sigma_points import unscented_weights
@@ -31,10 +31,6 @@ from ahnn_plugins.ukf.square_root import SQUARE_ROOT
 from ahnn_plugins.ukf.standard import STANDARD
 from ahnn_plugins.ukf.tuning import Tuning, tuned_once
 from ahnn_plugins.ukf.types import UnscentedParameters
-
-Deviation = Annotated[float, Within(0)]
-FITTING = 20
-"""Validation trajectories on which the scale of Q is chosen."""
 
 
 @final
@@ -53,8 +49,9 @@ class UKFEvaluation:
             own for positions.
         start_sd: standard deviations of the initial error [position, velocity], for P0; None takes the
             system's own, those that perturbed starts are drawn with.
-        process_noise: `fitted` to validation data, or standard deviations [position, velocity] of the error
-            of one step.
+        process_noise: `fitted` to validation data; standard deviations [position, velocity] of the error
+            of one step; or `force_error`, relative and with memory, `{size: ..., memory: ...}` where one of
+            them is given.
         alpha, beta, kappa: parameters of the sigma points.
         form: how covariances are carried.
         gate: probability beyond which a measurement is refused as an outlier; None takes all.
@@ -72,7 +69,7 @@ class UKFEvaluation:
         measurement: Measurement | dict[str, Any] | Literal["position", "state"],
         measurement_sd: Positive | list[Positive] | None,
         start_sd: tuple[Positive, Positive] | None,
-        process_noise: Literal["fitted"] | tuple[Deviation, Deviation],
+        process_noise: Literal["fitted", "force_error"] | tuple[Deviation, Deviation] | dict[str, Any],
         alpha: Finite,
         beta: Finite,
         kappa: Finite,
@@ -84,7 +81,8 @@ class UKFEvaluation:
         seed: int,
     ) -> None:
         _check_measurement(measurement)
-        self.seed, self.smoother, self.process_noise = seed, smoother, process_noise
+        self.seed, self.smoother = seed, smoother
+        self.process_noise: NoiseOption = noise_option(process_noise)
         self.parameters = UnscentedParameters(alpha, beta, kappa)
         self.form = {"square_root": SQUARE_ROOT, "standard": STANDARD}[form]
         self.gate = None if gate is None else Gate(gate, patience)
@@ -154,25 +152,29 @@ class UKFEvaluation:
     ) -> list[Outcome]:
         """Return what becomes of a filter, and of its smoother if asked for, in one scenario."""
         with shown(chosen.flow, described(who, case.label), problem.measurements.shape[1]) as flow:
-            result = assimilate(chosen._replace(flow=flow), setting, problem, smoothing=self.smoother)
-        outcomes = [filtered(who, setting, problem, result)]
-        if self.smoother:
-            outcomes.append(smoothed(who, setting, problem, result))
-        return outcomes
+            chosen = chosen._replace(flow=flow)
+            if not self.smoother:
+                return [filtered(who, setting, problem, assimilate(chosen, setting, problem))]
+            result, behind = assimilate_all(chosen, setting, problem)
+        return [filtered(who, setting, problem, result), smoothed(who, setting, problem, result, behind)]
 
     def _filters(self, case: Case, setting: Setting, findings: Findings) -> list[tuple[Who, Filter]]:
         """Return the filters of the table: the model's, tuned if asked for, and the floor."""
         r, size = setting.measurement_noise, case.test.states.shape[-1]
         nothing = torch.zeros(size, size, dtype=torch.float64)
         constants = r, self.parameters, self.form, self.gate
-        model = Filter(f"{case.label} + UKF", case.flow, nothing, *constants)
-        model = model._replace(process_noise=self._process_noise(case, setting, model, findings))
+        plain = Filter(f"{case.label} + UKF", case.flow, nothing, *constants)
+
+        def arcs(count: int) -> Problem:
+            return self._arcs(case, setting, count, None, self.seed + 1)
+
+        model, about = with_process_noise(self.process_noise, plain, case, setting, arcs)
+        findings.numbers["process_noise"] = about
         filters = [(Who(MODEL, "true", "ukf"), model)]
         if self.tuning is not None:
             options = self.tuning
-            count = min(options.trajectories, len(case.validation.states))
-            arcs = self._arcs(case, setting, count, options.steps, self.seed + 3)
-            tuned = tuned_once(model, setting, arcs, options, case.folder / "ukf_tuned.json")
+            parts = self._arcs(case, setting, options.trajectories, options.steps, self.seed + 3)
+            tuned = tuned_once(model, setting, parts, options, case.folder / "ukf_tuned.json")
             findings.numbers["tuning"] = tuned._asdict()
             filters.append((Who(MODEL, "true", "ukf_tuned"), tuned.apply(model)))
         if case.truth is not None:
@@ -181,24 +183,9 @@ class UKFEvaluation:
             filters.append((Who("exact flow", "true", "ukf", floor=True), floor))
         return filters
 
-    def _process_noise(self, case: Case, setting: Setting, model: Filter, findings: Findings) -> Tensor:
-        """Return Q of the model and write down where it comes from."""
-        if not isinstance(self.process_noise, str):
-            position, velocity = self.process_noise
-            blocks = torch.tensor([position, velocity * case.space.inertia], dtype=torch.float64)
-            q = torch.diag(blocks.repeat_interleave(case.space.dof) ** 2)
-            about: dict[str, Any] = {"from": "given"}
-        else:
-            count = min(FITTING, len(case.validation.states))
-            arcs = self._arcs(case, setting, count, None, self.seed + 1)
-            fitted = fitted_process_noise(model, setting, arcs, case.validation)
-            q = fitted.covariance
-            about = {"from": "fitted", "scale": fitted.scale, "nees_of_scales": list(fitted.nees)}
-        findings.numbers["process_noise"] = {**about, "step_sd": q.diagonal().sqrt().tolist()}
-        return q
-
     def _arcs(self, case: Case, setting: Setting, count: int, steps: int | None, seed: int) -> Problem:
-        """Return arcs of validation trajectories, which no row of the results is computed on."""
+        """Return arcs of at most so many validation trajectories; no row of the results is of them."""
+        count = min(count, len(case.validation.states))
         return perturbed_arcs(setting, case.validation.states, _interval(case), count, steps, seed)
 
     def _problems(self, case: Case, setting: Setting) -> dict[Start, Problem]:

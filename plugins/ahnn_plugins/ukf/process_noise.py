@@ -73,17 +73,31 @@ def fitted_process_noise(
     one_step = one_step_covariance(chosen.flow, trajectories)
     if not bool((one_step.diagonal() > 0).any()):
         return FittedNoise(one_step, one_step, 1.0, ())
-    count, (batch, samples, size) = len(SCALES), problem.truth.shape
-    scales = torch.tensor(SCALES, dtype=torch.float64).repeat_interleave(batch)
+    values = mean_nees(chosen._replace(process_noise=one_step), setting, problem, SCALES)
+    scale = crossing(SCALES, values, float(problem.truth.shape[-1]))
+    return FittedNoise(scale * one_step, one_step, scale, tuple(values))
+
+
+def mean_nees(chosen: Filter, setting: Setting, problem: Problem, scales: tuple[float, ...]) -> list[float]:
+    """Return the mean NEES from the first update on for each factor of a filter's process noise.
+
+    All factors are tried in one batch. A factor with which a member is lost has inf.
+
+    Args:
+        chosen: the filter.
+        setting: measurements and P0.
+        problem: V arcs.
+        scales: the factors.
+    """
+    batch, samples, _ = problem.truth.shape
+    column = torch.tensor(scales, dtype=torch.float64).repeat_interleave(batch)
     with shown(chosen.flow, f"fitting Q of {chosen.name}", samples - 1) as flow:
-        candidate = chosen._replace(flow=flow, process_noise=scales[:, None, None] * one_step)
-        result = assimilate(candidate, setting, problem.repeated(count))
-    error = result.means - problem.truth[:, 1:].repeat(count, 1, 1)
+        candidates = chosen._replace(flow=flow).scaled(column)
+        result = assimilate(candidates, setting, problem.repeated(len(scales)))
+    error = result.means - problem.truth[:, 1:].repeat(len(scales), 1, 1)
     settled = nees(error, result.chols)[:, setting.first - 1 :].nanmean(-1)
     settled = settled.masked_fill(result.status != 0, torch.inf)
-    values = settled.reshape(count, batch).mean(-1).tolist()
-    scale = crossing(SCALES, values, float(size))
-    return FittedNoise(scale * one_step, one_step, scale, tuple(values))
+    return settled.reshape(len(scales), batch).mean(-1).tolist()
 
 
 def crossing(scales: tuple[float, ...], values: list[float], target: float) -> float:

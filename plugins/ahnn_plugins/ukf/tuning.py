@@ -91,11 +91,8 @@ class Tuned(NamedTuple):
     def apply(self, chosen: Filter) -> Filter:
         """Return a filter with the tuned constants."""
         v = own_values(chosen) | self.values
-        return chosen._replace(
-            parameters=UnscentedParameters(v["alpha"], v["beta"], v["kappa"]),
-            process_noise=v["scale_q"] * chosen.process_noise,
-            measurement_noise=v["scale_r"] * chosen.measurement_noise,
-        )
+        parameters = UnscentedParameters(v["alpha"], v["beta"], v["kappa"])
+        return chosen._replace(parameters=parameters).scaled(v["scale_q"], v["scale_r"])
 
 
 def tune(chosen: Filter, setting: Setting, problem: Problem, options: Tuning) -> Tuned:
@@ -158,11 +155,8 @@ def objectives(
     def column(name: str) -> Tensor:
         return torch.tensor([t[name] for t in trials], dtype=torch.float64).repeat_interleave(batch)
 
-    candidate = chosen._replace(
-        parameters=UnscentedParameters(column("alpha"), column("beta"), column("kappa")),
-        process_noise=column("scale_q")[:, None, None] * chosen.process_noise,
-        measurement_noise=column("scale_r")[:, None, None] * chosen.measurement_noise,
-    )
+    parameters = UnscentedParameters(column("alpha"), column("beta"), column("kappa"))
+    candidate = chosen._replace(parameters=parameters).scaled(column("scale_q"), column("scale_r"))
     result = assimilate(candidate, setting, problem.repeated(count))
     first = setting.first - 1
     truth = problem.truth[:, 1 + first :].repeat(count, 1, 1)
@@ -207,6 +201,8 @@ def _recipe(chosen: Filter, setting: Setting, problem: Problem, options: Tuning)
         "start_sd": setting.start_sd,
         "parameters": torch.tensor([float(p) for p in chosen.parameters]),
     }
+    if chosen.force_error is not None:
+        tensors["force_error"] = torch.tensor([float(p) for p in chosen.force_error])
     arcs = b"".join(part.numpy().tobytes() for part in (problem.starts, problem.measurements))
     return {
         "tuning": asdict(options),

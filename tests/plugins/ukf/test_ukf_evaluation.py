@@ -103,6 +103,22 @@ def test_fitted_process_noise_makes_the_filter_consistent_and_better_than_none(m
     assert told["whole_arc"]["position"] < 0.5 * alone.position
 
 
+def test_a_force_error_is_fitted_or_given(make_case: Callable) -> None:
+    system = MassSpring(name="spring", dt=0.01, steps=600)
+    case = make_case(system, integrated(MassSpring(name="s", dt=0.01, steps=600, stiffness=5.05), RK4))
+    findings = run(case, "process_noise=force_error", group="ukf_smoothed")
+    noise = findings.numbers["process_noise"]
+    # The stiffness, and so the force, is off by 1 % for good.
+    assert noise["size"] / noise["scale"] ** 0.5 == pytest.approx(0.01, rel=0.02)
+    assert noise["memory"] > 10 * system.dt
+    told = findings.numbers["filters"]["ukf"]["model"]["perturbed"]
+    assert told["status"]["OK"] == 6
+    assert 0.5 < told["nees"]["mean"] < 4.0
+    assert findings.arrays["perturbed_start"].shape == case.test.states.shape
+    given = run(case, "process_noise={size:0.01,memory:3.0}").numbers["process_noise"]
+    assert given == {"from": "force_error", "size": 0.01, "memory": 3.0, "scale": 1.0, "nees_of_scales": []}
+
+
 def test_same_measurements_for_every_model(spring: Case, make_case: Callable) -> None:
     other = make_case(SPRING, integrated(SPRING, RK4))
     floor = Who("exact flow", "perturbed", "ukf", "settled", floor=True)
@@ -175,8 +191,10 @@ def test_the_consistency_is_judged_by_the_band_of_what_is_averaged(spring: Case)
         ("measurement=velocity", "measurement: expected .* position, state"),
         ("measurement={_target_:ahnn.estimation.Gate}", "Gate has no names, units, residual"),
         ("cadence=fast", "cadence: expected int >= 1; received 'fast'"),
-        ("process_noise=[1.0]", "process_noise: expected a list of 2 float >= 0 or fitted"),
-        ("process_noise=guessed", "process_noise: expected a list of 2 float >= 0 or fitted"),
+        ("process_noise=[1.0]", "process_noise: expected .*fitted, force_error"),
+        ("process_noise=guessed", "process_noise: expected .*fitted, force_error"),
+        ("process_noise={size:-1.0}", "process_noise.size: expected float > 0"),
+        ("process_noise={tau:1.0}", "process_noise: unknown key 'tau'"),
         ("measurement_sd=[1.0,2.0]", r"measurement_sd: expected one number > 0 for each of q1 \[m\]"),
         (
             "measurement={latitude:3}",

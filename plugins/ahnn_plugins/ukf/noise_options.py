@@ -1,0 +1,80 @@
+"""From the option `process_noise` of the plugin to a filter that has it, and where it comes from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import torch
+
+from ahnn.arguments import Positive, Within, check_arguments, checked
+from ahnn.estimation.scenario import Problem, Setting
+from ahnn.evaluation import Case
+from ahnn_plugins.ukf.assimilation import Filter
+from ahnn_plugins.ukf.force_error_fit import fitted_force_error
+from ahnn_plugins.ukf.process_noise import fitted_process_noise
+
+FITTED_ON, FORCE_FITTED_ON = 20, 100
+"""Validation trajectories on which the scale of Q, and that of a force error, is chosen."""
+
+Deviation = Annotated[float, Within(0)]
+
+
+@checked
+@dataclass(frozen=True)
+class ForceOptions:
+    """A relative force error with memory; what is None is fitted to validation data.
+
+    Attributes:
+        size: standard deviation, as a fraction of the force.
+        memory: time constant, in the unit of the system.
+    """
+
+    size: Positive | None = None
+    memory: Positive | None = None
+
+
+NoiseOption = Literal["fitted"] | tuple[Deviation, Deviation] | ForceOptions
+
+
+def noise_option(
+    given: Literal["fitted", "force_error"] | tuple[Deviation, Deviation] | dict[str, Any],
+) -> NoiseOption:
+    """Return the option as its own type; raises UserError for unknown or wrong keys of a force error."""
+    if isinstance(given, dict):
+        check_arguments("process_noise", ForceOptions, given)
+        return ForceOptions(**given)
+    return ForceOptions() if given == "force_error" else given
+
+
+def with_process_noise(
+    option: NoiseOption, plain: Filter, case: Case, setting: Setting, arcs: Callable[[int], Problem]
+) -> tuple[Filter, dict[str, Any]]:
+    """Return a filter with the process noise of its model, and where that comes from, as plain values.
+
+    Args:
+        option: see `noise_option`.
+        plain: the filter, without process noise.
+        case: the model.
+        setting: measurements and P0.
+        arcs: gives so many whole validation trajectories, on which a scale is chosen.
+    """
+    if isinstance(option, ForceOptions):
+        given = {"size": option.size, "memory": option.memory}
+        tried, inertia = arcs(FORCE_FITTED_ON), case.space.inertia
+        fit = fitted_force_error(plain, setting, tried, case.validation, inertia, **given)
+        told = {"size": float(fit.error.size), "memory": float(fit.error.memory)}
+        about = {"from": "force_error", **told, "scale": fit.scale, "nees_of_scales": list(fit.nees)}
+        # A variance of zero would end every member.
+        return plain._replace(force_error=fit.error if told["size"] > 0.0 else None), about
+    if isinstance(option, str):
+        fitted = fitted_process_noise(plain, setting, arcs(FITTED_ON), case.validation)
+        q = fitted.covariance
+        about = {"from": "fitted", "scale": fitted.scale, "nees_of_scales": list(fitted.nees)}
+    else:
+        position, velocity = option
+        blocks = torch.tensor([position, velocity * case.space.inertia], dtype=torch.float64)
+        q = torch.diag(blocks.repeat_interleave(case.space.dof) ** 2)
+        about = {"from": "given"}
+    return plain._replace(process_noise=q), {**about, "step_sd": q.diagonal().sqrt().tolist()}
