@@ -99,6 +99,17 @@ class System(ABC):
         """Return the number of steps, shape (B,), of the trajectories that start at x, shape (B, D)."""
         return torch.full((x.shape[0],), self.steps, dtype=torch.int64)
 
+    def phases(self, x: Tensor) -> dict[str, Tensor]:
+        """Return in which phase of a motion the states x, shape (..., D), are: (...) bool for each name.
+
+        An estimator that is right on average may be wrong in each of them. Thirds of the states by the size
+        of the force, where a system has nothing more telling.
+        """
+        force = self.force(x.chunk(2, dim=-1)[0]).norm(dim=-1)
+        low, high = (force[force.isfinite()].quantile(part) for part in (1 / 3, 2 / 3))
+        middle = (force > low) & (force <= high)
+        return {"weak force": force <= low, "medium force": middle, "strong force": force > high}
+
     def deviations(self) -> Tensor:
         """Return the default standard deviations of an initial state error, shape (D,)."""
         blocks = torch.tensor([self.noise.position, self.noise.velocity * self.inertia], dtype=torch.float64)

@@ -87,6 +87,11 @@ class Molniya(System):
         )
         return state_at_periapsis(elements, self.mu, self.mass)
 
+    def phases(self, x: Tensor) -> dict[str, Tensor]:
+        """Return which of the states x, shape (..., 6), lie within two equatorial radii of the centre."""
+        distance = x[..., :3].norm(dim=-1) / self.r_eq
+        return {"inside 2 radii": distance <= 2.0, "outside 2 radii": distance > 2.0}
+
     def durations(self, x: Tensor) -> Tensor:
         """Return `steps` for all, or the steps that cover `periods` revolutions of each orbit, shape (B,)."""
         if self.periods is None:

@@ -13,7 +13,6 @@ from ahnn.estimation.consistency import (
     band,
     coverage,
     deviations,
-    independent_count,
     nees,
     share_within,
 )
@@ -21,6 +20,7 @@ from ahnn.estimation.scenario import Problem, Setting
 from ahnn.evaluation import Case, Row, Who
 from ahnn.evaluation.titles import title
 from ahnn.metrics import Scores
+from ahnn_plugins.ukf.judged import Judged, judged_nees, judged_nis
 from ahnn_plugins.ukf.types import FilterResult, SmootherResult
 
 SMOOTHED = "_smoothed"
@@ -90,7 +90,7 @@ def rows(outcome: Outcome, case: Case, without: Scores | None) -> list[Row]:
     settled = case.score(outcome.estimate, outcome.first)
     return [
         Row(outcome.who, whole, _remark(outcome, whole, without), extra),
-        Row(outcome.who._replace(span="settled"), settled, _consistency_remark(outcome), extra),
+        Row(outcome.who._replace(span="settled"), settled, _consistency_remark(outcome, case), extra),
     ]
 
 
@@ -127,41 +127,36 @@ def _worse(scores: Scores, without: Scores) -> list[str]:
     return [name for name in ("position", "velocity") if not getattr(scores, name) <= getattr(without, name)]
 
 
-def _consistency_remark(outcome: Outcome) -> str:
-    """Say how the means of NEES and NIS lie to their bands, over times from the first update on."""
+def _consistency_remark(outcome: Outcome, case: Case) -> str:
+    """Say how the means of NEES and NIS lie to their bands, over times from the first update on.
+
+    And that of the NEES in each phase of the motion in which it lies outside.
+    """
     if not bool((outcome.result.measured > 0).any()):
         return "nothing was measured"
     if outcome.lost == len(outcome.nees):
         return ""
-    parts = (("NEES", *_nees(outcome)), ("NIS", *_nis(outcome)))
-    return ", ".join(_verdict(name, mean, limits) for name, mean, limits in parts)
+    parts = [f"NEES {_nees(outcome)}", f"NIS {judged_nis(outcome.result)}"]
+    parts += [f"NEES {name} {mean}" for name, mean in _phases(outcome, case).items() if not mean.inside]
+    return ", ".join(parts)
 
 
-def _verdict(name: str, mean: float, limits: tuple[float, float]) -> str:
-    low, high = limits
-    return f"{name} {mean:.3g} {'in' if low <= mean <= high else 'not in'} {low:.3g} to {high:.3g}"
+def _nees(outcome: Outcome) -> Judged:
+    """Return the mean NEES over members and times from the first update on."""
+    return judged_nees(outcome.nees[:, outcome.first :], outcome.estimate.shape[-1])
 
 
-def _nees(outcome: Outcome) -> tuple[float, tuple[float, float]]:
-    """Return the mean NEES over members and times from the first update on, and its 95 % band.
-
-    The NEES is correlated in time: its values count as `independent_count` of them.
-    """
-    values = outcome.nees[:, outcome.first :]
-    return float(values.nanmean()), band(outcome.estimate.shape[-1], independent_count(values))
-
-
-def _nis(outcome: Outcome) -> tuple[float, tuple[float, float]]:
-    """Return the mean NIS over accepted rows of all members and times, and its 95 % band.
-
-    Innovations are white: the sum is chi-square with as many degrees of freedom as numbers were measured.
-    """
-    values = outcome.result.nis.masked_fill(outcome.result.rejected, torch.nan)
-    there = values.isfinite()
-    count = int(there.sum())
-    if count == 0:
-        return float("nan"), (float("nan"), float("nan"))
-    return float(values.nanmean()), band(float(outcome.result.measured[there].double().mean()), count)
+def _phases(outcome: Outcome, case: Case) -> dict[str, Judged]:
+    """Return the mean NEES, from the first update on, in each phase of the motion that occurs."""
+    if case.truth is None:
+        return {}
+    first, size = outcome.first, outcome.estimate.shape[-1]
+    judged = {}
+    for phase, part in case.truth.phases(case.test.states).items():
+        values = outcome.nees.masked_fill(~part, torch.nan)[:, first:]
+        if bool(values.isfinite().any()):
+            judged[phase] = judged_nees(values, size)
+    return judged
 
 
 def numbers(outcome: Outcome, case: Case) -> dict[str, Any]:
@@ -169,7 +164,7 @@ def numbers(outcome: Outcome, case: Case) -> dict[str, Any]:
 
     Means run over trajectories and over times from the first update on; `band_95` is where such a mean lies
     for a consistent filter. `in_band` is the fraction of times at which the mean over trajectories alone lies
-    in its own band, `one_time_band_95`.
+    in its own band, `one_time_band_95`. `nees_of_phases` are those of `System.phases`.
     """
     result, first = outcome.result, outcome.first
     error = outcome.estimate - case.test.states
@@ -182,8 +177,9 @@ def numbers(outcome: Outcome, case: Case) -> dict[str, Any]:
     return {
         "whole_arc": case.score(outcome.estimate)._asdict(),
         "from_first_update": case.score(outcome.estimate, first)._asdict(),
-        "nees": _series(outcome.nees[:, after], *_nees(outcome), one_time["nees"]),
-        "nis": _series(kept, *_nis(outcome), one_time["nis"]),
+        "nees": _series(outcome.nees[:, after], _nees(outcome), one_time["nees"]),
+        "nees_of_phases": {name: _plain(mean) for name, mean in _phases(outcome, case).items()},
+        "nis": _series(kept, judged_nis(result), one_time["nis"]),
         "coverage": {f"{k}_sigma": {"share": shares[k], "gaussian": p} for k, p in GAUSSIAN.items()},
         "status": {status.name: int((result.status == status).sum()) for status in Status},
         "failed_steps": result.failed_step[result.failed_step >= 0].tolist(),
@@ -193,13 +189,14 @@ def numbers(outcome: Outcome, case: Case) -> dict[str, Any]:
     }
 
 
-def _series(
-    values: Tensor, mean: float, limits: tuple[float, float], one_time: tuple[float, float]
-) -> dict[str, Any]:
+def _series(values: Tensor, judged: Judged, one_time: tuple[float, float]) -> dict[str, Any]:
     """Return mean, bands and fraction of times in the band of values (B, T)."""
-    return {
-        "mean": mean,
-        "band_95": list(limits),
+    series = values.nanmean(0)
+    return _plain(judged) | {
         "one_time_band_95": list(one_time),
-        "in_band": share_within(values.nanmean(0), one_time),
+        "in_band": share_within(series, one_time),
     }
+
+
+def _plain(judged: Judged) -> dict[str, Any]:
+    return {"mean": judged.mean, "band_95": list(judged.limits)}

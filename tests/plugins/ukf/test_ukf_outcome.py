@@ -107,6 +107,30 @@ def test_bands_count_the_members_that_are_left(tmp_path, lost):
 
 
 @pytest.mark.parametrize("lost", [0, 2])
+def test_each_phase_is_judged_by_the_values_in_it(tmp_path, lost):
+    made = Made(tmp_path, lost)
+    told = numbers(made.outcome, made.case)["nees_of_phases"]
+    force = made.case.truth.force(made.case.test.states[..., :2]).norm(dim=-1)
+    third = force > force.quantile(2 / 3)
+    nees = (made.error / made.sd).square().sum(-1)
+    strong = nees.masked_fill(~third, torch.nan)[:, 8:]
+    assert set(told) == {"weak force", "medium force", "strong force"}
+    assert told["strong force"]["mean"] == pytest.approx(float(strong[strong.isfinite()].mean()), rel=1e-12)
+    assert told["strong force"]["band_95"] == pytest.approx(
+        limits(SIZE, independent_count(strong)), rel=1e-12
+    )
+
+
+def test_a_remark_names_the_phases_in_which_a_filter_is_overconfident(tmp_path):
+    made = Made(tmp_path)
+    strong = made.case.truth.phases(made.case.test.states)["strong force"]
+    spoiled = made.outcome._replace(nees=torch.where(strong, 9.0, 4.0 + 0.1 * made.outcome.nees))
+    (_, settled) = rows(spoiled, made.case, None)
+    assert "NEES strong force 9 not in" in settled.note
+    assert "NEES weak force" not in settled.note
+
+
+@pytest.mark.parametrize("lost", [0, 2])
 def test_the_band_of_the_nis_has_a_degree_of_freedom_for_each_accepted_number(tmp_path, lost):
     made = Made(tmp_path, lost)
     told = numbers(made.outcome, made.case)["nis"]
@@ -150,7 +174,7 @@ def test_the_settled_row_says_how_the_means_lie_to_their_bands(tmp_path):
         note = verdict(Made(tmp_path, spread=spread))
         assert note.startswith("NEES ")
         assert " not in " in note.split(", NIS")[0]
-        assert " not in " not in note.split(", NIS")[1]
+        assert " not in " not in note.split(", NIS")[1].split(", NEES")[0]
     assert verdict(Made(tmp_path, lost=3)) == ""
     assert "NEES" in verdict(Made(tmp_path, lost=2))
 
