@@ -24,7 +24,7 @@ def title(who: Who, label: str) -> str:
 def estimator_title(estimator: str) -> str:
     """Return the name of an estimator for readers: `ukf_tuned` is `UKF tuned`."""
     first, *rest = estimator.split("_")
-    return " ".join((first.upper(), *rest))
+    return " ".join((first.upper() if len(first) <= 4 else first, *rest))
 
 
 def described(who: Who, label: str) -> str:

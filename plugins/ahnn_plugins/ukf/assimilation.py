@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 from ahnn.estimation.belief import Belief
@@ -15,8 +16,10 @@ from ahnn.estimation.scenario import Problem, Setting
 from ahnn.measurements import Measurement
 from ahnn.progress import progress_bar
 from ahnn.types import Flow, TimeStep
+from ahnn_plugins.ukf.batch import BatchResult, batch_least_squares
 from ahnn_plugins.ukf.filter import unscented_filter
 from ahnn_plugins.ukf.force_error import ForceError, of_states, smoothed_states
+from ahnn_plugins.ukf.iterated import Iterated, iterated_smoother
 from ahnn_plugins.ukf.smoother import unscented_smoother
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
 from ahnn_plugins.ukf.types import FilterResult, Form, SmootherResult, UnscentedParameters
@@ -79,13 +82,50 @@ def assimilate(chosen: Filter, setting: Setting, problem: Problem) -> FilterResu
     return result if chosen.force_error is None else of_states(result)
 
 
-def assimilate_all(chosen: Filter, setting: Setting, problem: Problem) -> tuple[FilterResult, SmootherResult]:
-    """Run a filter on a problem, and the smoother behind it."""
-    result = _filtered(chosen, _model(chosen, setting, problem), smoothing=True)
-    smoothed = unscented_smoother(result)
-    if chosen.force_error is None:
-        return result, smoothed
-    return of_states(result), smoothed_states(smoothed)
+class Behind(NamedTuple):
+    """Estimators that know all measurements, beside a filter; None where one is not asked for.
+
+    Attributes:
+        smoothed: by the Rauch-Tung-Striebel smoother.
+        iterated: by the iterated smoother.
+        batch: by batch least squares, which takes the flow as exact.
+    """
+
+    smoothed: SmootherResult
+    iterated: Iterated | None = None
+    batch: BatchResult | None = None
+
+
+def assimilate_all(
+    chosen: Filter, setting: Setting, problem: Problem, *, iterated: bool = False, batch: bool = False
+) -> tuple[FilterResult, Behind]:
+    """Run a filter on a problem, the smoother behind it, and what else is asked for.
+
+    Rows that the gate of the filter refused count for none of them.
+    """
+    model = _model(chosen, setting, problem)
+    result = _filtered(chosen, model, smoothing=True)
+    behind = Behind(unscented_smoother(result))
+    if iterated:
+        relinearised = iterated_smoother(result, model.flow, *model[2:], parameters=chosen.parameters)
+        behind = behind._replace(iterated=relinearised)
+    if chosen.force_error is not None:
+        result, behind = of_states(result), _states_behind(behind)
+    if batch:
+        belief = initial_belief(problem.starts, setting.start_covariance)
+        rows = problem.measurements.masked_fill(result.rejected.unsqueeze(-1), torch.nan)
+        noise = chosen.measurement_noise
+        fit = batch_least_squares(chosen.flow, belief, rows, setting.measurement, noise, problem.dt)
+        behind = behind._replace(batch=fit)
+    return result, behind
+
+
+def _states_behind(behind: Behind) -> Behind:
+    """Return what is said of the states alone."""
+    smoothed, iterated, _ = behind
+    if iterated is not None:
+        iterated = iterated._replace(smoothed=smoothed_states(iterated.smoothed))
+    return Behind(smoothed_states(smoothed), iterated)
 
 
 def _model(chosen: Filter, setting: Setting, problem: Problem) -> _Model:

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
-
 import torch
-from torch import Tensor
 
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.gate import Gate, check_gate
-from ahnn.estimation.state import FilterState, add_repairs, initial_state
+from ahnn.estimation.state import FilterState, initial_state
 from ahnn.measurements.base import Measurement
 from ahnn.numbers import Numbers
 from ahnn.types import Flow
-from ahnn_plugins.ukf import kernel
 from ahnn_plugins.ukf.checks import (
     check_belief,
     check_form,
@@ -25,29 +20,15 @@ from ahnn_plugins.ukf.checks import (
     checked_time,
     process_factor,
 )
-from ahnn_plugins.ukf.records import Step, collected
+from ahnn_plugins.ukf.loop import StepModel, run
 from ahnn_plugins.ukf.sigma_points import unscented_weights
-from ahnn_plugins.ukf.smoother import backward_kernel
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
 from ahnn_plugins.ukf.types import (
-    Backward,
     FilterResult,
     Form,
     ProcessNoise,
     UnscentedParameters,
-    Weights,
 )
-
-
-class _Problem(NamedTuple):
-    """What does not change from step to step."""
-
-    flow: Flow
-    sensor: kernel.Sensor
-    chol_q: Callable[[float], Tensor]
-    weights: Weights
-    form: Form
-    smoothing: bool
 
 
 def unscented_filter(
@@ -106,30 +87,11 @@ def unscented_filter(
         parameters = UnscentedParameters() if parameters is None else parameters
         weights = unscented_weights(parameters, size, device, batch=batch)
         chol_q = process_factor(process_noise, state.belief)
-        problem = _Problem(flow, sensor, chol_q, weights, form, smoothing)
-        is_measured = (~torch.isnan(rows)).any(-1).any(0).tolist()
-        after, steps = state, []
-        for k, (length, time) in enumerate(zip(*grid, strict=True)):
-            after, step = _step(problem, after, length, time, rows[:, k] if is_measured[k] else None)
-            steps.append(step)
-        return collected(steps, state, after, rows)
 
+        def same(k: int) -> StepModel:
+            return StepModel(flow, chol_q(grid.lengths[k]), sensor)
 
-def _step(
-    problem: _Problem, before: FilterState, length: float, time: Tensor, row: Tensor | None
-) -> tuple[FilterState, Step]:
-    """Predict over one step, and update with the row at its end if anything was measured."""
-    flow, sensor, chol_of, weights, form, smoothing = problem
-    chol_q = chol_of(length)
-    after, propagated = kernel.predict(before, flow, length, time, chol_q, weights, form)
-    backward = None
-    if smoothing:
-        after, backward = _backward(after, before.belief, propagated, chol_q, weights)
-    predicted = after.belief
-    if row is None:
-        return after, Step(predicted, predicted, None, None, backward)
-    after, updated, rejected = kernel.update(after, row, sensor, weights, form)
-    return after, Step(predicted, after.belief, updated, rejected, backward)
+        return run(state, rows, grid, same, weights, form, smoothing=smoothing)
 
 
 def _initial(belief: Belief | FilterState, start_time: float) -> FilterState:
@@ -142,14 +104,3 @@ def _initial(belief: Belief | FilterState, start_time: float) -> FilterState:
         message = f"start_time: expected none beside a state, which has its own; received {start_time}"
         raise ValueError(message)
     return belief
-
-
-def _backward(
-    state: FilterState, before: Belief, propagated: kernel.Propagated, chol_q: Tensor, weights: Weights
-) -> tuple[FilterState, Backward]:
-    """Return the law of the belief before a step given that after it, its repairs counted."""
-    backward, mended = backward_kernel(propagated.points, before.chol, weights, chol_q)
-    if mended is not None and propagated.repaired is not None:
-        # The law holds the predicted covariance: what was mended there is no second repair.
-        mended = mended & ~propagated.repaired
-    return add_repairs(state, mended), backward

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import torch
@@ -17,14 +18,18 @@ from ahnn.estimation.consistency import (
     share_within,
 )
 from ahnn.estimation.scenario import Problem, Setting
+from ahnn.estimation.state import initial_state
 from ahnn.evaluation import Case, Row, Who
 from ahnn.evaluation.titles import title
 from ahnn.metrics import Scores
+from ahnn_plugins.ukf.batch import BatchResult
+from ahnn_plugins.ukf.iterated import Iterated
 from ahnn_plugins.ukf.judged import Judged, judged_nees, judged_nis
 from ahnn_plugins.ukf.types import FilterResult, SmootherResult
 
-SMOOTHED = "_smoothed"
-"""Ending of an estimator that is the smoother behind a filter."""
+SMOOTHED, ITERATED = "_smoothed", "_iterated"
+"""Endings of estimators that are a smoother behind a filter."""
+BATCH = "batch_least_squares"
 
 
 class Outcome(NamedTuple):
@@ -37,6 +42,7 @@ class Outcome(NamedTuple):
         nees: (B, T + 1).
         first: sample of the first update.
         result: of the filter.
+        more: numbers of this estimator alone.
     """
 
     who: Who
@@ -45,6 +51,7 @@ class Outcome(NamedTuple):
     nees: Tensor
     first: int
     result: FilterResult
+    more: dict[str, Any] = {}  # noqa: RUF012 - never written to
 
     @property
     def lost(self) -> int:
@@ -64,6 +71,44 @@ def smoothed(
     behind = who._replace(estimator=f"{who.estimator}{SMOOTHED}")
     result = result._replace(initial=s.initial, backward=None)
     return _outcome(behind, (s.means, s.chols), setting, problem, result)
+
+
+def iterated(who: Who, setting: Setting, problem: Problem, result: FilterResult, i: Iterated) -> Outcome:
+    """Return the outcome of the iterated smoother behind a filter."""
+    outcome = smoothed(who, setting, problem, result, i.smoothed)
+    unsettled = int((~i.settled & (result.status == Status.OK)).sum())
+    more = {"iterations": i.iterations, "unsettled": unsettled}
+    return outcome._replace(who=who._replace(estimator=f"{who.estimator}{ITERATED}"), more=more)
+
+
+def fitted(who: Who, setting: Setting, problem: Problem, fit: BatchResult) -> Outcome:
+    """Return the outcome of batch least squares, which has no innovations."""
+    initial, means, chols, cost, measured, status, settled = fit
+    nothing = torch.full_like(problem.measurements, torch.nan)
+    result = FilterResult(
+        initial=initial,
+        means=means,
+        chols=chols,
+        predicted_means=means,
+        predicted_chols=chols,
+        innovations=nothing,
+        nis=nothing[..., 0],
+        measured=measured,
+        rejected=torch.zeros_like(measured, dtype=torch.bool),
+        log_likelihood=nothing[:, 0, 0],
+        status=status,
+        failed_step=torch.where(status == Status.OK, -1, 0),
+        repairs=torch.zeros_like(status),
+        backward=None,
+        state=initial_state(initial),
+    )
+    outcome = _outcome(who._replace(estimator=BATCH), (means, chols), setting, problem, result)
+    there = status == Status.OK
+    more = {
+        "chi_square_per_number": float(cost[there].sum() / measured[there].sum().clamp(min=1)),
+        "unsettled": int((~settled & there).sum()),
+    }
+    return outcome._replace(more=more)
 
 
 def _outcome(
@@ -108,6 +153,8 @@ def _remark(outcome: Outcome, whole: Scores, without: Scores | None) -> str:
     unmeasured = int((outcome.result.measured == 0).all(-1).sum())
     if unmeasured:
         remarks.append(f"{unmeasured} of {len(outcome.nees)} without any measurement")
+    if outcome.more.get("unsettled"):
+        remarks.append(f"{outcome.more['unsettled']} of {len(outcome.nees)} have not settled")
     worse = [] if without is None else _worse(whole, without)
     if worse:
         mean, (low, high) = _nees(outcome)
@@ -136,7 +183,9 @@ def _consistency_remark(outcome: Outcome, case: Case) -> str:
         return "nothing was measured"
     if outcome.lost == len(outcome.nees):
         return ""
-    parts = [f"NEES {_nees(outcome)}", f"NIS {judged_nis(outcome.result)}"]
+    parts, nis = [f"NEES {_nees(outcome)}"], judged_nis(outcome.result)
+    if not math.isnan(nis.mean):
+        parts.append(f"NIS {nis}")
     parts += [f"NEES {name} {mean}" for name, mean in _phases(outcome, case).items() if not mean.inside]
     return ", ".join(parts)
 
@@ -186,6 +235,7 @@ def numbers(outcome: Outcome, case: Case) -> dict[str, Any]:
         "repairs": int(result.repairs.sum()),
         "rejected_measurements": int(result.rejected.sum()),
         "log_likelihood": float(result.log_likelihood.mean()),
+        **outcome.more,
     }
 
 

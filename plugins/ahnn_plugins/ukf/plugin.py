@@ -22,8 +22,15 @@ from ahnn.systems.truth import exact_flow
 from ahnn.types import Space
 from ahnn_plugins.ukf.assimilation import Filter, assimilate, assimilate_all, shown
 from ahnn_plugins.ukf.figures import ukf_figures
-from ahnn_plugins.ukf.noise_options import Deviation, NoiseOption, noise_option, with_process_noise
-from ahnn_plugins.ukf.outcome import Outcome, filtered, numbers, rows, smoothed
+from ahnn_plugins.ukf.noise_options import (
+    Deviation,
+    ForceOptions,
+    NoiseOption,
+    noise_option,
+    with_process_noise,
+)
+from ahnn_plugins.ukf.outcome import Outcome, filtered, fitted, iterated, numbers, rows, smoothed
+from ahnn_plugins.ukf.regression import regression_weights
 from ahnn_plugins.ukf.series import moving_averages
 from ahnn_plugins.ukf.setting import make_setting
 from ahnn_plugins.ukf.sigma_points import unscented_weights
@@ -56,7 +63,9 @@ class UKFEvaluation:
         form: how covariances are carried.
         gate: probability beyond which a measurement is refused as an outlier; None takes all.
         patience: refusals in a row after which a member has diverged.
-        smoother: whether to add the rows of the Rauch-Tung-Striebel smoother.
+        smoother: whether to add the rows of the Rauch-Tung-Striebel smoother; `iterated` adds those of the
+            iterated smoother too.
+        least_squares: whether to add the rows of batch least squares.
         tuning: options of `Tuning`, to add the rows of a tuned filter; None leaves them out.
         seed: of measurement noise and of the validation arcs.
     """
@@ -76,12 +85,13 @@ class UKFEvaluation:
         form: Literal["square_root", "standard"],
         gate: Annotated[float, Within(above=0, below=1)] | None,
         patience: Count,
-        smoother: bool,
+        smoother: bool | Literal["iterated"],
+        least_squares: bool,
         tuning: dict[str, Any] | None,
         seed: int,
     ) -> None:
         _check_measurement(measurement)
-        self.seed, self.smoother = seed, smoother
+        self.seed, self.smoother, self.least_squares = seed, smoother, least_squares
         self.process_noise: NoiseOption = noise_option(process_noise)
         self.parameters = UnscentedParameters(alpha, beta, kappa)
         self.form = {"square_root": SQUARE_ROOT, "standard": STANDARD}[form]
@@ -118,7 +128,9 @@ class UKFEvaluation:
                 f"comes; received {self.tuning.steps}"
             )
             raise UserError(message)
-        unscented_weights(self.parameters, 2 * system.dof)
+        augmented = 3 if isinstance(self.process_noise, ForceOptions) else 2
+        weights = regression_weights if self.smoother == "iterated" else unscented_weights
+        weights(self.parameters, augmented * system.dof)
 
     @torch.no_grad()
     def __call__(self, case: Case) -> Findings:
@@ -153,10 +165,18 @@ class UKFEvaluation:
         """Return what becomes of a filter, and of its smoother if asked for, in one scenario."""
         with shown(chosen.flow, described(who, case.label), problem.measurements.shape[1]) as flow:
             chosen = chosen._replace(flow=flow)
-            if not self.smoother:
+            if not (self.smoother or self.least_squares):
                 return [filtered(who, setting, problem, assimilate(chosen, setting, problem))]
-            result, behind = assimilate_all(chosen, setting, problem)
-        return [filtered(who, setting, problem, result), smoothed(who, setting, problem, result, behind)]
+            asked = {"iterated": self.smoother == "iterated", "batch": self.least_squares}
+            result, behind = assimilate_all(chosen, setting, problem, **asked)
+        outcomes = [filtered(who, setting, problem, result)]
+        if self.smoother:
+            outcomes.append(smoothed(who, setting, problem, result, behind.smoothed))
+        if behind.iterated is not None:
+            outcomes.append(iterated(who, setting, problem, result, behind.iterated))
+        if behind.batch is not None:
+            outcomes.append(fitted(who, setting, problem, behind.batch))
+        return outcomes
 
     def _filters(self, case: Case, setting: Setting, findings: Findings) -> list[tuple[Who, Filter]]:
         """Return the filters of the table: the model's, tuned if asked for, and the floor."""

@@ -146,6 +146,32 @@ def test_smoother_has_its_own_rows_and_is_better(spring: Case) -> None:
         assert scores[who._replace(estimator="ukf_smoothed")].position < scores[who].position
 
 
+def test_estimators_of_whole_arcs_have_their_own_rows(spring: Case) -> None:
+    findings = run(spring, "least_squares=true", group="ukf_iterated")
+    assert {row.who.estimator for row in findings.rows} == {
+        "ukf",
+        "ukf_smoothed",
+        "ukf_iterated",
+        "batch_least_squares",
+    }
+    told = findings.numbers["filters"]
+    assert told["ukf_iterated"]["floor"]["true"]["unsettled"] == 0
+    fit = told["batch_least_squares"]["floor"]["perturbed"]
+    assert fit["unsettled"] == 0
+    assert 0.3 < fit["chi_square_per_number"] < 2.0
+    # A spring is linear: without process noise all three are one.
+    smoothed, *others = (told[name]["floor"]["perturbed"] for name in told if name != "ukf")
+    for other in others:
+        position = other["whole_arc"]["position"]
+        assert position == pytest.approx(smoothed["whole_arc"]["position"], rel=1e-3)
+    json.dumps(plain(findings.numbers), allow_nan=False)
+    alone = run(spring, group="batch_least_squares")
+    assert {row.who.estimator for row in alone.rows} == {"ukf", "batch_least_squares"}
+    note = next(row.note for row in alone.rows if row.who.estimator != "ukf" and row.who.span == "settled")
+    assert "NEES" in note
+    assert "NIS" not in note
+
+
 def test_ground_station_from_yaml(make_case: Callable) -> None:
     case = make_case(ORBITS, integrated(ORBITS, RK4))
     findings = run(case, "cadence=10", measurement="ground_station")
@@ -202,6 +228,7 @@ def test_the_consistency_is_judged_by_the_band_of_what_is_averaged(spring: Case)
         ),
         ("gate=1.5", "gate: expected float > 0 and < 1 or None; received 1.5"),
         ("kappa=-2.0", "choose alpha != 0 and kappa > -L"),
+        ("smoother=twice", "smoother: expected .*iterated"),
         ("tuning={trial:3}", "tuning: unknown key 'trial'; did you mean 'trials'"),
     ],
 )

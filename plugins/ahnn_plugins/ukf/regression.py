@@ -1,0 +1,114 @@
+"""Statistical linear regression of a flow and of a measurement over Gaussian beliefs, by sigma points.
+
+Over x ~ N(mean, P) a function f is replaced by A x + b + noise of covariance Omega, with A = C P⁻¹ of the
+covariance C of f(x) and x, b and Omega such that mean and covariance of f(x) are kept (Arasaratnam, Haykin &
+Elliott 2007). With sums and differences of opposite points no covariance is formed: the differences are the
+factor of P times Aᵀ, and the sums, even in the deviation, are what a line leaves.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ahnn.errors import UserError
+from ahnn.estimation.belief import Belief
+from ahnn.estimation.linalg import tria
+from ahnn.measurements.base import Measurement, Time
+from ahnn.types import Flow, TimeStep
+from ahnn_plugins.ukf.kernel import Sensor
+from ahnn_plugins.ukf.sigma_points import draw, unscented_weights
+from ahnn_plugins.ukf.types import UnscentedParameters, Weights
+
+
+class Affine(NamedTuple):
+    """f(x) = slope x + offset + noise.
+
+    Attributes:
+        slope: (B, N, D).
+        offset: (B, N).
+        rest: (B, D, N) rows, the covariance of the noise is restᵀ rest.
+    """
+
+    slope: Tensor
+    offset: Tensor
+    rest: Tensor
+
+    def __call__(self, x: Tensor) -> Tensor:
+        """Return the line (B, S, N) at x, shape (B, S, D)."""
+        return x @ self.slope.mT + self.offset.unsqueeze(1)
+
+
+def regression_weights(
+    parameters: UnscentedParameters, size: int, device: torch.device | None = None
+) -> Weights:
+    """Return the weights of the sigma points for states of D components.
+
+    Raises:
+        UserError: no sigma points, or negative weights: what a line leaves could be negative.
+    """
+    weights = unscented_weights(parameters, size, device)
+    if weights.downdate is not None:
+        message = (
+            "iterated smoother: expected alpha² kappa + D beta >= 0, which leaves no negative weight; "
+            f"received {parameters} with D = {size}"
+        )
+        raise UserError(message)
+    return weights
+
+
+def regression(belief: Belief, centre: Tensor, outer: Tensor, weights: Weights) -> Affine:
+    """Return the regression of a function over a belief.
+
+    Args:
+        belief: (B, D).
+        centre: (B, N) image of the mean.
+        outer: (B, 2 D, N) images of the other sigma points less that of the mean.
+        weights: of the points, none of them negative.
+    """
+    shift = weights.outer * outer.sum(1, keepdim=True)
+    deviations = (outer - weights.recentring * shift) * (0.5 * weights.outer).sqrt()
+    plus, minus = deviations.chunk(2, dim=1)
+    slope = torch.linalg.solve_triangular(belief.chol, (plus - minus).mT, upper=False, left=False)
+    offset = centre + shift[:, 0] - (slope @ belief.mean.unsqueeze(-1)).squeeze(-1)
+    return Affine(slope, offset, plus + minus)
+
+
+def linear_flow(
+    flow: Flow, dt: float, belief: Belief, weights: Weights, chol_q: Tensor
+) -> tuple[Flow, Tensor]:
+    """Return the regression of a step of the flow, and the factor of its noise and Q together (B, D, D)."""
+    points = draw(belief, weights)
+    images = flow(points.flatten(0, 1), dt).to(points.dtype).reshape(points.shape)
+    affine = regression(belief, images[:, 0], images[:, 1:] - images[:, :1], weights)
+
+    def line(x: Tensor, dt: TimeStep) -> Tensor:  # noqa: ARG001 - of this step alone
+        return affine(x.unflatten(0, (len(belief.mean), -1))).flatten(0, 1)
+
+    return line, tria(torch.cat((affine.rest, chol_q.mT), dim=1))
+
+
+def linear_sensor(sensor: Sensor, t: float, belief: Belief, weights: Weights) -> Sensor:
+    """Return a sensor whose model is the regression of another's at a time, its noise added to R."""
+    images = sensor.measurement(draw(belief, weights), t)
+    outer = sensor.measurement.residual(images[:, 1:], images[:, :1])
+    affine = regression(belief, images[:, 0], outer, weights)
+    chol_r = tria(torch.cat((affine.rest, sensor.chol_r.mT), dim=1))
+    return sensor._replace(measurement=_Line(affine, sensor.measurement), chol_r=chol_r)
+
+
+class _Line:
+    """A measurement model that is a line of the states of B members; its differences are the model's."""
+
+    def __init__(self, affine: Affine, model: Measurement) -> None:
+        self.affine, self.model, self.names, self.units = affine, model, model.names, model.units
+
+    def __call__(self, x: Tensor, t: Time) -> Tensor:  # noqa: ARG002
+        """Return the measurements (B, S, M) of the states x (B, S, D)."""
+        return self.affine(x)
+
+    def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
+        """Return y - y_pred as the model has it."""
+        return self.model.residual(y, y_pred)
