@@ -41,7 +41,7 @@ def initial_belief(mean: Numbers, covariance: Numbers) -> Belief:
 def covariance_factor(matrix: Numbers, name: str, *, batch: int, size: int, definite: bool) -> Tensor:
     """Return the lower factor, (D, D) or (B, D, D), of a covariance matrix given by a user.
 
-    Gradients of a positive definite matrix flow through it.
+    Gradients flow through it where the components that vary have a positive definite covariance.
 
     Args:
         matrix: (D, D) or (B, D, D).
@@ -61,8 +61,11 @@ def covariance_factor(matrix: Numbers, name: str, *, batch: int, size: int, defi
         raise ValueError(message)
     stacked = matrix.reshape(-1, size, size)
     scale = _check_entries(stacked.detach(), name)
-    chol, info = torch.linalg.cholesky_ex(stacked)
-    failed = info != 0
+    # A component of zero variance has a zero row in the factor; gradients of the others flow past it.
+    still = torch.diagonal(stacked.detach(), dim1=-2, dim2=-1) == 0.0
+    chol, info = torch.linalg.cholesky_ex(stacked + torch.diag_embed(still.to(stacked)))
+    chol = chol * ~still.unsqueeze(-1)
+    failed = (info != 0) | (definite & still.any(-1))
     if bool(failed.any()):
         _check_eigenvalues(stacked.detach(), scale, failed, name, definite)
         chol = torch.where(failed[:, None, None], _semidefinite_factor(stacked, scale), chol)

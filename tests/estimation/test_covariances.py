@@ -55,3 +55,12 @@ def test_mistakes_of_the_initial_belief():
         initial_belief("zero", EYE)
     with pytest.raises(ValueError, match=r"expected a mean of shape \(B, D\) with B >= 1; received \(0, 2\)"):
         initial_belief(torch.zeros(0, 2), EYE)
+
+
+def test_gradients_flow_past_components_without_variance() -> None:
+    variance = torch.tensor([2.0, 3.0], dtype=torch.float64, requires_grad=True)
+    matrix = torch.diag_embed(torch.cat((torch.zeros(2), variance, torch.zeros(1))))
+    chol = covariance_factor(matrix, "Q", batch=1, size=5, definite=False)
+    assert torch.allclose(chol @ chol.mT, matrix, rtol=1e-15)
+    (gradient,) = torch.autograd.grad(chol.sum(), variance)
+    assert gradient.tolist() == pytest.approx([0.5 / 2**0.5, 0.5 / 3**0.5], rel=1e-12)

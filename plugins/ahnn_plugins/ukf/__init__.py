@@ -8,8 +8,12 @@ through one prediction or measurement at a time (`UnscentedKalmanFilter`), or ru
 
 from __future__ import annotations
 
+from ahnn_plugins.ukf.batch import BatchResult, batch_least_squares
 from ahnn_plugins.ukf.estimator import UnscentedKalmanFilter
 from ahnn_plugins.ukf.filter import unscented_filter
+from ahnn_plugins.ukf.force_error import ForceError
+from ahnn_plugins.ukf.iterated import Iterated, iterated_smoother
+from ahnn_plugins.ukf.likelihood import Learned, learned_noise
 from ahnn_plugins.ukf.smoother import unscented_smoother
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
 from ahnn_plugins.ukf.standard import STANDARD
@@ -18,11 +22,18 @@ from ahnn_plugins.ukf.types import FilterResult, Form, SmootherResult, Unscented
 __all__ = [
     "SQUARE_ROOT",
     "STANDARD",
+    "BatchResult",
     "FilterResult",
+    "ForceError",
     "Form",
+    "Iterated",
+    "Learned",
     "SmootherResult",
     "UnscentedKalmanFilter",
     "UnscentedParameters",
+    "batch_least_squares",
+    "iterated_smoother",
+    "learned_noise",
     "unscented_filter",
     "unscented_smoother",
 ]
