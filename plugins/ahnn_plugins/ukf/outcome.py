@@ -213,7 +213,8 @@ def numbers(outcome: Outcome, case: Case) -> dict[str, Any]:
 
     Means run over trajectories and over times from the first update on; `band_95` is where such a mean lies
     for a consistent filter. `in_band` is the fraction of times at which the mean over trajectories alone lies
-    in its own band, `one_time_band_95`. `nees_of_phases` are those of `System.phases`.
+    in its own band, `one_time_band_95`. `nees_of_phases` are those of `System.phases`,
+    `nees_of_start` is that at time zero alone.
     """
     result, first = outcome.result, outcome.first
     error = outcome.estimate - case.test.states
@@ -227,6 +228,7 @@ def numbers(outcome: Outcome, case: Case) -> dict[str, Any]:
         "whole_arc": case.score(outcome.estimate)._asdict(),
         "from_first_update": case.score(outcome.estimate, first)._asdict(),
         "nees": _series(outcome.nees[:, after], _nees(outcome), one_time["nees"]),
+        "nees_of_start": _plain(judged_nees(outcome.nees[:, :1], error.shape[-1])),
         "nees_of_phases": {name: _plain(mean) for name, mean in _phases(outcome, case).items()},
         "nis": _series(kept, judged_nis(result), one_time["nis"]),
         "coverage": {f"{k}_sigma": {"share": shares[k], "gaussian": p} for k, p in GAUSSIAN.items()},

@@ -99,9 +99,10 @@ def test_a_filter_that_knows_the_error_is_consistent_and_one_that_does_not_is_no
     setting, arcs, _ = problem(0.3, 0.5, count=400, steps=80, seed=1)
     plain = Filter("spring", spring, ZERO, setting.measurement_noise, UnscentedParameters())
     knowing = plain._replace(force_error=ForceError(0.3, 0.5, MASS))
-    filtered, smoothed = assimilate_all(knowing, setting, arcs)
+    filtered, behind = assimilate_all(knowing, setting, arcs, iterated=True)
+    assert behind.iterated is not None
     low, high = (chi2.ppf(p, 800) / 400 for p in (1e-4, 1 - 1e-4))
-    for result in (filtered, smoothed):
+    for result in (filtered, behind.smoothed, behind.iterated.smoothed):
         assert result.means.shape == (400, 80, 2)
         values = nees(result.means - arcs.truth[:, 1:], result.chols)
         for k in (10, 40, 79):
