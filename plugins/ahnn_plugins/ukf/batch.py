@@ -26,7 +26,7 @@ from ahnn_plugins.ukf.square_root import SQUARE_ROOT
 
 ROUGHLY, ITERATIONS = 3, 20
 """Steps on a span that is still to grow, and on the last one, at most."""
-SETTLED = 1e-10
+SETTLED = 1e-7
 """Change of the cost, as a fraction of it, that is none."""
 CAREFUL, EAGER = 1e-3, 1e-6
 """Damping at first of a span that is still to grow, and of the last one."""
