@@ -13,6 +13,7 @@ from safetensors.torch import save_file
 
 from ahnn import load
 from ahnn.checkpoints import checksum
+from ahnn.cli.again import Request, run_config
 from ahnn.errors import UserError
 from ahnn.evaluation import Who
 from ahnn.pretrained import HERE, names
@@ -95,3 +96,9 @@ def test_weights_of_another_format_are_one_message(copy):
     save_file({"x": torch.ones(2)}, copy / "weights.safetensors")
     with pytest.raises(UserError, match=r"expected format 2; received an earlier one"):
         load(copy)
+
+
+@pytest.mark.parametrize("name", names())
+def test_a_trained_model_has_all_that_an_evaluation_builds_from(name):
+    request = Request.of([f"pretrained={name}", "plugins=none"], "")
+    assert run_config(HERE / name, request).measurement.model == "position"
