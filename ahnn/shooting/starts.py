@@ -100,10 +100,13 @@ def followed(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> Fit
 
 
 @torch.no_grad()
-def fit_starts(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> Fitted:
+def fit_starts(
+    trial: Trial, start: Tensor, segment: Segment, steps: Steps, hopeless: float = HOPELESS
+) -> Fitted:
     """Return the fit of each segment, begun at `start`, shape (B, D), over growing spans.
 
-    A segment that does not meet its measurements over one span is not tried over longer ones.
+    A segment that does not meet its measurements over one span, within a mean squared residual of `hopeless`,
+    is not tried over longer ones.
     """
     intervals, start = len(steps.ends) - 1, start.clone()
     alive = torch.arange(len(start))
@@ -111,7 +114,7 @@ def fit_starts(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> F
         part, grid = segment.rows(alive).first(span), steps.rows(alive).first(span)
         fitted = refine(trial, start[alive], part, grid, ROUGHLY)
         start[alive] = fitted.starts
-        alive = alive[fitted.sums <= HOPELESS * part.measured]
+        alive = alive[fitted.sums <= hopeless * part.measured]
     states = start.new_full((len(start), steps.lengths.shape[1] + 1, start.shape[1]), torch.nan)
     sums = start.new_full((len(start),), torch.inf)
     fitted = refine(trial, start[alive], segment.rows(alive), steps.rows(alive), ITERATIONS)

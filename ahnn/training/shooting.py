@@ -28,6 +28,8 @@ from ahnn.training.normal_equations import Equations, Rows, accumulated
 
 CELLS = 5e7
 """Numbers in the largest tensor of sensitivities; longer batches are cut into parts of segments."""
+UNMET = 1e4
+"""Mean squared residual of a whole trajectory that a validation gives up, since telling more takes long."""
 TIMES_TYPICAL = 5.0
 """A segment whose chi-square is so many times the median counts with the logarithm of what is beyond."""
 REFITS = 2
@@ -71,10 +73,10 @@ class Shooting:
         return batch, None
 
     def validation(self, dynamics: Dynamics, batch: Segment) -> dict[str, Tensor]:
-        """Return chi-square per degree of freedom, a lost segment as `HOPELESS`, and the share of these."""
-        fitted, degrees = self.problem(dynamics, batch).fitted, freedom(batch)
-        sums = torch.minimum(fitted.sums, HOPELESS * degrees)
-        return {"loss": sums.sum() / degrees.sum(), "lost": (~near(fitted.sums, degrees)).double().mean()}
+        """Return chi-square per degree of freedom, a lost segment as `UNMET`, and the share of these."""
+        problem, degrees = ShootingProblem(dynamics, batch, ROBUST[self.robust], UNMET), freedom(batch)
+        sums = torch.minimum(problem.fitted.sums, UNMET * degrees)
+        return {"loss": sums.sum() / degrees.sum(), "lost": sums.new_tensor(problem.lost / len(sums))}
 
 
 class ShootingProblem:
@@ -84,6 +86,7 @@ class ShootingProblem:
         dynamics: with a field; their present parameters are where the starts are fitted first.
         batch: the segments.
         robust: the loss of single residuals.
+        hopeless: mean squared residual of a segment that is given up.
 
     Attributes:
         fitted: all segments from the starts that fit them best.
@@ -97,7 +100,9 @@ class ShootingProblem:
         UserError: dynamics without a field.
     """
 
-    def __init__(self, dynamics: Dynamics, batch: Segment, robust: Robust) -> None:
+    def __init__(
+        self, dynamics: Dynamics, batch: Segment, robust: Robust, hopeless: float = HOPELESS
+    ) -> None:
         if not isinstance(dynamics, HasField):
             message = (
                 "loss.stages: expected dynamics with a field, whose rates shape the steps; received "
@@ -109,8 +114,8 @@ class ShootingProblem:
         self._rough = copy.deepcopy(dynamics).requires_grad_(False).float()
         trial = self._at(parameters_to_vector(dynamics.parameters()).detach())
         steps = steps_between(batch.times, batch.instrument.longest)
-        self.fitted = fit_starts(trial, guess(batch), batch, steps)
-        kept = near(self.fitted.sums, freedom(batch))
+        self.fitted = fit_starts(trial, guess(batch), batch, steps, hopeless)
+        kept = near(self.fitted.sums, freedom(batch), hopeless)
         self.steps, self.batch, self.starts = steps.rows(kept), batch.rows(kept), self.fitted.starts[kept]
         self.lost = int((~kept).sum())
         self.limit = Limit.of(self.fitted.sums[kept], freedom(self.batch))
@@ -166,9 +171,9 @@ def freedom(batch: Segment) -> Tensor:
     return (batch.measured - 2 * batch.instrument.dof).double()
 
 
-def near(sums: Tensor, degrees: Tensor) -> Tensor:
-    """Return which segments converged, (B,) bool: none beyond `HOPELESS`, whose derivatives mean nothing."""
-    return (sums <= HOPELESS * degrees) & (degrees > 0)
+def near(sums: Tensor, degrees: Tensor, hopeless: float = HOPELESS) -> Tensor:
+    """Return which segments converged, (B,) bool: none beyond `hopeless`, whose derivatives mean nothing."""
+    return (sums <= hopeless * degrees) & (degrees > 0)
 
 
 class Limit(NamedTuple):
