@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from ahnn.data.datamodule import WindowDataModule
     from ahnn.evaluation import EvaluationPlugin
     from ahnn.models import AbstractModel
-    from ahnn.uncertainty import Uncertainty
 
 log = logging.getLogger("ahnn")  # `__name__` is `__main__` where this is run as a module
 
@@ -137,14 +136,16 @@ def train_once(cfg: DictConfig, source: Source | None = None) -> float:
         seconds = fit(cfg, trainer, model, data, checkpoint)
         if not trainer.is_global_zero:
             return math.nan
-        training = {
-            "seed": cfg.seed,
-            "seconds": round(seconds, 1),
-            "window": cfg.window,
-            "steps": trainer.global_step,
-            "parameters": sum(p.numel() for p in model.parameters()),
-        }
         with interruptible(trainer, lambda: f"evaluate it with python -m ahnn.evaluate run={folder}"):
+            if data.stages is not None:
+                seconds += concluded(cfg, data)
+            training = {
+                "seed": cfg.seed,
+                "seconds": round(seconds, 1),
+                "window": cfg.window,
+                "steps": trainer.global_step,
+                "parameters": sum(p.numel() for p in model.parameters()),
+            }
             return judge(cfg, data, plugins, training, trainer)
 
 
@@ -229,11 +230,10 @@ def judge(
     from ahnn.runs import load
 
     folder = Path(cfg.folder)
-    uncertainty = None if data.stages is None else concluded(cfg, data)
     run = load(folder)
     loss = math.nan if run.about["val_loss"] is None else float(run.about["val_loss"])
     options = {"label": cfg.label, "seed": cfg.evaluation.seed, "folder": folder}
-    case = make_case(run.dynamics, data.splits, uncertainty=uncertainty, **options)
+    case = make_case(run.dynamics, data.splits, uncertainty=run.uncertainty, **options)
     boards = [logger for logger in trainer.loggers if isinstance(logger, TensorBoardLogger)]
     sinks = [TensorBoardSink(board, searched_settings(cfg)) for board in boards]
     report(case, plugins, {**training, "val_loss": loss}, more=sinks, **report_options(cfg))
@@ -242,8 +242,8 @@ def judge(
     return loss
 
 
-def concluded(cfg: DictConfig, data: WindowDataModule) -> Uncertainty | None:
-    """Take the last steps of a training on measurements, keep the weights, and return their uncertainty."""
+def concluded(cfg: DictConfig, data: WindowDataModule) -> float:
+    """Take the last steps of a training on measurements, keep weights and uncertainty, return the seconds."""
     from ahnn.checkpoints import replace_weights
     from ahnn.runs import load, weights_path
     from ahnn.training import Shooting
@@ -251,15 +251,14 @@ def concluded(cfg: DictConfig, data: WindowDataModule) -> Uncertainty | None:
     from ahnn.uncertainty import save_uncertainty
 
     folder, steps, robust = Path(cfg.folder), cfg.loss.closing, cfg.loss.robust
-    dynamics = load(folder).dynamics
+    started, dynamics = time.monotonic(), load(folder).dynamics
     log.info("at most %d last steps on all measurements, and what they leave open", steps)
     found = conclude(dynamics, data.whole("train"), data.whole("val"), steps, robust)
-    if found is None:
-        return None
-    loss = Shooting(None, robust).validation(dynamics, next(iter(data.val_dataloader())))["loss"]
-    replace_weights(weights_path(folder), dynamics.state_dict(), float(loss))
-    save_uncertainty(folder, found, load(folder).dynamics.state_dict())
-    return found
+    if found is not None:
+        loss = Shooting(None, robust).validation(dynamics, next(iter(data.val_dataloader())))["loss"]
+        replace_weights(weights_path(folder), dynamics.state_dict(), float(loss))
+        save_uncertainty(folder, found, load(folder).dynamics.state_dict())
+    return time.monotonic() - started
 
 
 def go_on(cfg: DictConfig) -> str:
