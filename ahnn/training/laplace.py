@@ -30,7 +30,7 @@ from ahnn.uncertainty import Uncertainty
 
 ARRIVED = 0.05
 """Squared length of the step that is left, as a share of what noise alone gives, that is not worth a step."""
-DAMPING = 1e-5
+DAMPING = 1e-3
 """Of the first step: networks are not linear over the step that a full one would be."""
 SCALES = torch.logspace(0, 6, 601, dtype=torch.float64)
 """Factors on the covariance that are compared."""
