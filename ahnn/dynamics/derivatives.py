@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from torch.func import functional_call, jacrev, vmap
 
 from ahnn.dynamics.base import HasField
+from ahnn.dynamics.hamiltonians import SeparableHamiltonian
 
 
 class _Forward(nn.Module):
@@ -45,11 +46,23 @@ def parametrised(
 
 def field_jacobian(dynamics: HasField) -> Callable[[Tensor, Tensor], Tensor]:
     """Return (theta (P,), x (..., D)) -> df/dtheta, shape (..., D, P), float32, of the field f."""
-    field = parametrised(cast(nn.Module, dynamics), lambda x: dynamics.field(x), torch.float32)
+    half = knows_velocities(dynamics.field)  # their rows are zero, and would cost as much as the others
+
+    def learned(x: Tensor) -> Tensor:
+        return dynamics.field(x)[..., x.shape[-1] // 2 if half else 0 :]
+
+    field = parametrised(cast(nn.Module, dynamics), learned, torch.float32)
     single = lambda theta, x: field(theta, x.unsqueeze(0)).squeeze(0)  # noqa: E731
     rows = vmap(jacrev(single), (None, 0), chunk_size=20_000)
 
     def jacobian(theta: Tensor, x: Tensor) -> Tensor:
-        return rows(theta.float(), x.float().flatten(0, -2)).unflatten(0, x.shape[:-1])
+        found = rows(theta.float(), x.float().flatten(0, -2))
+        zero = x.shape[-1] - found.shape[-2]
+        return nn.functional.pad(found, (0, 0, zero, 0)).unflatten(0, x.shape[:-1])
 
     return jacobian
+
+
+def knows_velocities(field: nn.Module) -> bool:
+    """Return whether no parameter moves dq/dt: T(p) is known."""
+    return isinstance(field, SeparableHamiltonian) and not list(field.kinetic.parameters())
