@@ -69,12 +69,14 @@ class Space(NamedTuple):
         components: names of the 2n state components, positions first.
         units: of time, position, velocity and energy.
         inertia: the factor m of p = m dq/dt; momenta divided by it are velocities.
+        frame: in which positions are given, such as `EME2000, EARTH`; "" where nobody said.
     """
 
     name: str
     components: tuple[str, ...]
     units: Units = Units()
     inertia: float = 1.0
+    frame: str = ""
 
     @property
     def dof(self) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from inspect import Parameter, signature
+from pathlib import Path
 
 import pytest
 from entry import untouched
@@ -22,6 +23,7 @@ GROUPS = {
     if folder.is_dir() and folder.name != "hydra"
 }
 OPTIONS = [(group, option) for group, options in GROUPS.items() for option in options]
+SWINGS = f"system.path={Path(__file__).parent}/fixtures/swings.csv"
 BUILT = ["system", "model", "data", "optimizer", "scheduler", "loss", "integrator", "budget"]
 
 
@@ -65,6 +67,8 @@ def test_every_option_composes_and_its_targets_take_its_keys(tmp_path, group, op
 @pytest.mark.parametrize(("group", "option"), [pair for pair in OPTIONS if pair[0] in BUILT])
 def test_every_option_of_the_core_can_be_built(tmp_path, group, option):
     overrides = [f"{group}={option}"]
+    if option == "files":
+        overrides.append(SWINGS)
     if group == "integrator":  # compositions need a separable Hamiltonian
         overrides.append("model.hamiltonian=separable")
     if option in ("shooting", "shooting_dense", "weak_first"):  # which learn from measurements
@@ -77,7 +81,8 @@ def test_every_option_of_the_core_can_be_built(tmp_path, group, option):
 @pytest.mark.parametrize("system", GROUPS["system"])
 @pytest.mark.parametrize("model", GROUPS["model"])
 def test_every_model_is_built_for_every_system(tmp_path, model, system):
-    data, built = build_parts(composed(tmp_path, f"model={model}", f"system={system}"))
+    given = [SWINGS] if system == "files" else []
+    data, built = build_parts(composed(tmp_path, f"model={model}", f"system={system}", *given))
     assert built.dof == data.source.space.dof
 
 

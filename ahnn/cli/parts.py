@@ -11,7 +11,8 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from ahnn.arguments import check_arguments
 from ahnn.checkpoints import FORMAT
 from ahnn.cli.build import build, build_all, plain_config
-from ahnn.data import Simulated, Source, SplitData
+from ahnn.data import Files, Simulated, Source, SplitData
+from ahnn.data.recorded import Recorded
 from ahnn.data.sensor import Sensor
 from ahnn.errors import UserError
 from ahnn.runs import about_space
@@ -51,8 +52,10 @@ def build_data(cfg: DictConfig, source: Source) -> WindowDataModule:
 
 
 def build_sensor(cfg: DictConfig, source: Source) -> Sensor | None:
-    """Build what training sees of simulated trajectories; None where it sees their states."""
+    """Build what training sees of trajectories, drawn or in files; None where it sees their states."""
     options = {name: cfg.data.get(name) for name in SENSOR}  # shipped models have none of these
+    if isinstance(source, Files):
+        return build_recorded(options, source)
     if options["noise"] is None:
         given = {name: value for name, value in options.items() if value not in (None, 1, 0)}
         if given:
@@ -65,6 +68,36 @@ def build_sensor(cfg: DictConfig, source: Source) -> Sensor | None:
         options["noise"] = list(options["noise"])
     check_arguments("data", Sensor, options, ("space", "seed"))
     return Sensor(source.space, **options, seed=cfg.data.seed)
+
+
+def build_recorded(options: dict[str, Any], source: Files) -> Recorded | None:
+    """Build what gave the numbers in files; None where they are exact states.
+
+    Raises:
+        UserError: positions without their noise, or what is drawn onto simulated measurements alone.
+    """
+    measured, noise = options.pop("measured"), options.pop("noise")
+    drawn = [f"data.{name}={value}" for name, value in options.items() if value not in (None, 1, 0)]
+    if drawn or not (measured is None or isinstance(measured, str)):
+        message = (
+            "data: expected measured=state or position with the measurements of files, onto which nothing is "
+            f"drawn; received {', '.join(drawn) or 'data.measured=' + str(measured)}"
+        )
+        raise UserError(message)
+    if noise is None and not source.positions_only and measured is None:
+        return None
+    if noise is None or (source.positions_only and measured == "state"):
+        known = "positions alone" if source.positions_only else f"data.measured={measured}"
+        message = (
+            "data.noise: expected the standard deviations of the measurements in the files, with "
+            "recipe=measurements, and for positions a known kinetic energy such as hamiltonian=mechanical; "
+            f"received {known}"
+        )
+        raise UserError(message)
+    options = {"measured": measured or ("position" if source.positions_only else "state")}
+    options["noise"] = list(noise) if isinstance(noise, ListConfig) else noise
+    check_arguments("data", Recorded, options, ("space", "every", "gaps", "outliers", "seed"))
+    return Recorded(source.space, **options)
 
 
 def build_model(cfg: DictConfig, data: WindowDataModule) -> AbstractModel:

@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
+from ahnn.data.files import Files
 from ahnn.data.sources import Given, Simulated, Source
 from ahnn.data.splits import SPLITS, Split, SplitData
 
-__all__ = ["SPLITS", "Given", "Simulated", "Source", "Split", "SplitData"]
+__all__ = ["SPLITS", "Files", "Given", "Simulated", "Source", "Split", "SplitData"]

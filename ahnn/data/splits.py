@@ -50,11 +50,18 @@ class SplitData:
             known: `recipe` and `split` of the training; None if nobody wrote them down.
 
         Raises:
-            UserError: some of them are the same.
+            UserError: some of them are the same, or may be.
         """
         if known is None:
             return "unknown training data"
-        if known["recipe"] != self.source.recipe():
+        recipe = self.source.recipe()
+        if known["recipe"] != recipe:
+            if "files" in recipe and recipe["files"] == known["recipe"].get("files"):
+                message = (
+                    f"system: expected the training's files as it read them, {known['recipe']}; received "
+                    f"{recipe}, whose test trajectories may be part of the training"
+                )
+                raise UserError(message)
             return "other trajectories than those of the training"
         if known["split"] == list(self.fractions):
             return "the test split of the training's data"

@@ -21,8 +21,9 @@ from ahnn.uncertainty import Uncertainty
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Start = Literal["true", "perturbed"]
-"""Where a prediction begins: at the first true state, or at one that is off by N(0, P0)."""
+Start = Literal["true", "perturbed", "fitted"]
+"""Where a prediction begins: at the first true state, at one that is off by N(0, P0), or, where only
+measurements are known, at the one from which it meets them best."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,8 @@ class Case:
         folder: where results are written.
         measured: measurements of the test trajectories, where training saw nothing else.
         uncertainty: covariance of the learned parameters, where the training left one.
+        fitted: (B, D) starts from which the model meets the measurements of the test trajectories best, where
+            nothing else is known of these: then `test` holds measurements, NaN in what is not measured.
     """
 
     label: str
@@ -61,15 +64,23 @@ class Case:
     folder: Path
     measured: Segment | None = None
     uncertainty: Uncertainty | None = None
+    fitted: Tensor | None = None
 
     def starts(self) -> dict[Start, Tensor]:
-        """Return the initial states (B, D) of the starts of the paper."""
+        """Return the initial states (B, D) of the starts of the paper, or those fitted to measurements."""
+        if self.fitted is not None:
+            return {"fitted": self.fitted}
         true = self.test.states[:, 0]
         return (
             {"true": true}
             if self.perturbation is None
             else {"true": true, "perturbed": true + self.perturbation}
         )
+
+    @property
+    def start(self) -> Start:
+        """The start whose rollouts are drawn."""
+        return "true" if self.fitted is None else "fitted"
 
     @cached_property
     def true_energy(self) -> Tensor | None:

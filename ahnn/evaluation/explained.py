@@ -11,9 +11,9 @@ from torch import Tensor, nn
 from ahnn.estimation.consistency import band
 from ahnn.measurements import Segment
 from ahnn.measurements.smoothing import guess
-from ahnn.shooting.paths import steps_between
+from ahnn.shooting.paths import Steps, steps_between
 from ahnn.shooting.robust import ROBUST
-from ahnn.shooting.starts import Trial, fit_starts
+from ahnn.shooting.starts import Fitted, Trial, fit_starts
 
 NORMAL95 = 1.959963984540054
 """Standard deviations within which a normal number lies with 95 %."""
@@ -66,8 +66,8 @@ class Explained(NamedTuple):
 
 
 @torch.no_grad()
-def explain(dynamics: nn.Module, segment: Segment) -> Explained:
-    """Return how well dynamics explain measurements, each trajectory from the start that fits it best.
+def fit_to(dynamics: nn.Module, segment: Segment) -> tuple[Fitted, Steps]:
+    """Return the starts from which dynamics meet measurements best, and the steps of the paths from there.
 
     Args:
         dynamics: float64, with a method `increment`.
@@ -77,7 +77,18 @@ def explain(dynamics: nn.Module, segment: Segment) -> Explained:
     exact: Any = dynamics
     steps = steps_between(segment.times, segment.instrument.longest)
     trial = Trial(exact.increment, rough.increment, ROBUST["none"])
-    fitted = fit_starts(trial, guess(segment), segment, steps)
+    return fit_starts(trial, guess(segment), segment, steps), steps
+
+
+@torch.no_grad()
+def explain(dynamics: nn.Module, segment: Segment) -> Explained:
+    """Return how well dynamics explain measurements, each trajectory from the start that fits it best.
+
+    Args:
+        dynamics: float64, with a method `increment`.
+        segment: measurements that the dynamics were not trained on.
+    """
+    fitted, steps = fit_to(dynamics, segment)
     degrees = segment.measured - 2 * segment.instrument.dof
     met = (degrees > 0) & (fitted.sums <= LOST * segment.measured)
     total = float(degrees[met].sum())

@@ -25,7 +25,7 @@ SMOOTHING = 240
 
 
 class Curve(NamedTuple):
-    """Predictions (B, T, D) from the true start, with their name and style."""
+    """Predictions (B, T, D) from the true or the fitted start, with their name and style."""
 
     states: Tensor
     name: str
@@ -41,11 +41,12 @@ def open_loop_figures(case: Case, arrays: dict[str, Tensor]) -> dict[str, Figure
     """
     curves = list(_curves(case, arrays))
     figures = {"error": error(case, curves)}
-    if case.truth is not None or case.energy is not None:
+    if case.fitted is None and (case.truth is not None or case.energy is not None):
         figures["energy"] = energy(case, curves)
     kinds = {2: ("path", path), 3: ("orbit", orbit)}
     name, draw = kinds.get(case.space.dof, ("phase_portrait", phase_portrait))
-    figures[name] = draw(case, curves)
+    if draw is not phase_portrait or bool(case.test.present.any()):
+        figures[name] = draw(case, curves)
     return figures
 
 
@@ -55,7 +56,7 @@ def _curves(case: Case, arrays: dict[str, Tensor]) -> Iterator[Curve]:
     if floor is not None:
         name = f"floor: {title(floor.who, case.label)}"
         yield Curve(arrays["floor_true_start"], name, style.FLOOR)
-    yield Curve(arrays["true_start"], case.label, style.MODEL)
+    yield Curve(arrays[f"{case.start}_start"], case.label, style.MODEL)
 
 
 def error(case: Case, curves: list[Curve]) -> Figure:
@@ -77,7 +78,7 @@ def error(case: Case, curves: list[Curve]) -> Figure:
     style.label_errors(case, panels)
     style.label_time(panels[-1], axis)
     style.legend_below(figure, panels[0])
-    head = f"{case.space.name}: rms error over {_count(len(case.test.states))}, true start"
+    head = f"{case.space.name}: rms error over {_count(len(case.test.states))}, {case.start} start"
     panels[0].set_title(f"{head}\nthick: mean of the last {SMOOTHING} samples" if smooth else head)
     return figure
 
@@ -134,7 +135,7 @@ def phase_portrait(case: Case, curves: list[Curve], count: int = 4) -> Figure:
     left.set_title("phase portrait")
     right.set_title(f"prediction - {style.reference(case)}")
     style.legend_below(figure, left, right)
-    figure.suptitle(f"{case.space.name}: {_count(len(truth))}, true start")
+    figure.suptitle(f"{case.space.name}: {_count(len(truth))}, {case.start} start")
     return figure
 
 
@@ -167,7 +168,7 @@ def path(case: Case, curves: list[Curve]) -> Figure:
     for name, text in zip("xy", style.state_labels(case), strict=False):
         getattr(axes, f"set_{name}label")(text)
     axes.grid(alpha=0.3)
-    axes.set_title(f"{case.space.name}: {case.label} on one unseen trajectory, true start")
+    axes.set_title(f"{case.space.name}: {case.label} on one unseen trajectory, {case.start} start")
     axes.legend(loc="upper right")
     return figure
 
@@ -191,7 +192,7 @@ def orbit(case: Case, curves: list[Curve]) -> Figure:
         getattr(axes, f"{name}axis").set_major_locator(MaxNLocator(4 if name == "z" else 3))
         axes.tick_params(axis=name, labelsize=8)
     axes.tick_params(axis="z", pad=6)
-    axes.set_title(f"{case.space.name}: {case.label} on one unseen trajectory, true start")
+    axes.set_title(f"{case.space.name}: {case.label} on one unseen trajectory, {case.start} start")
     axes.legend(loc="upper left")
     return figure
 

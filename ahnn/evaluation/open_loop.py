@@ -63,7 +63,7 @@ def open_loop(case: Case) -> Findings:
     samples, starts, there = case.test.states.shape[1], case.starts(), floors(case)
     # All starts in one batch: a step of a small model costs the same for twice as many states.
     together = torch.cat(list(starts.values()))
-    text = described(Who(MODEL, "true"), case.label)
+    text = described(Who(MODEL, case.start), case.label)
     dt = case.dt.repeat(len(starts), 1) if isinstance(case.dt, Tensor) else case.dt
     predictions = rollout(case.flow, together, dt, samples, text).chunk(len(starts))
     for start, prediction in zip(starts, predictions, strict=True):

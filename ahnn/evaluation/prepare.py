@@ -5,13 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 import torch
+from torch.nn.functional import pad
 
 from ahnn.data import SplitData
+from ahnn.data.recorded import Recorded
 from ahnn.data.segments import Segments
 from ahnn.dynamics import Dynamics, HasEnergy
 from ahnn.evaluation.case import Case, perturbations
+from ahnn.evaluation.explained import fit_to
 from ahnn.measurements import Segment
 from ahnn.statistics import sampling_interval
+from ahnn.types import Trajectories
 from ahnn.uncertainty import Uncertainty
 
 
@@ -34,8 +38,10 @@ def make_case(
         folder: where the results are written.
         uncertainty: of the parameters of the dynamics, if it is known.
     """
-    source, test = data.source, data["test"]
-    truth = source.truth
+    source, truth, measured = data.source, data.source.truth, measured_test(data)
+    fitted, test = None, data["test"]
+    if measured is not None and isinstance(data.sensor, Recorded):
+        fitted, test = fit_to(dynamics, measured)[0].starts, as_test(measured)
     return Case(
         label=label,
         assumes=dynamics.assumes,
@@ -50,9 +56,16 @@ def make_case(
         train=data["train"],
         perturbation=None if truth is None else perturbations(truth, len(test.states), seed),
         folder=folder,
-        measured=measured_test(data),
+        measured=measured,
         uncertainty=uncertainty,
+        fitted=fitted,
     )
+
+
+def as_test(measured: Segment) -> Trajectories:
+    """Return measurements of positions or states as test trajectories, NaN in what is not measured."""
+    missing = 2 * measured.instrument.dof - measured.values.shape[-1]
+    return Trajectories(pad(measured.values, (0, missing), value=torch.nan), measured.times)
 
 
 def measured_test(data: SplitData) -> Segment | None:

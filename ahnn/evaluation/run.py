@@ -32,7 +32,7 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
         findings.numbers["measurements"] = explained.numbers()
     if figures:
         findings.figures |= open_loop_figures(case, findings.arrays)
-    if case.uncertainty is not None:
+    if case.uncertainty is not None and case.fitted is None:  # a band says nothing of measurements
         add_band(case, case.uncertainty, findings, figures=figures)
     findings.arrays |= {"truth": case.test.states, "times": case.test.times}
     for name, plugin in plugins.items():

@@ -60,7 +60,9 @@ def time_axis(case: Case) -> Axis:
 
 
 def reference(case: Case) -> str:
-    """Return what the trajectories of a case are called: the truth, or data where no equations are known."""
+    """Return what the trajectories of a case are called: the truth, data, or measurements."""
+    if case.fitted is not None:
+        return "measurements"
     return "test data" if case.truth is None else "truth"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
@@ -120,7 +121,12 @@ def _columns(lines: list[Line], results: Results) -> Iterator[str]:
 
 def _any(lines: list[Line], quantity: str) -> bool:
     rows = (row for line in lines for row in line.rows if row is not None)
-    return any(getattr(row.scores, quantity) is not None for row in rows)
+    return any(_scored(row, getattr(row.scores, quantity)) for row in rows)
+
+
+def _scored(row: Row, value: float | None) -> bool:
+    """Return whether a score is known: what was not measured has none."""
+    return value is not None and not (row.who.start == "fitted" and math.isnan(value))
 
 
 def _cell(row: Row | None, quantity: str) -> str:
@@ -133,6 +139,11 @@ def _explanations(results: Results) -> Iterator[str]:
     floors = dict.fromkeys(title(row.who, results.label) for row in results.rows if row.who.floor)
     if floors:
         yield from _wrapped(f"floor: what perfect knowledge scores there ({'; '.join(floors)}).")
+    if any(row.who.start == "fitted" for row in results.rows):
+        yield from _wrapped(
+            "fitted start: from where the model meets the measurements best; errors are the differences from "
+            "them and hold their noise."
+        )
     if any(row.who.span == "settled" for row in results.rows):
         yield from _wrapped("settled: scores from the first update on.")
 

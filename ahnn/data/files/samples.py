@@ -1,0 +1,125 @@
+"""Rows of a file as trajectories: by id, in order of time, gaps filled with absent samples, cut if asked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ahnn.data.files.table import Place
+from ahnn.types import Trajectories
+
+Array = NDArray[np.float64]
+ON_GRID = 0.01
+"""Share of a step by which samples may be off a grid whose missing points are known to be missing."""
+FILL = 20
+"""Absent samples for each that is there, beyond which a gap separates two trajectories."""
+
+
+class Track(NamedTuple):
+    """Samples of one trajectory.
+
+    Attributes:
+        name: of the trajectory.
+        file: where it is from.
+        rows: (T,) numbers of the lines.
+        times: (T,).
+        values: (T, C), NaN where a number is missing.
+    """
+
+    name: str
+    file: str
+    rows: NDArray[np.int64]
+    times: Array
+    values: Array
+
+    def part(self, chosen: NDArray[np.int64] | slice) -> Track:
+        """Return some of the samples."""
+        return self._replace(rows=self.rows[chosen], times=self.times[chosen], values=self.values[chosen])
+
+
+def by_id(ids: Sequence[str], track: Track) -> list[Track]:
+    """Return a track for each id, in the order in which they first occur; their rows may be mixed."""
+    _, first, group = np.unique(np.asarray(ids), return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    tracks = [track.part(np.flatnonzero(group == k)) for k in order]
+    return [part._replace(name=ids[int(first[k])]) for part, k in zip(tracks, order, strict=True)]
+
+
+def require_order(track: Track, column: str) -> None:
+    """Refuse times that are missing or do not increase.
+
+    Raises:
+        UserError: names the row.
+    """
+    place, whose = Place(track.file, 0, column), f" of {track.name}" if track.name else ""
+    if len(missing := np.flatnonzero(np.isnan(track.times))):
+        place._replace(row=int(track.rows[missing[0]])).refuse("a time", "none", "Leave the row out")
+    if len(wrong := np.flatnonzero(np.diff(track.times) <= 0)):
+        k = int(wrong[0])
+        before, here = track.times[k], track.times[k + 1]
+        row = place._replace(row=int(track.rows[k + 1]))
+        if before == here:
+            row.refuse(
+                f"each time{whose} once",
+                f"{here} again, as in row {track.rows[k]}",
+                "Name trajectories in a column id",
+            )
+        row.refuse(f"a time{whose} after {before} of row {track.rows[k]}", f"{here}", "Sort the rows by time")
+
+
+def filled(track: Track, gap: float) -> Track:
+    """Return a track with absent samples inside its gaps, about as far apart as the others.
+
+    On a grid every point that is missing is a gap; otherwise a step is one that is `gap` times the median.
+
+    Raises:
+        UserError: a gap so long that it separates two trajectories.
+    """
+    if len(track.times) < 3:
+        return track
+    steps = np.diff(track.times)
+    ratio = steps / np.median(steps)
+    whole = np.round(ratio)
+    on_grid = bool((np.abs(ratio - whole) <= ON_GRID * whole).all()) and whole.min() >= 1
+    counts = np.where(ratio > (1.5 if on_grid else gap), whole, 1).astype(np.int64)
+    if counts.sum() > FILL * len(track.times):
+        k = int(counts.argmax())
+        Place(track.file, int(track.rows[k + 1])).refuse(
+            f"gaps with at most {FILL} absent samples for each that is there",
+            f"one of {counts[k]} steps",
+            "Name what lies on either side as two trajectories in a column id",
+        )
+    ends = np.concatenate(([0], counts.cumsum()))
+    times = np.interp(np.arange(ends[-1] + 1), ends, track.times)
+    values = np.full((len(times), track.values.shape[1]), np.nan)
+    rows = np.zeros(len(times), dtype=np.int64)
+    times[ends], values[ends], rows[ends] = track.times, track.values, track.rows
+    return track._replace(rows=rows, times=times, values=values)
+
+
+def cut(track: Track, samples: int | None) -> list[Track]:
+    """Return a track in stretches of about equal length, near `samples`; None leaves it whole."""
+    count = 1 if samples is None else max(1, round(len(track.times) / samples))
+    return [track.part(part) for part in np.array_split(np.arange(len(track.times)), count)]
+
+
+def trimmed(track: Track) -> Track:
+    """Return a track from its first sample without a missing number to its last."""
+    chosen = np.flatnonzero(np.isfinite(track.values).all(1))
+    return track.part(slice(chosen[0], chosen[-1] + 1) if len(chosen) else slice(0, 0))
+
+
+def stacked(tracks: Sequence[Track]) -> Trajectories:
+    """Return tracks as trajectories on a common number of rows, NaN behind the end of shorter ones."""
+    longest = max(len(track.times) for track in tracks)
+    times = torch.full((len(tracks), longest), math.nan, dtype=torch.float64)
+    states = torch.full((len(tracks), longest, tracks[0].values.shape[1]), math.nan, dtype=torch.float64)
+    for b, track in enumerate(tracks):
+        times[b, : len(track.times)] = torch.from_numpy(track.times)
+        states[b, : len(track.times)] = torch.from_numpy(track.values)
+    return Trajectories(states, times)

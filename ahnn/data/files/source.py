@@ -1,0 +1,172 @@
+"""Trajectories and measurements of one's own, from files."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+
+from ahnn.arguments import Positive, Within, checked
+from ahnn.data.files import sidecar
+from ahnn.data.files.content import Content
+from ahnn.data.files.samples import Track, cut, filled, stacked, trimmed
+from ahnn.data.files.table import Place
+from ahnn.data.files.tabular import from_csv
+from ahnn.errors import UserError
+from ahnn.systems import System
+from ahnn.types import Space, Trajectories
+
+log = logging.getLogger(__name__)
+
+TABLES = (".csv", ".tsv", ".txt")
+
+
+@checked
+class Files:
+    """Trajectories in files; nothing is known of their equations.
+
+    Times, positions and velocities or momenta are columns with units behind their names (docs/data.md).
+
+    Args:
+        name: of the data, in folders and tables.
+        path: of the file, or of several.
+        mass: factor m of p = m dq/dt, in kg (of angles: the inertia in kg m^2); None is 1, with energies per
+            unit mass.
+        cut: samples of the stretches that trajectories are cut into; None leaves them whole.
+        gap: a step so many times longer than the median is a gap, where samples lie on no grid.
+
+    Raises:
+        UserError: a file that cannot be read, names row and column; or files that do not fit each other.
+    """
+
+    truth: System | None = None
+
+    def __init__(
+        self,
+        name: str,
+        path: str | list[str],
+        mass: Positive | None = None,
+        cut: Annotated[int, Within(2)] | None = None,
+        gap: Annotated[float, Within(1.5)] = 10.0,
+    ) -> None:
+        self.paths = [Path(p).expanduser() for p in ([path] if isinstance(path, str) else path)]
+        self.mass, self.cut, self.gap = mass, cut, gap
+        digest = hashlib.sha256()
+        contents = [self._content(path, digest) for path in self.paths]
+        first = together(self.paths, contents)
+        self.positions_only = not first.rates
+        if first.momenta and mass is None:
+            message = (
+                f"system.mass: expected the mass of p = m dq/dt for the momenta {', '.join(first.rates)} of "
+                f"{self.paths[0]}; received null. system.mass=1 takes them per unit mass"
+            )
+            raise UserError(message)
+        self.space = space_of(name, first, mass)
+        self.trajectories = self._trajectories(contents)
+        self._sha256 = digest.hexdigest()
+
+    def recipe(self) -> dict[str, Any]:
+        """Return the hash of the files, and how they are read."""
+        options = {"mass": self.mass, "cut": self.cut, "gap": self.gap}
+        return {"files": self._sha256, **options}
+
+    def steps(self) -> int:
+        """Return the steps of the shortest trajectory."""
+        return int(self.trajectories.times.isfinite().sum(1).min()) - 1
+
+    def read(self) -> Trajectories:
+        """Return the trajectories; the momenta are NaN where the files have positions alone."""
+        return self.trajectories
+
+    def _content(self, path: Path, digest: Any) -> Content:
+        """Return what is in a file, and add it and its sidecar to a hash."""
+        raw, aside = content_of(path), sidecar.beside(path)
+        digest.update(hashlib.sha256(raw).digest())
+        said = sidecar.Sidecar()
+        if aside.is_file():
+            beside = content_of(aside)
+            digest.update(hashlib.sha256(beside).digest())
+            said = sidecar.parse(decoded(beside, aside), str(aside))
+        if path.suffix.lower() in TABLES:
+            return from_csv(decoded(raw, path), str(path), said, weighed=self.mass is not None)
+        Place(str(path)).refuse(f"a file {', '.join(TABLES)}", f"{path.suffix!r}")
+
+    def _trajectories(self, contents: list[Content]) -> Trajectories:
+        """Return all tracks as states, momenta from velocities and the mass."""
+        dof = self.space.dof
+        tracks = [filled(track, self.gap) for content in contents for track in content.tracks]
+        for track in tracks:
+            if not len(trimmed(track).times):
+                place = Place(track.file, int(track.rows[0]))
+                place.refuse(f"a trajectory {track.name} with a whole sample", "missing numbers in each")
+        parts = [trimmed(part) for track in tracks for part in cut(track, self.cut)]
+        parts = [part for part in parts if len(part.times)]
+        factor = np.ones(2 * dof)
+        if not contents[0].momenta:
+            factor[dof:] = self.space.inertia
+        whole = [part._replace(values=widened(part, dof) * factor) for part in parts]
+        log.info("%s: %s", self.space.name, described(self.space, parts, contents[0]))
+        return stacked(whole)
+
+
+def content_of(path: Path) -> bytes:
+    """Return the bytes of a file; raises UserError if it cannot be read."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        message = f"system.path: expected a file; received {path}: {error.strerror}"
+        raise UserError(message) from error
+
+
+def decoded(raw: bytes, path: Path) -> str:
+    """Return the text of a file; raises UserError if it is none."""
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        row = raw[: error.start].count(b"\n") + 1
+        Place(str(path), row).refuse("text in UTF-8", repr(raw[error.start : error.start + 1]))
+
+
+def together(paths: list[Path], contents: list[Content]) -> Content:
+    """Return the first of several contents, the others being of the same kind; raises UserError otherwise."""
+    if not contents:
+        message = "system.path: expected a file or several; received none"
+        raise UserError(message)
+    for name in ("positions", "rates", "momenta", "units", "frame"):
+        first = getattr(contents[0], name)
+        for path, content in zip(paths, contents, strict=True):
+            if (received := getattr(content, name)) != first:
+                Place(str(path)).refuse(f"{name} {spelled(first)}, as in {paths[0]}", spelled(received))
+    return contents[0]
+
+
+def spelled(value: Any) -> str:
+    """Return names in a row as a text."""
+    return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+
+def space_of(name: str, content: Content, mass: float | None) -> Space:
+    """Return what the numbers mean."""
+    momenta = content.rates if content.momenta else tuple(f"p{q}" for q in content.positions)
+    return Space(name, (*content.positions, *momenta), content.units, mass or 1.0, content.frame)
+
+
+def widened(track: Track, dof: int) -> Any:
+    """Return the values of a track with a column for each component, (T, 2n)."""
+    missing = 2 * dof - track.values.shape[1]
+    return np.pad(track.values, ((0, 0), (0, missing)), constant_values=np.nan)
+
+
+def described(space: Space, tracks: list[Track], content: Content) -> str:
+    """Return what was read, so that a user sees what each column was taken for."""
+    lengths = sorted({len(track.times) for track in tracks})
+    samples = f"{lengths[0]:,}" if lengths[0] == lengths[-1] else f"{lengths[0]:,} to {lengths[-1]:,}"
+    kind = "momenta" if content.momenta else "velocities"
+    rates = f", {kind} {', '.join(content.rates)}" if content.rates else " alone"
+    return (
+        f"{len(tracks)} {'trajectory' if len(tracks) == 1 else 'trajectories'} of {samples} samples, time in "
+        f"{space.units.time}, positions {', '.join(content.positions)} in {space.units.position}{rates}"
+    )

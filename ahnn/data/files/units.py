@@ -1,0 +1,70 @@
+"""Units as people write them in column names: `km/s`, `kg m^2/s`, `deg`, `1`."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import NamedTuple
+
+MASS, LENGTH, TIME, ANGLE = (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)
+"""Dimensions: exponents of mass, length, time and angle."""
+
+BASE = {
+    **{"kg": (1.0, MASS), "g": (1e-3, MASS), "t": (1e3, MASS)},
+    **{"m": (1.0, LENGTH), "km": (1e3, LENGTH), "cm": (1e-2, LENGTH), "mm": (1e-3, LENGTH)},
+    **{
+        "um": (1e-6, LENGTH),
+        "nm": (1e-9, LENGTH),
+        "AU": (149597870700.0, LENGTH),
+        "au": (149597870700.0, LENGTH),
+    },
+    **{"ns": (1e-9, TIME), "us": (1e-6, TIME), "ms": (1e-3, TIME), "s": (1.0, TIME), "min": (60.0, TIME)},
+    **{"h": (3600.0, TIME), "d": (86400.0, TIME), "day": (86400.0, TIME)},
+    **{"rad": (1.0, ANGLE), "deg": (math.pi / 180, ANGLE), "°": (math.pi / 180, ANGLE)},
+}
+"""What each name stands for: its size in kg, m, s and rad, and its dimension."""
+POWER = re.compile(r"(?P<one>1)|(?P<name>[A-Za-z°]+)((\^|\*\*)?(?P<power>-?\d+))?")
+RAISED = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+
+
+class Unit(NamedTuple):
+    """A unit.
+
+    Attributes:
+        text: as it was written.
+        size: in kg, m, s and rad.
+        dimension: exponents of mass, length, time and angle.
+    """
+
+    text: str
+    size: float
+    dimension: tuple[int, ...]
+
+    def per(self, other: Unit) -> Unit:
+        """Return this unit divided by another."""
+        dimension = tuple(a - b for a, b in zip(self.dimension, other.dimension, strict=True))
+        return Unit(f"{self.text}/{other.text}", self.size / other.size, dimension)
+
+
+NONE = Unit("1", 1.0, (0, 0, 0, 0))
+
+
+def unit(text: str) -> Unit:
+    """Return the unit that a text stands for; all behind a slash divides.
+
+    Raises:
+        ValueError: a name that is not known, or no product of powers.
+    """
+    size, dimension = 1.0, [0, 0, 0, 0]
+    above, *below = (text.strip() or "1").translate(RAISED).split("/")
+    for sign, part in ((1, above), *((-1, part) for part in below)):
+        for factor in re.split(r"[\s·]+|(?<!\*)\*(?!\*)", part.strip()):
+            found = POWER.fullmatch(factor)
+            if found is None or not (found["one"] or found["name"] in BASE):
+                message = f"a product of powers of {', '.join(BASE)}"
+                raise ValueError(message)
+            own, exponents = BASE[found["name"]] if found["name"] else (1.0, NONE.dimension)
+            power = sign * int(found["power"] or 1)
+            size *= own**power
+            dimension = [d + power * e for d, e in zip(dimension, exponents, strict=True)]
+    return Unit(text.strip() or "1", size, tuple(dimension))

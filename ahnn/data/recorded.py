@@ -1,0 +1,18 @@
+"""Measurements that a file holds, in the place of simulated ones."""
+
+from __future__ import annotations
+
+from ahnn.data.sensor import Sensor
+from ahnn.types import Trajectories
+
+
+class Recorded(Sensor):
+    """The instrument of recorded measurements: its values are those of the file, and nothing is drawn.
+
+    The truth is not known, of test trajectories neither.
+    """
+
+    def measure(self, truth: Trajectories, part: int) -> Trajectories:
+        """Return the values (B, T, M) that were recorded, NaN where one is missing."""
+        del part
+        return truth._replace(states=self.measurement(truth.states, truth.times))

@@ -1,0 +1,140 @@
+"""Faults of files: each is found with its file, row and column, and leads to one message."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from ahnn.data import Files
+from ahnn.errors import UserError
+
+GOOD = "id,t [s],x [km],vx [km/s]\na,0,1,2\na,1,2,3\nb,0,1,2\nb,1,2,3\n"
+FAULTS = {
+    "no line": ("", "data.csv: expected a header and a row for each sample; received no line"),
+    "header alone": (GOOD[:26], "row 1: expected a row for each sample; received a header alone"),
+    "no header": ("0,1,2\n1,2,3\n", "data.csv, row 1: expected names of columns"),
+    "text": (GOOD.replace("a,1,2,3", "a,1,two,3"), "row 3, column x: expected a number; received 'two'"),
+    "underscore": (GOOD.replace("a,1,2,3", "a,1,2_0,3"), "row 3, column x: expected a number"),
+    "infinite": (GOOD.replace("b,0,1,2", "b,0,1,-inf"), "row 4, column vx: expected a finite number"),
+    "short row": (GOOD.replace("b,0,1,2", "b,0,1"), "row 4: expected 4 cells, as in the header; received 3"),
+    "long row": (GOOD.replace("b,0,1,2", "b,0,1,2,9"), "row 4: expected 4 cells"),
+    "no time": (GOOD.replace("t [s]", "u [s]"), "row 1: expected one column t or time"),
+    "two times": (GOOD.replace("id", "time [s]"), "expected one column t or time"),
+    "time missing": (GOOD.replace("a,1,2,3", "a,,2,3"), "row 3, column t: expected a time; received none"),
+    "duplicate": (
+        GOOD.replace("b,1,2,3", "b,0,2,3"),
+        "row 5, column t: expected each time of b once; received 0.0 again, as in row 4",
+    ),
+    "disorder": (
+        GOOD.replace("a,1,2,3", "a,-1,2,3"),
+        "row 3, column t: expected a time of a after 0.0 of row 2; received -1.0",
+    ),
+    "twice": (GOOD.replace("id", "x"), "row 1, column x: expected a name for each column; received it twice"),
+    "unknown unit": (GOOD.replace("x [km]", "x [miles]"), "column x: expected a unit, a product of powers"),
+    "no length": (GOOD.replace("x [km]", "x [kg]"), "column x: expected a length, an angle or [1]"),
+    "no time unit": (GOOD.replace("t [s]", "t [m]"), "column t: expected a time or [1]; received 'm'"),
+    "speed": (GOOD.replace("[km/s]", "[km]"), "column vx: expected the unit of a km per time, a velocity"),
+    "unit missing": (GOOD.replace("x [km]", "x", 1), "column x: expected a unit, as other columns have"),
+    "half": (
+        GOOD.replace("id", "y [km]").replace("a", "0").replace("b", "1"),
+        "column y: expected its velocities",
+    ),
+    "both": (
+        "t,x,vx,px\n0,1,2,3\n",
+        "row 1: expected a velocity or a momentum of each position; received vx, px",
+    ),
+    "momentum of no mass": (
+        GOOD.replace("vx [km/s]", "px [kg km/s]"),
+        "system.mass: expected the mass of p = m dq/dt for the momenta px",
+    ),
+    "all missing": (
+        GOOD.replace("b,0,1,2", "b,0,,2").replace("b,1,2,3", "b,1,,3"),
+        "row 4: expected a trajectory b",
+    ),
+}
+
+
+def message_of(folder, text, sidecar=None, name="data.csv", **options):
+    (folder / name).write_bytes(text if isinstance(text, bytes) else text.encode())
+    if sidecar is not None:
+        (folder / name).with_suffix(".yaml").write_text(sidecar)
+    with pytest.raises(UserError) as caught:
+        Files("mine", str(folder / name), **options)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_is_named_with_its_place(tmp_path, fault):
+    text, expected = FAULTS[fault]
+    assert text != GOOD
+    assert expected in message_of(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("sidecar", "expected"),
+    [
+        ("a: [", "data.yaml: expected YAML"),
+        (
+            "unit: {x: km}",
+            "data.yaml: expected keys units, columns, frame; received 'unit'; did you mean 'units'?",
+        ),
+        ("units: {z: km}", "expected a column 'z' (units)"),
+        ("units: {x: m}", "column x: expected [m], as in the sidecar; received [km]. Say it once"),
+        ("columns: {time: s}", "expected a column 's' (time)"),
+        ("columns: {times: t}", "expected columns of time, id, positions, velocities, momenta"),
+        ("columns: {time: t}", "expected one time, at most one id, positions"),
+        ("columns: {time: t, positions: [x, vx], velocities: vx}", "as many velocities or momenta"),
+    ],
+)
+def test_a_fault_of_a_sidecar(tmp_path, sidecar, expected):
+    assert expected in message_of(tmp_path, GOOD, sidecar)
+
+
+def test_a_file_that_is_none(tmp_path):
+    with pytest.raises(UserError, match=r"system.path: expected a file; received .*none.csv: No such file"):
+        Files("mine", str(tmp_path / "none.csv"))
+    with pytest.raises(UserError, match="Is a directory"):
+        Files("mine", str(tmp_path))
+    with pytest.raises(UserError, match="received none"):
+        Files("mine", [])
+    assert "row 2: expected text in UTF-8" in message_of(tmp_path, b"t,x,vx\n0,\xff,1\n")
+    assert "expected a file .csv, .tsv, .txt; received '.xls'" in message_of(tmp_path, GOOD, name="a.xls")
+
+
+def test_a_gap_that_separates_two_trajectories(tmp_path):
+    text = "t,q,v\n0,0,0\n1,0,0\n2,0,0\n1000,0,0\n"
+    assert "row 5: expected gaps with at most 20 absent samples" in message_of(tmp_path, text)
+
+
+def test_files_that_disagree(tmp_path):
+    (tmp_path / "a.csv").write_text("t [s],x [km],vx [km/s]\n0,1,2\n1,2,3\n")
+    for text, expected in {
+        "t [s],x [m],vx [m/s]\n0,1,2\n": "b.csv: expected units s, km, km/s, km²/s², as in",
+        "t [s],y [km],vy [km/s]\n0,1,2\n": "b.csv: expected positions x, as in",
+        "t [s],x [km]\n0,1\n": "b.csv: expected rates vx, as in",
+    }.items():
+        (tmp_path / "b.csv").write_text(text)
+        with pytest.raises(UserError) as caught:
+            Files("mine", [str(tmp_path / "a.csv"), str(tmp_path / "b.csv")])
+        assert expected in str(caught.value)
+
+
+def test_a_hundred_faults_in_random_cells_are_found_where_they_are(tmp_path):
+    draw = random.Random(0)
+    header = ["id", "t [s]", "x [km]", "y [km]", "vx [km/s]", "vy [km/s]"]
+    for _ in range(100):
+        rows = [
+            [name, str(k), *(f"{draw.random():.6f}" for _ in range(4))] for name in "ab" for k in range(30)
+        ]
+        row, column = draw.randrange(1, 60), draw.randrange(1, 6)
+        row += row == 30  # the first of a trajectory has no time before it
+        kind = draw.choice(["text", "infinite", "short", *(["duplicate", "disorder"] if column == 1 else [])])
+        if kind == "short":
+            rows[row].pop()
+        else:
+            bad = {"text": "1.2.3", "infinite": "inf", "duplicate": rows[row - 1][1], "disorder": "-5"}[kind]
+            rows[row][column] = bad
+        said = message_of(tmp_path, "\n".join(",".join(cells) for cells in (header, *rows)))
+        place = "" if kind == "short" else f", column {header[column].split()[0]}"
+        assert f"data.csv, row {row + 2}{place}: expected" in said

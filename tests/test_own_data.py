@@ -1,0 +1,102 @@
+"""Training on files from the command line: exact states, recorded measurements, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+import torch
+from entry import call
+
+import ahnn
+from ahnn.data import Files
+from ahnn.evaluation import Who
+
+SD = 0.01
+SMALL = [
+    "system=files",
+    "trainer.accelerator=cpu",
+    "logger=none",
+    "data.batch_size=60",
+    "data.windows_per_epoch=120",
+    "data.val_windows=null",
+]
+
+
+def swings(path: Path, columns: int, noise: float = 0.0) -> Path:
+    """Oscillations of unit mass and omega = 2, with their velocities where four columns are asked for."""
+    draw = torch.Generator().manual_seed(0)
+    lines = [",".join(["id", "t [s]", "q [m]", "v [m/s]"][:columns])]
+    for b in range(20):
+        a, phase = (0.5 + torch.rand(1, generator=draw).item(), 6 * torch.rand(1, generator=draw).item())
+        for k in range(61):
+            angle = 0.1 * k + phase
+            q, v = a * math.cos(angle), -2 * a * math.sin(angle)
+            off = noise * torch.randn(2, generator=draw).double()
+            cells = [str(b), f"{0.05 * k:.2f}", repr(q + float(off[0])), repr(v + float(off[1]))]
+            lines.append(",".join(cells[:columns]))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_states_of_a_file_train_resume_and_are_known_again(tmp_path, capfd):
+    data = swings(tmp_path / "swings.csv", 4)
+    run = f"run={tmp_path / 'run'}"
+    given = [*SMALL, f"system.path={data}", "model=hnn", "model.network.width=8", run]
+    assert call("ahnn.train", *given, "trainer.max_epochs=1") == 0
+    found = ahnn.load(tmp_path / "run")
+    assert found.space.units == ahnn.Units("s", "m", "m/s", "m²/s²")
+    assert found.results.rows[0].who == Who("model", "true")
+    assert found.about["data"]["recipe"] == Files("files", str(data)).recipe()
+    assert call("ahnn.train", *given, "trainer.max_epochs=1", "ckpt=last") == 0
+    assert call("ahnn.evaluate", run, "name=same") == 0
+    assert call("ahnn.evaluate", run, "name=cut", "system.cut=30") == 2
+    assert "system: expected the training's files as it read them" in capfd.readouterr().err
+    data.write_text(data.read_text().replace("0,0.05,", "0,0.051,", 1))
+    assert call("ahnn.train", *given, "trainer.max_epochs=1", "ckpt=last") == 2
+    assert "files" in capfd.readouterr().err
+
+
+def test_recorded_positions_are_measurements_and_chi_square_is_the_verdict(tmp_path):
+    data = swings(tmp_path / "swings.csv", 3, SD)
+    given = ["model=ahnn", "hamiltonian=mechanical", "recipe=measurements", f"data.noise={SD}"]
+    given += ["loss.stages=[[16, 1.0]]", "loss.closing=0", "trainer.max_epochs=6"]
+    folder = tmp_path / "run"
+    assert call("ahnn.train", *SMALL, f"system.path={data}", *given, f"run={folder}") == 0
+    results = ahnn.load(folder).results
+    assert [row.who for row in results.rows] == [Who("model", "fitted")]
+    assert math.isnan(results.rows[0].scores.velocity)
+    assert results.rows[0].scores.energy is None
+    explained = results.numbers["measurements"]
+    # One test trajectory of 61 positions: its residuals are those that chi-square sums up.
+    pooled = results.rows[0].scores.position_pooled
+    assert explained["chi_square"] == pytest.approx(61 * (pooled / SD) ** 2 / 59, rel=1e-6)
+    assert (folder / "figures" / "error.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected"),
+    [
+        ([], "data.noise: expected the standard deviations of the measurements in the files"),
+        (["data.noise=0.01"], "Use recipe=measurements"),
+        (["data.noise=0.01", "recipe=measurements"], "Use hamiltonian=mechanical or central_body"),
+        (["data.noise=0.01", "data.measured=state"], "received positions alone"),
+        (["data.noise=0.01", "data.every=3"], "nothing is drawn; received data.every=3"),
+        (["data.noise=0.01", "sensor=tracking"], "received data.every=5"),
+        (["data.noise=[1,2]"], "data.noise: expected a standard deviation > 0 for each of q1 [m]"),
+        (["system.cut=1"], "system.cut: expected int >= 2 or None; received 1"),
+        (["system.path=null"], "system.path: expected"),
+        (["system.path=none.csv"], "system.path: expected a file; received none.csv: No such file"),
+    ],
+)
+def test_what_does_not_fit_is_one_message(tmp_path, capfd, overrides, expected):
+    data = swings(tmp_path / "swings.csv", 3)
+    run = f"run={tmp_path / 'run'}"
+    assert call("ahnn.train", *SMALL, f"system.path={data}", "model=ahnn", run, *overrides) == 2
+    err = capfd.readouterr().err
+    lines = [line for line in err.splitlines() if not line.startswith("files: ")]  # what was read
+    assert len(lines) == 1
+    assert lines[0].startswith("ahnn: ")
+    assert expected in lines[0]
+    assert not (tmp_path / "run").exists()
