@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from ahnn.data.files.ephemeris import Covariance, Ephemeris
+from ahnn.data.files.epochs import instant
+from ahnn.data.files.messages import read_oem, write_oem
 from ahnn.data.files.source import Files
 
-__all__ = ["Files"]
+__all__ = ["Covariance", "Ephemeris", "Files", "instant", "read_oem", "write_oem"]

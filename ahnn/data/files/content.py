@@ -17,6 +17,7 @@ class Content(NamedTuple):
         units: of the space.
         frame: in which positions are given, "" where nobody said.
         tracks: the trajectories.
+        epoch: at which their times are zero (`epochs.instant`); None where times are numbers.
     """
 
     positions: tuple[str, ...]
@@ -25,3 +26,4 @@ class Content(NamedTuple):
     units: Units
     frame: str
     tracks: tuple[Track, ...]
+    epoch: int | None = None

@@ -10,8 +10,9 @@ from typing import Annotated, Any
 import numpy as np
 
 from ahnn.arguments import Positive, Within, checked
-from ahnn.data.files import sidecar
+from ahnn.data.files import ephemeris, epochs, messages, sidecar
 from ahnn.data.files.content import Content
+from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.files.samples import Track, cut, filled, stacked, trimmed
 from ahnn.data.files.table import Place
 from ahnn.data.files.tabular import from_csv
@@ -55,7 +56,7 @@ class Files:
         self.paths = [Path(p).expanduser() for p in ([path] if isinstance(path, str) else path)]
         self.mass, self.cut, self.gap = mass, cut, gap
         digest = hashlib.sha256()
-        contents = [self._content(path, digest) for path in self.paths]
+        contents = since_first([self._content(path, digest) for path in self.paths])
         first = together(self.paths, contents)
         self.positions_only = not first.rates
         if first.momenta and mass is None:
@@ -83,16 +84,18 @@ class Files:
 
     def _content(self, path: Path, digest: Any) -> Content:
         """Return what is in a file, and add it and its sidecar to a hash."""
-        raw, aside = content_of(path), sidecar.beside(path)
+        raw, aside, weighed = content_of(path), sidecar.beside(path), self.mass is not None
         digest.update(hashlib.sha256(raw).digest())
-        said = sidecar.Sidecar()
+        text, said = decoded(raw, path), sidecar.Sidecar()
+        if path.suffix.lower() in messages.SUFFIXES:
+            return ephemeris.content(messages.blocks_of(text, str(path)), weighed=weighed)
         if aside.is_file():
             beside = content_of(aside)
             digest.update(hashlib.sha256(beside).digest())
             said = sidecar.parse(decoded(beside, aside), str(aside))
         if path.suffix.lower() in TABLES:
-            return from_csv(decoded(raw, path), str(path), said, weighed=self.mass is not None)
-        Place(str(path)).refuse(f"a file {', '.join(TABLES)}", f"{path.suffix!r}")
+            return from_csv(text, str(path), said, weighed=weighed)
+        Place(str(path)).refuse(f"a file {', '.join((*TABLES, *messages.SUFFIXES))}", f"{path.suffix!r}")
 
     def _trajectories(self, contents: list[Content]) -> Trajectories:
         """Return all tracks as states, momenta from velocities and the mass."""
@@ -112,24 +115,6 @@ class Files:
         return stacked(whole)
 
 
-def content_of(path: Path) -> bytes:
-    """Return the bytes of a file; raises UserError if it cannot be read."""
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        message = f"system.path: expected a file; received {path}: {error.strerror}"
-        raise UserError(message) from error
-
-
-def decoded(raw: bytes, path: Path) -> str:
-    """Return the text of a file; raises UserError if it is none."""
-    try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        row = raw[: error.start].count(b"\n") + 1
-        Place(str(path), row).refuse("text in UTF-8", repr(raw[error.start : error.start + 1]))
-
-
 def together(paths: list[Path], contents: list[Content]) -> Content:
     """Return the first of several contents, the others being of the same kind; raises UserError otherwise."""
     if not contents:
@@ -141,6 +126,20 @@ def together(paths: list[Path], contents: list[Content]) -> Content:
             if (received := getattr(content, name)) != first:
                 Place(str(path)).refuse(f"{name} {spelled(first)}, as in {paths[0]}", spelled(received))
     return contents[0]
+
+
+def since_first(contents: list[Content]) -> list[Content]:
+    """Return contents whose times count from the first of their epochs, which is added to their frame."""
+    known = [content.epoch for content in contents if content.epoch is not None]
+    return [content if content.epoch is None else counted(content, min(known)) for content in contents]
+
+
+def counted(content: Content, first: int) -> Content:
+    """Return content whose times count from an epoch."""
+    shift = ((content.epoch or first) - first) / epochs.SECOND
+    tracks = tuple(track._replace(times=track.times + shift) for track in content.tracks)
+    epoch = epochs.spelled(first, utc=content.frame.upper().endswith("UTC"))
+    return content._replace(tracks=tracks, epoch=first, frame=f"{content.frame}, from {epoch}")
 
 
 def spelled(value: Any) -> str:

@@ -99,7 +99,9 @@ def test_a_file_that_is_none(tmp_path):
     with pytest.raises(UserError, match="received none"):
         Files("mine", [])
     assert "row 2: expected text in UTF-8" in message_of(tmp_path, b"t,x,vx\n0,\xff,1\n")
-    assert "expected a file .csv, .tsv, .txt; received '.xls'" in message_of(tmp_path, GOOD, name="a.xls")
+    assert "expected a file .csv, .tsv, .txt, .oem, .xml; received '.xls'" in message_of(
+        tmp_path, GOOD, name="a.xls"
+    )
 
 
 def test_a_gap_that_separates_two_trajectories(tmp_path):

@@ -1,0 +1,90 @@
+"""Epochs of the calendar as whole picoseconds, so that no digit is lost, leap seconds of UTC counted.
+
+The formats are those of CCSDS 301.0 (ASCII time codes A and B).
+"""
+
+from __future__ import annotations
+
+import re
+from datetime import UTC, date, datetime, timedelta
+
+SECOND = 10**12
+"""Picoseconds of a second."""
+DAY = 86400
+FIRST = date(2000, 1, 1).toordinal()
+CODE = re.compile(
+    r"(?P<year>\d{4})-((?P<month>\d\d)-(?P<day>\d\d)|(?P<number>\d{3}))"
+    r"T(?P<hour>\d\d):(?P<minute>\d\d):(?P<second>\d\d)(\.(?P<fraction>\d{0,12})\d*)?Z?"
+)
+LEAPS = tuple(
+    date(year, month, 1).toordinal() - FIRST
+    for month, years in (
+        (1, (1973, 1974, 1975, 1976, 1977, 1978, 1979, 1980, 1988, 1990, 1991, 1996, 1999, 2006, 2009, 2017)),
+        (7, (1972, 1981, 1982, 1983, 1985, 1992, 1993, 1994, 1997, 2012, 2015)),
+    )
+    for year in years
+)
+"""Days, from the first of 2000, that follow a leap second (IERS Bulletin C; none since that of 2016)."""
+
+
+def instant(text: str, *, utc: bool) -> int:
+    """Return an epoch in picoseconds from the first day of 2000.
+
+    Args:
+        text: such as 2024-03-01T12:00:00.125 or 2024-061T12:00:00.
+        utc: whether its clock is UTC, so that leap seconds lie between two epochs.
+
+    Raises:
+        ValueError: another format, or a date that is not in the calendar.
+    """
+    found = CODE.fullmatch(text)
+    if found is None:
+        message = "an epoch such as 2024-03-01T12:00:00.125 or 2024-061T12:00:00"
+        raise ValueError(message)
+    days = _days(found) - FIRST
+    hour, minute, second = (int(found[name]) for name in ("hour", "minute", "second"))
+    leap = utc and (hour, minute, second) == (23, 59, 60) and days + 1 in LEAPS
+    if hour > 23 or minute > 59 or (second > 59 and not leap):
+        message = "a time of day"
+        raise ValueError(message)
+    seconds = days * DAY + 3600 * hour + 60 * minute + second + (leaps(days) if utc else 0)
+    return seconds * SECOND + int((found["fraction"] or "").ljust(12, "0"))
+
+
+def _days(found: re.Match[str]) -> int:
+    """Return the ordinal of a date that is given by month and day, or by the number of the day."""
+    try:
+        if found["number"] is None:
+            return date(int(found["year"]), int(found["month"]), int(found["day"])).toordinal()
+        day = date(int(found["year"]), 1, 1) + timedelta(days=int(found["number"]) - 1)
+    except ValueError as error:
+        message = "a date of the calendar"
+        raise ValueError(message) from error
+    if day.year != int(found["year"]):
+        message = "a date of the calendar"
+        raise ValueError(message)
+    return day.toordinal()
+
+
+def leaps(days: int) -> int:
+    """Return how many leap seconds came before a day."""
+    return sum(leap <= days for leap in LEAPS)
+
+
+def spelled(moment: int, *, utc: bool) -> str:
+    """Return an epoch as a text that `instant` reads, with at least three decimals."""
+    seconds, fraction = divmod(moment, SECOND)
+    days = (seconds - leaps(seconds // DAY)) // DAY if utc else seconds // DAY
+    if utc and (days + 1) * DAY + leaps(days + 1) <= seconds:
+        days += 1
+    of_day = seconds - days * DAY - (leaps(days) if utc else 0)
+    extra = max(0, of_day - DAY + 1)  # 23:59:60
+    hour, rest = divmod(of_day - extra, 3600)
+    clock = f"{hour:02}:{rest // 60:02}:{rest % 60 + extra:02}"
+    decimals = f"{fraction:012}".rstrip("0").ljust(3, "0")
+    return f"{date.fromordinal(FIRST + days).isoformat()}T{clock}.{decimals}"
+
+
+def now() -> str:
+    """Return the time of this machine as an epoch in UTC."""
+    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S")

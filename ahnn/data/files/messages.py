@@ -1,0 +1,33 @@
+"""Orbit ephemeris messages as files, in either notation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from ahnn.data.files import oem, oem_xml
+from ahnn.data.files.ephemeris import Block, Ephemeris, ephemeris
+from ahnn.data.files.raw import content_of, decoded
+from ahnn.files import write_atomically
+
+SUFFIXES = (".oem", ".xml")
+
+
+def blocks_of(text: str, file: str) -> list[Block]:
+    """Return the segments of a message in XML, if it begins like that, or in keyword = value notation."""
+    return (oem_xml if text.lstrip().startswith("<") else oem).blocks_of(text, file)
+
+
+def read_oem(path: str | Path) -> list[Ephemeris]:
+    """Return the segments of an orbit ephemeris message.
+
+    Raises:
+        UserError: names the line of what is wrong.
+    """
+    path = Path(path)
+    return [ephemeris(block) for block in blocks_of(decoded(content_of(path), path), str(path))]
+
+
+def write_oem(path: str | Path, ephemerides: Iterable[Ephemeris], originator: str = "ahnn") -> None:
+    """Write an orbit ephemeris message in keyword = value notation; the file appears whole or not at all."""
+    write_atomically(Path(path), oem.written(ephemerides, originator).encode())

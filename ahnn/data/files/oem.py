@@ -1,0 +1,128 @@
+"""CCSDS orbit ephemeris messages (CCSDS 502.0-B) in keyword = value notation, in and out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from ahnn.data.files import epochs
+from ahnn.data.files.ephemeris import Block, Covariance, Ephemeris
+from ahnn.data.files.table import Place
+
+VERSION = "CCSDS_OEM_VERS"
+
+
+def blocks_of(text: str, file: str) -> list[Block]:
+    """Return the segments of a message as text.
+
+    Raises:
+        UserError: names the line of what does not belong there.
+    """
+    lines = [(row, line.strip()) for row, line in enumerate(text.splitlines(), 1)]
+    used = [(row, line) for row, line in lines if line and not line.startswith("COMMENT")]
+    if not used or not used[0][1].startswith(VERSION):
+        Place(file, used[0][0] if used else 0).refuse(
+            f"{VERSION} first", repr(used[0][1]) if used else "no line"
+        )
+    blocks: list[Block] = []
+    state = "header"
+    for row, line in used:
+        place = Place(file, row)
+        if line == "META_START" and state in ("header", "data"):
+            blocks.append(Block(place))
+            state = "meta"
+        elif (line, state) in CHANGES:
+            state = CHANGES[line, state]
+        elif state in ("header", "meta"):
+            key, value = pair(line, place)
+            if state == "meta":
+                blocks[-1].meta[key] = value
+        elif state == "data":
+            add_vector(blocks[-1], line, place)
+        else:
+            add_covariance(blocks[-1], line, place)
+    if state != "data":
+        Place(file, used[-1][0]).refuse("a segment from META_START to its states", f"the end of its {state}")
+    return blocks
+
+
+CHANGES = {
+    ("META_STOP", "meta"): "data",
+    ("COVARIANCE_START", "data"): "covariance",
+    ("COVARIANCE_STOP", "covariance"): "data",
+}
+"""What a line makes of a part of the message."""
+
+
+def pair(line: str, place: Place) -> tuple[str, str]:
+    """Return keyword and value; raises UserError for a line without."""
+    key, sign, value = (part.strip() for part in line.partition("="))
+    if not sign:
+        place.refuse("KEYWORD = value", repr(line))
+    return key, value
+
+
+def add_vector(block: Block, line: str, place: Place) -> None:
+    """Add a state to a block; accelerations behind it are left out. Raises UserError for fewer numbers."""
+    cells = line.split()
+    if len(cells) not in (7, 10):
+        place.refuse("an epoch, three positions and three velocities", f"{len(cells)} values")
+    block.vectors.append((place.row, cells))
+
+
+def add_covariance(block: Block, line: str, place: Place) -> None:
+    """Add a line of a covariance to a block; raises UserError for numbers before their epoch."""
+    if "=" not in line:
+        if not block.matrices:
+            place.refuse("EPOCH = of a covariance first", repr(line))
+        block.matrices[-1][3].extend(line.split())
+        return
+    key, value = pair(line, place)
+    if key == "EPOCH":
+        frame = block.matrices[-1][2] if block.matrices else ""
+        block.matrices.append((place.row, value, frame, []))
+    elif key == "COV_REF_FRAME" and block.matrices:
+        row, epoch, _, cells = block.matrices[-1]
+        block.matrices[-1] = (row, epoch, value, cells)
+    else:
+        place.refuse("EPOCH or COV_REF_FRAME", repr(key))
+
+
+def written(ephemerides: Iterable[Ephemeris], originator: str = "ahnn", created: str | None = None) -> str:
+    """Return a message of version 2.0; numbers have 16 digits, all that they hold.
+
+    Args:
+        ephemerides: a segment each.
+        originator: who says so.
+        created: epoch of the message in UTC; None is now.
+    """
+    head = [f"{VERSION} = 2.0", f"CREATION_DATE = {created or epochs.now()}", f"ORIGINATOR = {originator}"]
+    return "\n".join([*head, *(line for one in ephemerides for line in _segment(one))]) + "\n"
+
+
+def _segment(one: Ephemeris) -> Iterator[str]:
+    first, last = (_epoch(one, float(t)) for t in (one.times[0], one.times[-1]))
+    yield from ("", "META_START", f"OBJECT_NAME = {one.object_name or one.object_id}")
+    yield from (f"OBJECT_ID = {one.object_id}", f"CENTER_NAME = {one.center}", f"REF_FRAME = {one.frame}")
+    yield from (f"TIME_SYSTEM = {one.time_system}", f"START_TIME = {first}", f"STOP_TIME = {last}")
+    yield from ("META_STOP", "")
+    for time, state in zip(one.times, one.states, strict=True):
+        yield " ".join([_epoch(one, float(time)), *(f"{value:.15e}" for value in state)])
+    if one.covariances:
+        yield "COVARIANCE_START"
+        for covariance in one.covariances:
+            yield from _matrix(one, covariance)
+        yield "COVARIANCE_STOP"
+
+
+def _matrix(one: Ephemeris, covariance: Covariance) -> Iterator[str]:
+    yield f"EPOCH = {_epoch(one, covariance.time)}"
+    yield f"COV_REF_FRAME = {covariance.frame or one.frame}"
+    for k, row in enumerate(np.asarray(covariance.matrix)):
+        yield " ".join(f"{value:.15e}" for value in row[: k + 1])
+
+
+def _epoch(one: Ephemeris, time: float) -> str:
+    """Return the epoch so many seconds after the start of an ephemeris."""
+    return epochs.spelled(one.start + round(time * epochs.SECOND), utc=one.time_system.upper() == "UTC")

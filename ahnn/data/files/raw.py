@@ -1,0 +1,26 @@
+"""Bytes and text of a file, with one message where there are none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ahnn.data.files.table import Place
+from ahnn.errors import UserError
+
+
+def content_of(path: Path) -> bytes:
+    """Return the bytes of a file; raises UserError if it cannot be read."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        message = f"system.path: expected a file; received {path}: {error.strerror}"
+        raise UserError(message) from error
+
+
+def decoded(raw: bytes, path: Path) -> str:
+    """Return the text of a file; raises UserError if it is none."""
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        row = raw[: error.start].count(b"\n") + 1
+        Place(str(path), row).refuse("text in UTF-8", repr(raw[error.start : error.start + 1]))
