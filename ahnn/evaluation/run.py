@@ -34,7 +34,8 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
         findings.figures |= open_loop_figures(case, findings.arrays)
     if case.uncertainty is not None and case.fitted is None:  # a band says nothing of measurements
         add_band(case, case.uncertainty, findings, figures=figures)
-    findings.arrays |= {"truth": case.test.states, "times": case.test.times}
+    known = "truth" if case.fitted is None else "measurements"
+    findings.arrays |= {known: case.test.states, "times": case.test.times}
     for name, plugin in plugins.items():
         more = plugin(case)
         findings.rows += distinct(more.rows, findings.rows, name)
