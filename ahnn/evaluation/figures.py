@@ -60,14 +60,18 @@ def _curves(case: Case, arrays: dict[str, Tensor]) -> Iterator[Curve]:
 
 
 def error(case: Case, curves: list[Curve]) -> Figure:
-    """Draw position and velocity error over time, thin, and its moving average, thick, model and floor."""
-    figure = style.canvas(8, 6)
-    panels = figure.subplots(2, 1, sharex=True)
+    """Draw position and velocity error over time, thin, and its moving average, thick, model and floor.
+
+    Velocities that were not measured have no panel.
+    """
+    known = sum(bool(block.isfinite().any()) for block in case.test.states.chunk(2, dim=-1))
+    figure = style.canvas(8, 3 * known)
+    panels = figure.subplots(known, 1, sharex=True, squeeze=False)[:, 0]
     axis = style.time_axis(case)
     smooth = len(axis.time) > 2 * SMOOTHING
     for curve in curves:
         blocks = errors(curve.states, case.test.states).chunk(2, dim=-1)
-        for axes, block, unit in zip(panels, blocks, (1.0, case.space.inertia), strict=True):
+        for axes, block, unit in zip(panels, blocks, (1.0, case.space.inertia), strict=False):
             rms = block.square().sum(-1).nanmean(0).sqrt() / unit
             main = moving_average(rms[1:], SMOOTHING) if smooth else rms[1:]
             axes.plot(axis.time[1:], main, **curve.look, label=curve.name)

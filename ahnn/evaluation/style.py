@@ -79,8 +79,8 @@ def label_time(axes: Any, axis: Axis) -> None:
 
 
 def label_errors(case: Case, panels: Iterable[Any], word: str = "error") -> None:
-    """Label the vertical axes of a panel of positions and one of velocities."""
-    for axes, name in zip(panels, NAMES, strict=True):
+    """Label the vertical axes of a panel of positions and one of velocities, if there is one."""
+    for axes, name in zip(panels, NAMES, strict=False):
         axes.set_ylabel(f"{name} {word} [{getattr(case.space.units, name)}]")
 
 

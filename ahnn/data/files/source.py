@@ -23,6 +23,8 @@ from ahnn.types import Space, Trajectories
 log = logging.getLogger(__name__)
 
 TABLES = (".csv", ".tsv", ".txt")
+ROTATING = ("ITRF", "ECEF", "EFG", "GTOD", "GRC", "TDR", "WGS")
+"""How the names of frames begin that turn with the Earth."""
 
 
 @checked
@@ -55,6 +57,7 @@ class Files:
     ) -> None:
         self.paths = [Path(p).expanduser() for p in ([path] if isinstance(path, str) else path)]
         self.mass, self.cut, self.gap = mass, cut, gap
+        require_different(self.paths)
         digest = hashlib.sha256()
         contents = since_first([self._content(path, digest) for path in self.paths])
         first = together(self.paths, contents)
@@ -66,6 +69,8 @@ class Files:
             )
             raise UserError(message)
         self.space = space_of(name, first, mass)
+        if first.frame.upper().startswith(ROTATING):
+            log.warning("%s: frame %s rotates: mass times velocity is no momentum in it", name, first.frame)
         self.trajectories = self._trajectories(contents)
         self._sha256 = digest.hexdigest()
 
@@ -113,6 +118,14 @@ class Files:
         whole = [part._replace(values=widened(part, dof) * factor) for part in parts]
         log.info("%s: %s", self.space.name, described(self.space, parts, contents[0]))
         return stacked(whole)
+
+
+def require_different(paths: list[Path]) -> None:
+    """Refuse a file that is named twice: training would see the test trajectories; raises UserError."""
+    known = [path.resolve() for path in paths]
+    if again := [path for path in paths if known.count(path.resolve()) > 1]:
+        message = f"system.path: expected different files; received {again[0]} twice"
+        raise UserError(message)
 
 
 def together(paths: list[Path], contents: list[Content]) -> Content:

@@ -119,6 +119,14 @@ def test_a_message_is_a_source_of_trajectories(tmp_path):
             Files("orbit", [str(HERE), str(tmp_path / "other.oem")])
 
 
+def test_a_frame_that_rotates_is_warned_of(tmp_path, caplog):
+    Files("orbit", str(HERE))
+    assert "rotates" not in caplog.text
+    (tmp_path / "a.oem").write_text(TEXT.replace("EME2000", "ITRF2000"))
+    Files("orbit", str(tmp_path / "a.oem"))
+    assert "frame ITRF2000, EARTH, UTC, from 2016-12-31T23:59:00.000 rotates" in caplog.text
+
+
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [

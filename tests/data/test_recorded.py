@@ -1,0 +1,77 @@
+"""Recorded measurements are what simulated ones are, once they are in a file: training sees the same."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+import torch
+from helpers import MOLNIYA, SPRING, defaults
+
+from ahnn.cli.parts import SENSOR, SIMULATION
+from ahnn.data import Files, Simulated
+from ahnn.data.datamodule import WindowDataModule
+from ahnn.data.recorded import Recorded
+from ahnn.data.sensor import Sensor
+
+UNITS = {"mass_spring": "[m],[m/s]", "molniya": "[km],[km/s]"}
+
+
+def module(source, sensor):
+    options = {
+        k: v for k, v in defaults("hnn")["data"].items() if k not in (*SIMULATION, *SENSOR, "_target_")
+    }
+    options |= {"split": [0.6, 0.2, 0.2], "window": 3, "batch_size": 32, "precision": 64}
+    return WindowDataModule(source, **options, sensor=sensor)
+
+
+def written(path, space, measured):
+    """A table of measurements, every number with all its digits, rows without any left out."""
+    n, size = space.dof, measured.states.shape[-1]
+    position, rate = UNITS[space.name].split(",")
+    names = [f"q{i + 1} {position}" for i in range(n)] + [f"v{i + 1} {rate}" for i in range(n)]
+    lines = [",".join(["id", "t [s]", *names[:size]])]
+    for b, (states, times) in enumerate(zip(*(x.tolist() for x in measured), strict=True)):
+        for state, time in zip(states, times, strict=True):
+            if not any(x != x for x in state):
+                lines.append(",".join(map(repr, [b, time, *state])))
+    path.write_text("\n".join(lines) + "\n")
+    return str(path)
+
+
+@pytest.mark.parametrize("system", [SPRING, MOLNIYA], ids=lambda s: s.name)
+@pytest.mark.parametrize("measured", ["state", "position"])
+def test_training_sees_the_same_numbers(tmp_path, system, measured):
+    system = dataclasses.replace(system, steps=40)
+    simulated = Simulated(system, trajectories=10, seed=0, cache=str(tmp_path))
+    about = {"measured": measured, "noise": 0.01}
+    drawn = module(simulated, Sensor(simulated.space, **about))
+    parts = [drawn.trajectories(split) for split in ("train", "val", "test")]
+    whole = type(parts[0])(*(torch.cat(tensors) for tensors in zip(*parts, strict=True)))
+    source = Files("mine", written(tmp_path / "data.csv", simulated.space, whole))
+    assert source.positions_only == (measured == "position")
+    read = module(source, Recorded(source.space, **about))
+    for split in ("train", "val", "test"):
+        for got, expected in zip(read.trajectories(split), drawn.trajectories(split), strict=True):
+            assert torch.equal(got, expected)
+        one, other = read.whole(split), drawn.whole(split)
+        assert torch.equal(one.values, other.values)
+        assert one.instrument.longest == other.instrument.longest
+        assert torch.equal(one.instrument.deviations, other.instrument.deviations)
+    for got, expected in zip(read.statistics(), drawn.statistics(), strict=True):
+        assert torch.equal(torch.as_tensor(got), torch.as_tensor(expected))
+
+
+def test_missing_measurements_are_absent_in_both(tmp_path):
+    system = dataclasses.replace(SPRING, steps=60)
+    simulated = Simulated(system, trajectories=3, seed=0, cache=str(tmp_path))
+    truth = simulated.read()
+    seen = Sensor(simulated.space, measured="state", noise=0.01, gaps=0.2).measure(truth, 0)
+    source = Files("mine", written(tmp_path / "data.csv", simulated.space, seen))
+    got = Recorded(source.space, measured="state", noise=0.01).measure(source.read(), 0)
+    for b in range(3):
+        there = seen.present[b].nonzero().flatten()
+        part = slice(int(there[0]), int(there[-1]) + 1)
+        kept = slice(0, part.stop - part.start)
+        assert torch.equal(got.states[b, kept].nan_to_num(), seen.states[b, part].nan_to_num())
+        assert torch.allclose(got.times[b, kept], seen.times[b, part], rtol=1e-14, atol=0)
