@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from ahnn.statistics import sampling_interval
 from ahnn.types import Trajectories
 
 ORDERS = (8, 9, 10)
@@ -47,12 +48,16 @@ def noise_floor(trajectories: Trajectories) -> Tensor:
 def remark_on(samples: Trajectories, names: Sequence[str], stated: Tensor | None) -> str | None:
     """Return what the user should know of the noise of samples before a training, or None.
 
+    Of samples at unequal steps nothing is said: their differences do not vanish without noise either.
+
     Args:
         samples: what training sees.
         names: of their D components.
         stated: (D,) standard deviations that the loss takes into account; None for a loss that takes samples
             as exact.
     """
+    if isinstance(sampling_interval(samples), Tensor):
+        return None
     floor = noise_floor(samples)
     if stated is None:
         typical = samples.states.diff(dim=1).abs().flatten(0, 1).nanmedian(0).values

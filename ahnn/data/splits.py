@@ -113,7 +113,8 @@ def split_sizes(count: int, fractions: list[float]) -> list[int]:
         named = ", ".join(f"{name} {size}" for name, size in zip(SPLITS, sizes, strict=True))
         message = (
             f"split: expected at least one trajectory in each; received {count} trajectories with fractions "
-            f"{fractions}, which makes {named}. Ask for more trajectories"
+            f"{fractions}, which makes {named}. Ask for more trajectories, or cut those "
+            "of files with system.cut"
         )
         raise UserError(message)
     return sizes

@@ -32,6 +32,13 @@ def test_a_smooth_motion_has_no_noise_but_rounding():
     assert bool((noise_floor(ORBITS).nan_to_num() < 1e-10 * typical).all())
 
 
+def test_nothing_is_said_of_samples_at_unequal_steps():
+    given = noisy(0.1)
+    assert remark_on(given, NAMES, None) is not None
+    uneven = given.times + 1e-3 * torch.rand(given.times.shape, generator=generator(7), dtype=torch.float64)
+    assert remark_on(Trajectories(given.states, uneven), NAMES, None) is None
+
+
 def test_absent_samples_do_not_count():
     gone = torch.rand(ORBITS.times.shape, generator=generator(5)) < 0.05
     given = noisy(0.1)
