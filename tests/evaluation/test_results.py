@@ -99,7 +99,7 @@ def write(folder, change):
         (lambda c: c.pop("rows"), "damaged file: no 'rows'"),
         (
             lambda c: c["rows"][0].update(start="late"),
-            "start: expected one of true, perturbed, received 'late'",
+            "start: expected one of true, perturbed, fitted, received 'late'",
         ),
         (lambda c: c["rows"][0].update(position=None), "expected a number, received None"),
         (lambda c: c["rows"][0].update(position="many"), "damaged"),
