@@ -129,6 +129,20 @@ def test_every_case_draws_what_it_can(tmp_path, name):
     FigureSink(tmp_path)(RESULTS, Findings(figures=figures))
 
 
+@pytest.mark.parametrize("name", ["spring", "plane", "space"])
+def test_of_measured_positions_no_velocity_and_no_energy_is_drawn(tmp_path, name):
+    case = make_case(tmp_path, **CASES[name], truth=None, perturbation=None)
+    fitted, states = case.test.states[:, 0], case.test.states.clone()
+    states[..., case.space.dof :] = states[0, 5] = torch.nan
+    case = dataclasses.replace(case, fitted=fitted, test=case.test._replace(states=states))
+    figures = open_loop_figures(case, open_loop(case).arrays)
+    assert figures.keys() == {"error"} | {"plane": {"path"}, "space": {"orbit"}}.get(name, set())
+    (panel,) = figures["error"].axes
+    assert panel.get_ylabel().startswith("position error")
+    assert panel.get_title().endswith("fitted start")
+    FigureSink(tmp_path)(RESULTS, Findings(figures=figures))
+
+
 def test_the_error_is_drawn_over_the_times_of_the_data(tmp_path):
     case = make_case(tmp_path)
     later = dataclasses.replace(case, test=case.test._replace(times=case.test.times + 4e5))

@@ -144,12 +144,14 @@ def together(paths: list[Path], contents: list[Content]) -> Content:
 def since_first(contents: list[Content]) -> list[Content]:
     """Return contents whose times count from the first of their epochs, which is added to their frame."""
     known = [content.epoch for content in contents if content.epoch is not None]
-    return [content if content.epoch is None else counted(content, min(known)) for content in contents]
+    return [counted(content, min(known)) if known else content for content in contents]
 
 
 def counted(content: Content, first: int) -> Content:
-    """Return content whose times count from an epoch."""
-    shift = ((content.epoch or first) - first) / epochs.SECOND
+    """Return content whose times count from an epoch, where they do not count from nothing."""
+    if content.epoch is None:
+        return content
+    shift = (content.epoch - first) / epochs.SECOND
     tracks = tuple(track._replace(times=track.times + shift) for track in content.tracks)
     epoch = epochs.spelled(first, utc=content.frame.upper().endswith("UTC"))
     return content._replace(tracks=tracks, epoch=first, frame=f"{content.frame}, from {epoch}")

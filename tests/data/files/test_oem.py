@@ -119,6 +119,16 @@ def test_a_message_is_a_source_of_trajectories(tmp_path):
             Files("orbit", [str(HERE), str(tmp_path / "other.oem")])
 
 
+def test_times_of_several_files_count_from_the_first_epoch_also_across_that_of_2000(tmp_path):
+    for k, day in enumerate((-1, 0, 1)):
+        states = np.full((3, 6), float(k))
+        given = Ephemeris("1", "SAT", "EARTH", "EME2000", "TAI", day * 86400 * SECOND, np.arange(3.0), states)
+        write_oem(tmp_path / f"{k}.oem", [given])
+    files = Files("orbit", [str(tmp_path / f"{k}.oem") for k in (1, 2, 0)])
+    assert files.read().times[:, 0].tolist() == [86400.0, 172800.0, 0.0]
+    assert files.space.frame.endswith("TAI, from 1999-12-31T00:00:00.000")
+
+
 def test_a_frame_that_rotates_is_warned_of(tmp_path, caplog):
     Files("orbit", str(HERE))
     assert "rotates" not in caplog.text
