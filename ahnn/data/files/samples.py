@@ -85,7 +85,7 @@ def filled(track: Track, gap: float) -> Track:
     steps = np.diff(track.times)
     ratio = steps / np.median(steps)
     whole = np.round(ratio)
-    on_grid = bool((np.abs(ratio - whole) <= ON_GRID * whole).all()) and whole.min() >= 1
+    on_grid = bool((np.abs(ratio - whole) <= ON_GRID * whole).all())
     counts = np.where(ratio > (1.5 if on_grid else gap), whole, 1).astype(np.int64)
     if counts.sum() > FILL * len(track.times):
         k = int(counts.argmax())

@@ -40,6 +40,10 @@ FAULTS = {
         GOOD.replace("id", "y [km]").replace("a", "0").replace("b", "1"),
         "column y: expected its velocities",
     ),
+    "velocity twice": (
+        "t,x,vx,v_x\n0,1,2,3\n",
+        "row 1: expected a velocity or a momentum of each position; received vx, v_x",
+    ),
     "both": (
         "t,x,vx,px\n0,1,2,3\n",
         "row 1: expected a velocity or a momentum of each position; received vx, px",
