@@ -174,3 +174,9 @@ def test_a_label_that_looks_things_up_is_a_text(run, capfd, monkeypatch):
     assert call("ahnn.evaluate", f"run={run}") == 2
     out, err = capfd.readouterr()
     assert "hunter2" not in out + err
+
+
+def test_what_measures_is_built_from_a_run_of_ones_own():
+    assert is_trusted("ahnn.measurements.Several", "data")
+    assert is_trusted("ahnn.measurements.GroundStation", "data")
+    assert not is_trusted("ahnn.data.sensor.Sensor", "data")

@@ -27,7 +27,7 @@ NEEDED = {
     "system": ("recipe", "read", "energy"),
     "plugins": ("check", "residual"),
     "measurement": ("residual",),
-    "data": (),
+    "data": ("residual",),  # what measures
     "evaluation": (),
 }
 """What a class must have one of to be built for a node."""
