@@ -42,7 +42,8 @@ def test_ctrl_c_is_no_traceback_however_early(tmp_path, moment):
 
 
 def test_ctrl_c_in_a_search_says_that_the_search_goes_on(tmp_path):
-    search = ["-m", "sweep=quick", "hydra/launcher=ahnn_process", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
+    short = ["system.steps=60", "data.trajectories=20", "hydra/launcher=ahnn_process"]
+    search = ["-m", "sweep=quick", *short, f"hydra.sweep.dir={tmp_path / 'sweep'}"]
     job = started(tmp_path, *search)
     while not (tmp_path / "sweep" / "0" / "console.log").exists():
         assert job.poll() is None
