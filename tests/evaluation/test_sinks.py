@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 from types import SimpleNamespace
 
 import pytest
 import torch
 from cases import KEPLER, MODEL, ORBITS, SPRING, make_case, make_results, scores
 from matplotlib.figure import Figure
+from matplotlib.image import imread
 from safetensors.torch import load_file
 
 from ahnn.evaluation import Findings, Row, evaluate, style
@@ -87,7 +89,7 @@ def test_tensorboard_gets_one_name_for_all_models():
     calls = []
     logger = SimpleNamespace(
         log_hyperparams=lambda params, metrics: calls.append((params, metrics)),
-        experiment=SimpleNamespace(add_figure=lambda name, *_, **__: calls.append(name)),
+        experiment=SimpleNamespace(file_writer=SimpleNamespace(add_summary=lambda it, _: calls.append(it))),
         finalize=calls.append,
     )
     rows = [Row(MODEL, scores(1.0, None)), Row(MODEL._replace(floor=True), scores(2.0))]
@@ -95,7 +97,7 @@ def test_tensorboard_gets_one_name_for_all_models():
     results = make_results(*rows, training={"val_loss": 0.5}, numbers={"ukf": {"alpha": 1.0}})
     settings = {"optimizer": {"lr": 0.1}, "model": "hidden"}
     TensorBoardSink(logger, settings)(results, findings("error"))
-    params, metrics = calls[0]
+    (params, metrics), summary, end = calls
     assert params == {"system": "spring", "model": "model of mine", "assumes": "nothing", "optimizer.lr": 0.1}
     assert metrics == {
         "score/val_loss": 0.5,
@@ -105,7 +107,25 @@ def test_tensorboard_gets_one_name_for_all_models():
         "score/velocity/ukf/perturbed": 3.0,
         "score/energy/ukf/perturbed": 4.0,
     }
-    assert calls[1:] == ["error", "success"]
+    (shown,) = summary.value
+    pixels = imread(io.BytesIO(shown.image.encoded_image_string))
+    assert (shown.tag, end) == ("error", "success")
+    assert pixels.shape == (shown.image.height, shown.image.width, shown.image.colorspace)
+
+
+def test_a_figure_is_drawn_once_for_all_sinks(tmp_path, monkeypatch):
+    formats, found = [], findings("error")
+    save = Figure.savefig
+
+    def counted(figure, file, **options):
+        formats.append(options["format"])
+        save(figure, file, **options)
+
+    monkeypatch.setattr(Figure, "savefig", counted)
+    FigureSink(tmp_path)(RESULTS, found)
+    FigureSink(tmp_path / "again")(RESULTS, found)
+    assert formats == ["png", "svg"]
+    assert names(tmp_path / "figures") == names(tmp_path / "again" / "figures")
 
 
 CASES = {

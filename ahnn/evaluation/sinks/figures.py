@@ -6,6 +6,7 @@ import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
+from weakref import WeakKeyDictionary
 
 from matplotlib import rc_context
 from matplotlib.figure import Figure
@@ -20,6 +21,7 @@ FORMATS: dict[str, dict[str, Any]] = {
     ".png": {"dpi": DPI},
     ".svg": {"dpi": DPI, "metadata": {"Date": None}},  # the same figure is the same file
 }
+_DRAWN: WeakKeyDictionary[Figure, dict[str, bytes]] = WeakKeyDictionary()
 
 
 @final
@@ -39,9 +41,8 @@ class FigureSink:
         clear(folder)
         figures = findings.figures
         for name, figure in track(figures.items(), "drawing figures", len(figures)):
-            for suffix, options in FORMATS.items():
-                content = drawn(figure, suffix, options)
-                write_atomically(folder / f"{name.replace('/', '_')}{suffix}", content)
+            for suffix in FORMATS:
+                write_atomically(folder / f"{name.replace('/', '_')}{suffix}", drawn(figure, suffix))
 
 
 def clear(folder: Path) -> None:
@@ -53,10 +54,13 @@ def clear(folder: Path) -> None:
             path.unlink()
 
 
-def drawn(figure: Figure, suffix: str, options: dict[str, Any]) -> bytes:
-    """Return a figure as the content of a file."""
-    buffer = io.BytesIO()
-    with rc_context({"svg.hashsalt": "ahnn"}):
-        figure.savefig(buffer, format=suffix[1:], **options)
-    figure.set_layout_engine()  # the places of its parts are found: any engine would draw once more to look
-    return buffer.getvalue()
+def drawn(figure: Figure, suffix: str) -> bytes:
+    """Return a figure as the content of a file; it is drawn once in each format, however many sinks ask."""
+    contents = _DRAWN.setdefault(figure, {})
+    if suffix not in contents:
+        buffer = io.BytesIO()
+        with rc_context({"svg.hashsalt": "ahnn"}):
+            figure.savefig(buffer, format=suffix[1:], **FORMATS[suffix])
+        figure.set_layout_engine()  # its parts have their places: an engine would draw once more
+        contents[suffix] = buffer.getvalue()
+    return contents[suffix]

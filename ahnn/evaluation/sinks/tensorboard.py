@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, final
@@ -10,6 +11,7 @@ from ahnn.arguments import flatten
 from ahnn.evaluation.case import Findings
 from ahnn.evaluation.results import Results
 from ahnn.evaluation.sinks.base import TensorBoardLike
+from ahnn.evaluation.sinks.figures import drawn
 from ahnn.evaluation.table import QUANTITIES
 from ahnn.evaluation.titles import metric_name
 
@@ -33,8 +35,17 @@ class TensorBoardSink:
         """Write the HPARAMS entry, whose metrics are the scores of all rows but the floors', and figures."""
         self.logger.log_hyperparams(hyperparameters(results, self.settings), scores(results))
         for name, figure in findings.figures.items():
-            self.logger.experiment.add_figure(name, figure, close=False)
+            self.logger.experiment.file_writer.add_summary(image(name, drawn(figure, ".png")), 0)
         self.logger.finalize("success")
+
+
+def image(name: str, png: bytes) -> Any:
+    """Return the summary that TensorBoard shows as a picture, of the content of a PNG file."""
+    from tensorboard.compat.proto.summary_pb2 import Summary  # slow to import, and not for `ahnn.load`
+
+    width, height = struct.unpack(">II", png[16:24])  # of its header
+    shown = Summary.Image(encoded_image_string=png, width=width, height=height, colorspace=4)  # RGBA
+    return Summary(value=[Summary.Value(tag=name, image=shown)])
 
 
 def hyperparameters(results: Results, settings: Mapping[str, Any]) -> dict[str, Any]:
