@@ -71,7 +71,7 @@ def test_every_option_of_the_core_can_be_built(tmp_path, group, option):
         overrides.append(SWINGS)
     if group == "integrator":  # compositions need a separable Hamiltonian
         overrides.append("model.hamiltonian=separable")
-    if option in ("shooting", "shooting_dense", "weak_first"):  # which learn from measurements
+    if option in ("shooting", "weak_dense", "weak_first"):  # which learn from measurements
         overrides.append("data.noise=0.01")
     data, model = build_parts(composed(tmp_path, *overrides))
     assert model.dof == data.source.space.dof
@@ -119,7 +119,7 @@ def test_build_offers_only_what_a_target_takes():
     [
         (["sensor=spring_states"], "weak_first"),
         (["system=molniya", "sensor=orbit_positions"], "shooting"),
-        (["sensor=orbit_states", "system=molniya"], "shooting"),
+        (["sensor=orbit_states", "system=molniya"], "weak_dense"),
         (["sensor=spring_states", "recipe=second_order"], "derivative_first"),
         (["system=molniya"], "derivative_first"),
     ],

@@ -23,7 +23,7 @@ MISTAKES = {
     "optimizer=null": "optimizer: expected one of adamw,",
     "callbacks=null": "callbacks: expected one of default,",
     "integrator=null": "integrator: expected one of dopri5,",
-    "loss=3": "recursive, recursive_state, shooting, shooting_dense, weak_first; received 'loss=3'",
+    "loss=3": "recursive, recursive_state, shooting, weak_dense, weak_first; received 'loss=3'",
     "budget=null": "budget: expected one of laptop,",
     "=3": "'=3': expected KEY=VALUE, for example seed=7",
     # names
@@ -41,6 +41,8 @@ MISTAKES = {
     "recipe=measurements": "loss.stages: expected measurements; received exact states",
     "recipe=measurements data.measured=position data.noise=0.01": "Use hamiltonian=mechanical",
     "recipe=measurements data.noise=0.01 loss.stages=[[4,0.5]]": "loss.stages: expected intervals >= 3",
+    "recipe=measurements data.noise=0.01 loss.stages=[[all,1.0]]": "received [['all', 1.0]]",
+    "recipe=measurements data.noise=0.01 window=3": "window: expected none, since loss.stages says how long",
     "recipe=measurements data.noise=0.01 data.emphasis=0.5": "data.emphasis: expected 0, since stretches",
     "recipe=measurements data.noise=0.01 callbacks.best.monitor=val/rollout": "expected val/loss or val/lost",
     "recipe=measurements data.noise=0.01 loss.robust=cauchy": "loss.robust: expected one of none, huber",

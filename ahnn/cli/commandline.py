@@ -141,7 +141,7 @@ def compose(loader: ConfigLoaderImpl, name: str, overrides: list[str]) -> DictCo
         UserError: an unknown option or key, or options that do not go together.
     """
     try:
-        return loader.load_configuration(name, overrides, RunMode.RUN)
+        cfg = loader.load_configuration(name, overrides, RunMode.RUN)
     except MissingConfigException as error:
         group, _, option = str(error.missing_cfg_file).rpartition("/")
         message = f"{group}: unknown option {option!r}{nearest(option, error.options or ())}"
@@ -157,6 +157,14 @@ def compose(loader: ConfigLoaderImpl, name: str, overrides: list[str]) -> DictCo
             hint = nearest_key(key, {*plain, *flatten(plain), *loader.list_groups("")})
             message = f"configuration: unknown key {key!r}{hint}"
         raise UserError(message) from error
+    named = [text for text in overrides if text.startswith("window=")]
+    if named and "stages" in (OmegaConf.select(cfg, "loss") or {}):
+        message = (
+            f"window: expected none, since loss.stages says how long stretches are; received {named[-1]!r}. "
+            "Set loss.stages, or choose a recipe for exact states, such as recipe=second_order"
+        )
+        raise UserError(message)
+    return cfg
 
 
 def nearest_key(wrong: str, known: Iterable[str]) -> str:

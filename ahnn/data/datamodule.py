@@ -32,8 +32,8 @@ class Stages(Protocol):
         """Return the intervals of a stretch in an epoch of so many; None takes whole trajectories."""
         ...
 
-    def all_at_once(self, epoch: int, epochs: int) -> bool:
-        """Return whether each step of an epoch takes all stretches."""
+    def stretches(self, epoch: int, epochs: int) -> int | None:
+        """Return the stretches of a step in an epoch of so many; None takes `data.batch_size`."""
         ...
 
 
@@ -140,7 +140,7 @@ class WindowDataModule(LightningDataModule):
         if self.stages is None:
             return self._loader("train", self.span, self.windows_per_epoch, self.order_seed, self.emphasis)
         steps = max(1, (self.windows_per_epoch or self.batch_size) // self.batch_size)
-        return SegmentLoader(self._stage, self.batch_size, steps, self.order_seed)
+        return SegmentLoader(self._stage, steps, self.order_seed)
 
     def val_dataloader(self) -> WindowLoader | SegmentLoader:
         """Return the validation batches, the same in every epoch."""
@@ -148,20 +148,20 @@ class WindowDataModule(LightningDataModule):
             return self._loader("val", self.window, self.val_windows, None)
         whole = self.trajectories("val").part(slice(self.val_windows))
         segments = Segments(whole, None, self.instrument)
-        return SegmentLoader(lambda _: (segments, True), len(segments), 0, 0)
+        return SegmentLoader(lambda _: (segments, len(segments)), 0, 0)
 
     def whole(self, split: Split) -> Segment:
         """Return all measurements of a split, a stretch for each trajectory."""
         segments = Segments(self.trajectories(split), None, self.instrument)
         return segments.gather(torch.arange(len(segments)))
 
-    def _stage(self, epoch: int) -> tuple[Segments, bool]:
-        """Return the stretches of an epoch, and whether each step takes them all."""
+    def _stage(self, epoch: int) -> tuple[Segments, int]:
+        """Return the stretches of an epoch, and how many a step takes."""
         assert self.stages is not None
         intervals = self.stages.intervals(epoch, self.epochs)
         if intervals not in self._cut:
             self._cut = {intervals: Segments(self.trajectories("train"), intervals, self.instrument)}
-        return self._cut[intervals], self.stages.all_at_once(epoch, self.epochs)
+        return self._cut[intervals], self.stages.stretches(epoch, self.epochs) or self.batch_size
 
     def transfer_batch_to_device(self, batch: Any, device: torch.device, dataloader_idx: int) -> Any:
         """Return the batch as it is: windows are gathered on the device."""

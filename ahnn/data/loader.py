@@ -128,32 +128,27 @@ class SegmentLoader(EpochLoader):
     """Batches of measured stretches, drawn anew for each step.
 
     Args:
-        segments: epoch -> what to draw from, and whether a batch is all of it.
-        batch_size: stretches in a batch.
+        segments: epoch -> what to draw from, and how many make a batch.
         steps: batches of an epoch; 0 gives each stretch once, in the stored order.
         seed: makes the draw, together with the epoch.
     """
 
-    def __init__(
-        self, segments: Callable[[int], tuple[Segments, bool]], batch_size: int, steps: int, seed: int
-    ) -> None:
+    def __init__(self, segments: Callable[[int], tuple[Segments, int]], steps: int, seed: int) -> None:
         super().__init__()
-        self.segments, self.batch_size, self.steps, self.seed = segments, batch_size, steps, seed
+        self.segments, self.steps, self.seed = segments, steps, seed
 
     def __len__(self) -> int:
         """Return the number of batches of an epoch."""
-        return self.steps or -(-len(self.segments(self.epoch)[0]) // self.batch_size)
+        segments, size = self.segments(self.epoch)
+        return self.steps or -(-len(segments) // size)
 
     def batches(self) -> Sequence[Tensor]:
         """Return the indices of each batch of the current epoch."""
-        segments, whole = self.segments(self.epoch)
+        segments, size = self.segments(self.epoch)
         count = len(segments)
         if not self.steps:
-            return torch.arange(count).split(self.batch_size)
-        if whole:
-            return [torch.arange(count)] * self.steps
+            return torch.arange(count).split(size)
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)
-        size = min(self.batch_size, count)
         return [torch.randperm(count, generator=generator)[:size] for _ in range(self.steps)]
 
     def gather(self, batch: Tensor) -> Segment:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, cast
+from typing import Annotated, Any, NamedTuple, cast
 
 from torch import Tensor, nn
 
@@ -14,14 +14,14 @@ from ahnn.shooting.robust import RobustName
 from ahnn.statistics import Statistics
 from ahnn.training.loss import Loss, LossOptions
 from ahnn.training.objectives import Derivative, Objective, Recursive
-from ahnn.training.posterior import Posterior
 from ahnn.training.shooting import Shooting
 from ahnn.training.weak import Weak
 
 WEAK = "weak"
 """Name of the stage in the weak form, on whole trajectories of measured states."""
-WHOLE, ALL = "whole", "all"
-"""Names of the stages on whole trajectories: some in each step, or all of them."""
+WHOLE = "whole"
+"""Name of the stage of shooting over whole trajectories."""
+STAGE = "intervals >= 3, weak or whole, with a fraction of the epochs and, if wanted, stretches of a step"
 
 
 @checked
@@ -30,8 +30,9 @@ class SegmentOptions:
     """What training on measurements minimises, and when.
 
     Attributes:
-        stages: intervals of a stretch, `weak`, `whole` or `all`, and the fraction of the epochs up to which
-            they hold. Short ones first: over long ones a model that is still wrong never meets them.
+        stages: intervals of a stretch, `weak` or `whole`, the fraction of the epochs up to which they hold,
+            and, where these are not `data.batch_size`, the stretches of a step. Short ones first: over long
+            ones a model that is still wrong never meets them.
         robust: the loss of single residuals: none (squares), huber or student.
         closing: steps on all measurements, at most, that follow the last epoch.
         balance: 0, since standard deviations weigh measurements.
@@ -53,8 +54,8 @@ class SegmentOptions:
             or not _covers([s[1] for s in self.stages])
         ):
             message = (
-                "loss.stages: expected intervals >= 3, weak, whole or all, with fractions of the epochs that "
-                f"increase to 1, such as [[4, 0.6], [16, 0.8], [all, 1.0]]; received {self.stages}"
+                f"loss.stages: expected {STAGE}; fractions increase to 1, such as "
+                f"[[4, 0.6], [16, 0.8], [whole, 1.0, 40]]; received {self.stages}"
             )
             raise UserError(message)
 
@@ -70,31 +71,50 @@ class MeanSquare(nn.Module):
         return residuals.square().mean()
 
 
+class Phase(NamedTuple):
+    """A part of a training.
+
+    Attributes:
+        until: fraction of the epochs up to which it lasts.
+        objective: what it minimises.
+        stretches: of measurements in a step; None takes as many as the data's batches have.
+    """
+
+    until: float
+    objective: Objective
+    stretches: int | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Curriculum:
     """Objectives one after the other.
 
     Attributes:
-        phases: fraction of the epochs up to which each holds, increasing to 1, and the objective.
+        phases: in their order, the last until 1.
         judge: the objective of validations.
         span: steps that a window of any phase must have; None for stretches of measurements.
+        closing: steps on all measurements, at most, that follow the last phase.
     """
 
-    phases: Sequence[tuple[float, Objective]]
+    phases: Sequence[Phase]
     judge: Objective
     span: int | None
+    closing: int = 0
 
     def at(self, epoch: int, epochs: int) -> Objective:
         """Return the objective of an epoch, counted from 0."""
-        return next((o for until, o in self.phases if epoch < until * epochs), self.phases[-1][1])
+        return self._phase(epoch, epochs).objective
 
     def intervals(self, epoch: int, epochs: int) -> int | None:
         """Return the intervals of a stretch in an epoch; None takes whole trajectories."""
         return cast(Shooting | Weak, self.at(epoch, epochs)).intervals
 
-    def all_at_once(self, epoch: int, epochs: int) -> bool:
-        """Return whether each step of an epoch takes all stretches."""
-        return cast(Shooting | Weak, self.at(epoch, epochs)).all_at_once
+    def stretches(self, epoch: int, epochs: int) -> int | None:
+        """Return the stretches of a step in an epoch; None leaves it to the data."""
+        return self._phase(epoch, epochs).stretches
+
+    def _phase(self, epoch: int, epochs: int) -> Phase:
+        return next((p for p in self.phases if epoch < p.until * epochs), self.phases[-1])
 
 
 def make_curriculum(size: int, window: int, options: dict[str, Any]) -> tuple[nn.Module, Curriculum]:
@@ -117,26 +137,26 @@ def windowed(loss: Loss, window: int) -> Curriculum:
     """Return derivatives first and recursive predictions after them, as the options of the loss say."""
     fraction, recursive = loss.options.derivative, Recursive(loss, window)
     if fraction == 0:
-        return Curriculum([(1.0, recursive)], recursive, window)
+        return Curriculum([Phase(1.0, recursive)], recursive, window)
     derivative = Derivative(loss, loss.options.order)
-    phases = [(1.0, derivative)] if fraction == 1 else [(fraction, derivative), (1.0, recursive)]
+    phases = [Phase(fraction, derivative), *([Phase(1.0, recursive)] if fraction < 1 else [])]
     return Curriculum(phases, recursive, max(window, derivative.order))
 
 
 def staged(options: SegmentOptions) -> Curriculum:
     """Return shooting over stretches that grow; whole trajectories judge."""
-    phases = [
-        (until, objective_of(name, options.robust))
-        for name, until in cast("list[tuple[int | str, float]]", options.stages)
-    ]
-    return Curriculum(phases, Shooting(None, options.robust), None)
+    stages = cast("list[tuple[int | str, float, int]]", options.stages)
+    phases = [Phase(until, objective_of(name, options.robust), *more) for name, until, *more in stages]
+    return Curriculum(phases, Shooting(None, options.robust), None, options.closing)
 
 
 def _is_stage(stage: list[int | float | str]) -> bool:
-    """Return whether this is a stage: intervals or a name, and a fraction."""
-    if len(stage) != 2 or isinstance(stage[1], str):
+    """Return whether this is a stage: intervals or a name, a fraction, and perhaps stretches."""
+    if len(stage) not in (2, 3) or isinstance(stage[1], str):
         return False
-    return stage[0] in (WHOLE, ALL, WEAK) or (isinstance(stage[0], int) and stage[0] >= 3)
+    if len(stage) == 3 and not (isinstance(stage[2], int) and stage[2] >= 1):
+        return False
+    return stage[0] in (WHOLE, WEAK) or (isinstance(stage[0], int) and stage[0] >= 3)
 
 
 def _covers(ends: list[Any]) -> bool:
@@ -148,6 +168,4 @@ def objective_of(stage: int | str, robust: RobustName) -> Shooting | Weak:
     """Return the objective of a stage of this name."""
     if stage == WEAK:
         return Weak(robust)
-    if stage == ALL:
-        return Posterior(robust=robust)
     return Shooting(None if stage == WHOLE else int(stage), robust)

@@ -44,7 +44,7 @@ def expected_seconds(
 
 
 def _on_measurements(model: Any, data: WindowDataModule, per_epoch: int, epochs: range) -> float:
-    """Return the time of steps and validations on measurements, in proportion to how many these are.
+    """Return the time of steps, validations and last steps, in proportion to the measurements in them.
 
     Over long stretches the paths of untrained dynamics are given up early: the first stage is timed.
     """
@@ -52,6 +52,7 @@ def _on_measurements(model: Any, data: WindowDataModule, per_epoch: int, epochs:
     loader = data.train_dataloader()
     each = _step_seconds(model, data, objective) / next(iter(loader)).times.numel()
     total = len(epochs) * next(iter(data.val_dataloader())).times.numel()
+    total += (model.curriculum.closing + 1) * data.trajectories("train").times.numel()
     for epoch in epochs:
         loader.set_epoch(epoch)
         total += per_epoch * next(iter(loader)).times.numel()

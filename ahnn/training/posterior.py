@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 
-from ahnn.dynamics import Dynamics
-from ahnn.measurements import Segment
-from ahnn.shooting.robust import ROBUST
 from ahnn.shooting.starts import refine
-from ahnn.training.evidence import Prior, by_evidence
-from ahnn.training.normal_equations import Block, Equations, Rows
-from ahnn.training.shooting import REFITS, Limit, Shooting, ShootingProblem, freedom
+from ahnn.training.evidence import Prior
+from ahnn.training.normal_equations import Block, Rows
+from ahnn.training.shooting import REFITS, Limit, ShootingProblem, freedom
 
 
 class WideProblem(ShootingProblem):
@@ -36,41 +30,3 @@ def with_prior(block: Block, prior: Prior, theta: Tensor) -> Block:
     precision = prior.precision
     matrix = block.matrix + torch.diag(precision)
     return block._replace(matrix=matrix, gradient=block.gradient + precision * theta)
-
-
-class PosteriorProblem(WideProblem):
-    """Segments together with a prior whose strengths are those of the largest evidence at each step.
-
-    Attributes:
-        prior: of the last equations; None before the first ones, when there is nothing to choose it by.
-    """
-
-    prior: Prior | None = None
-
-    @torch.no_grad()
-    def loss(self, theta: Tensor) -> Tensor:
-        """Return the sum of squared residuals, and what the prior adds to it."""
-        squares = super().loss(theta)
-        return squares if self.prior is None else squares + self.prior.penalty(theta)
-
-    @torch.no_grad()
-    def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
-        """Return loss and normal equations, the prior among them."""
-        loss, degrees, blocks = super().equations(theta, sizes)
-        if not blocks:
-            return Equations(loss, degrees, blocks)
-        (block,) = blocks
-        self.prior = by_evidence(block.matrix, theta, sizes)
-        return Equations(loss + self.prior.penalty(theta), degrees, [with_prior(block, self.prior, theta)])
-
-
-@dataclass(frozen=True, eq=False)
-class Posterior(Shooting):
-    """Shooting over all whole trajectories in each step, with a prior chosen by evidence."""
-
-    intervals: int | None = None
-    all_at_once: bool = True
-
-    def problem(self, dynamics: Dynamics, batch: Segment) -> PosteriorProblem:
-        """Return residuals and prior as a problem in the parameters of the dynamics."""
-        return PosteriorProblem(dynamics, batch, ROBUST[self.robust])

@@ -43,12 +43,10 @@ class Shooting:
     Attributes:
         intervals: K; None takes whole trajectories.
         robust: the loss of single residuals: none (squares), huber or student.
-        all_at_once: whether each step takes all segments.
     """
 
     intervals: int | None
     robust: RobustName = "none"
-    all_at_once: bool = False
 
     def residuals(self, dynamics: Dynamics, batch: Segment) -> Tensor:
         """Return the weighted residuals of the segments that converged, shape (B, K + 1, M), with a graph.

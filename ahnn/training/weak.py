@@ -26,9 +26,11 @@ from ahnn.measurements import Segment, State
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
 from ahnn.training.normal_equations import Equations, Rows, accumulated
 
-POWER = 4
+POWER = 8
 """Of phi = (1 - u^2)^p: so many derivatives vanish at its ends, where sums then equal integrals."""
-PER_WIDTH = 2
+NARROWEST = 10
+"""Samples in half a span, at least: over fewer the sums are no integrals, however little the noise."""
+PER_WIDTH = 3
 """Test functions that begin within half a span."""
 CELLS = 1e8
 """Numbers in the largest tensor of sensitivities; longer batches are cut into parts of segments."""
@@ -54,10 +56,10 @@ def bumps(times: Tensor, present: Tensor, width: int) -> Tests:
     Args:
         times: (B, K + 1).
         present: (B, K + 1) bool, whether a sample is there.
-        width: half of a span, in samples.
+        width: half of a span, in samples, of which there are at least `NARROWEST` where data reach so far.
     """
     last = times.shape[1] - 1
-    width = max(1, min(width, last // 2))
+    width = max(1, min(max(width, NARROWEST), last // 2))
     begins = torch.arange(0, last - 2 * width + 1, max(1, width // PER_WIDTH))
     low, high = times[:, begins].unsqueeze(-1), times[:, begins + 2 * width].unsqueeze(-1)
     half = (high - low) / 2
@@ -86,7 +88,6 @@ class Weak:
 
     robust: RobustName = "none"
     intervals: ClassVar[None] = None  # whole trajectories
-    all_at_once: ClassVar[bool] = False
 
     def residuals(self, dynamics: Dynamics, batch: Segment) -> Tensor:
         """Return the weighted residuals, shape (B, J, D), with a graph."""

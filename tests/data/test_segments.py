@@ -67,11 +67,11 @@ def test_too_short_is_refused():
 
 def test_draws_depend_on_seed_and_epoch_and_go_on_inside_an_epoch():
     segments = Segments(measured(), 5, SEEN)
-    loader = SegmentLoader(lambda _: (segments, False), 4, 3, seed=7)
+    loader = SegmentLoader(lambda _: (segments, 4), 3, seed=7)
     loader.set_epoch(2)
     whole = [batch.values for batch in loader]
     assert len(loader) == len(whole) == 3
-    other = SegmentLoader(lambda _: (segments, False), 4, 3, seed=7)
+    other = SegmentLoader(lambda _: (segments, 4), 3, seed=7)
     other.load_state_dict({"epoch": 2, "position": 1})
     other.set_epoch(2)
     rest = [batch.values for batch in other]
@@ -82,7 +82,7 @@ def test_draws_depend_on_seed_and_epoch_and_go_on_inside_an_epoch():
 
 def test_a_stage_on_everything_takes_everything_in_each_step():
     segments = Segments(measured(), None, SEEN)
-    steps = list(SegmentLoader(lambda _: (segments, True), 2, 4, seed=7))
+    steps = list(SegmentLoader(lambda _: (segments, len(segments)), 4, seed=7))
     assert [len(batch.values) for batch in steps] == [3, 3, 3, 3]
-    once = list(SegmentLoader(lambda _: (segments, True), 2, 0, seed=7))
+    once = list(SegmentLoader(lambda _: (segments, 2), 0, seed=7))
     assert [len(batch.values) for batch in once] == [2, 1]

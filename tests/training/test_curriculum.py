@@ -8,9 +8,8 @@ from helpers import SPRING, batch_of, build_model, close, data_module, ready_mod
 
 from ahnn.errors import UserError
 from ahnn.training import Curriculum, FirstOrder, LevenbergMarquardt, Loss, LossOptions, SecondOrder
-from ahnn.training.curriculum import make_curriculum, windowed
+from ahnn.training.curriculum import Phase, make_curriculum, windowed
 from ahnn.training.objectives import PARTS, Derivative, Recursive
-from ahnn.training.posterior import Posterior
 from ahnn.training.shooting import Shooting
 from ahnn.training.steppers import problems, stepper_of
 from ahnn.training.weak import Weak
@@ -22,7 +21,7 @@ def unit_loss(**options):
 
 def test_each_phase_holds_up_to_its_share_of_the_epochs():
     first, second, third = (Recursive(unit_loss(), w) for w in (1, 2, 3))
-    curriculum = Curriculum([(0.2, first), (0.5, second), (1.0, third)], third, 3)
+    curriculum = Curriculum([Phase(0.2, first), Phase(0.5, second), Phase(1.0, third)], third, 3)
     held = [curriculum.at(epoch, 10) for epoch in range(12)]
     assert held == [first] * 2 + [second] * 3 + [third] * 7
     assert [curriculum.at(epoch, 3) for epoch in range(3)] == [first, second, third]
@@ -68,15 +67,15 @@ def test_a_fifth_of_a_batch_makes_the_step_and_the_rest_checks_it(cache, count, 
     assert len(Derivative(unit_loss(), 4).divided(batch)[0].start) == max(1, count // 5)
 
 
-STAGES = [["weak", 0.25], [4, 0.5], ["whole", 0.75], ["all", 1.0]]
+STAGES = [["weak", 0.25, 8], [4, 0.5], ["whole", 1.0, 3]]
 
 
 def test_stages_of_measurements_are_objectives_and_whole_trajectories_judge():
     _, curriculum = make_curriculum(2, 5, {"stages": STAGES, "robust": "huber"})
     held = [curriculum.at(epoch, 8) for epoch in range(8)]
-    assert [type(o) for o in held] == [Weak, Weak, *[Shooting] * 4, Posterior, Posterior]
+    assert [type(o) for o in held] == [Weak, Weak, *[Shooting] * 6]
     assert [curriculum.intervals(epoch, 8) for epoch in range(8)] == [None, None, 4, 4, *[None] * 4]
-    assert [curriculum.all_at_once(epoch, 8) for epoch in range(8)] == [False] * 6 + [True] * 2
+    assert [curriculum.stretches(epoch, 8) for epoch in range(8)] == [8, 8, None, None, *[3] * 4]
     assert {o.robust for o in (*held, curriculum.judge)} == {"huber"}
     assert curriculum.judge.intervals is None
 
@@ -93,6 +92,10 @@ def test_stages_of_measurements_are_objectives_and_whole_trajectories_judge():
         [[4]],
         [[4, "1.0"]],
         [[4, -1.0], ["whole", 1.0]],
+        [[4, 0.5], ["all", 1.0]],
+        [[4, 1.0, 0]],
+        [[4, 1.0, 2.5]],
+        [[4, 1.0, 2, 2]],
     ],
 )
 def test_stages_that_do_not_cover_a_training_are_refused(stages):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import pytest
 import torch
 from helpers import close, generator
@@ -12,11 +10,11 @@ from torch.nn.utils import parameters_to_vector
 
 from ahnn.measurements import Position
 from ahnn.shooting.robust import ROBUST
-from ahnn.training import LevenbergMarquardt, Shooting
-from ahnn.training.evidence import Prior
+from ahnn.training import LevenbergMarquardt
+from ahnn.training.evidence import by_evidence
 from ahnn.training.laplace import conclude, held_out_scale
 from ahnn.training.normal_equations import Block
-from ahnn.training.posterior import Posterior, PosteriorProblem
+from ahnn.training.posterior import WideProblem, with_prior
 from ahnn.training.shooting import ShootingProblem
 
 DOUBLE = {"dtype": torch.float64}
@@ -27,7 +25,7 @@ def learned(batch, steps=5):
     model = Swing(1.95, 0.55)
     optimizer = LevenbergMarquardt(model.parameters(), damping=1e-4)
     for _ in range(steps):
-        optimizer.step(lambda: (Posterior().problem(model, batch), None))
+        optimizer.step(lambda: (WideProblem(model, batch, ROBUST["none"]), None))
     return model
 
 
@@ -100,35 +98,23 @@ def test_held_out_measurements_find_the_scale_of_a_covariance(factor):
     assert found == (1.0 if factor == 1 else pytest.approx(factor, rel=0.4))
 
 
-def test_the_prior_is_part_of_loss_and_equations_alike():
-    batch, model = batch_of(0), Swing(1.9, 0.6)
-    problem, plain = PosteriorProblem(model, batch, ROBUST["none"]), Shooting(None).problem(model, batch)
-    theta = flat(model)
-    close(problem.loss(theta), plain.loss(theta), 1e-12)
-    loss, degrees, (block,) = problem.equations(theta, [2])
-    other = plain.equations(theta, [2])
-    assert isinstance(problem.prior, Prior)
-    alpha = float(problem.prior.strengths)
-    assert alpha == pytest.approx(2 / float(theta @ theta), rel=0.01)
-    close(loss - other.loss, alpha * theta @ theta, 1e-6)
-    close(block.gradient - other.blocks[0].gradient, alpha * theta, 0.1)
-    close(problem.loss(theta + 0.01) - plain.loss(theta + 0.01), problem.prior.penalty(theta + 0.01), 1e-6)
-    assert degrees == other.degrees
+def test_a_prior_adds_the_derivatives_of_its_penalty():
+    problem = WideProblem(Swing(1.9, 0.6), batch_of(0), ROBUST["none"])
+    theta = flat(Swing(1.9, 0.6))
+    _, _, (block,) = problem.equations(theta, [2])
+    prior = by_evidence(block.matrix, theta, [2])
+    assert float(prior.strengths) == pytest.approx(2 / float(theta @ theta), rel=0.01)
+    ours, at = with_prior(block, prior, theta), theta.clone().requires_grad_()
+    (gradient,) = torch.autograd.grad(prior.penalty(at) / 2, at)
+    close(ours.gradient - block.gradient, gradient, 1e-6)
+    close(ours.matrix - block.matrix, prior.strengths * torch.eye(2, **DOUBLE), 1e-6)
 
 
 def test_equations_are_summed_in_float64():
     """Two parameters that act alike but for a part in a million: float32 cannot tell them apart."""
     _, batch = segment(rows=4)
     narrow = ShootingProblem(Swing(), batch, ROBUST["none"])
-    wide = PosteriorProblem(Swing(), batch, ROBUST["none"])
+    wide = WideProblem(Swing(), batch, ROBUST["none"])
     theta = flat(Swing())
     assert narrow._projected(theta, slice(None)).jacobian.dtype == torch.float32
     assert wide._projected(theta, slice(None)).jacobian.dtype == torch.float64
-
-
-def test_stages_of_all_measurements_keep_the_robust_loss():
-    assert dataclasses.asdict(Posterior(robust="student")) == {
-        "intervals": None,
-        "robust": "student",
-        "all_at_once": True,
-    }
