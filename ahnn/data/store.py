@@ -12,7 +12,6 @@ import json
 import logging
 import sys
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +35,7 @@ def recipe(system: System, count: int, seed: int) -> dict[str, Any]:
     kind = type(system)
     known = {
         "system": f"{kind.__module__}.{kind.__qualname__}",
-        "parameters": asdict(system),
+        "parameters": system.parameters(),
         "integrator": system.integrator,
         "count": count,
         "seed": seed,

@@ -39,7 +39,7 @@ class SymmetricComposition(Integrator):
 
     def require(self, field: object) -> None:
         """Refuse a field that is not separable; raises UserError."""
-        if not isinstance(field, SeparableField):
+        if not (isinstance(field, SeparableField) and getattr(field, "separable", True)):
             message = (
                 f"integrator {self.name}: expected a separable Hamiltonian T(p) + V(q), whose field offers "
                 f"velocity(p) and force(q); received {type(field).__name__}. Use rk4 or gl4 for this field."

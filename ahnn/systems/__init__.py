@@ -10,6 +10,7 @@ from ahnn.systems.henon_heiles import HenonHeiles
 from ahnn.systems.kepler import Kepler
 from ahnn.systems.mass_spring import MassSpring
 from ahnn.systems.molniya import Molniya
+from ahnn.systems.molniya_gravity import MolniyaGravity
 from ahnn.systems.pendulum import Pendulum
 
 __all__ = [
@@ -18,6 +19,7 @@ __all__ = [
     "Kepler",
     "MassSpring",
     "Molniya",
+    "MolniyaGravity",
     "Pendulum",
     "Range",
     "System",

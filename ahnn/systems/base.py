@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields
-from typing import Annotated, ClassVar
+from dataclasses import asdict, dataclass, fields
+from typing import Annotated, Any, ClassVar
 
 import torch
 from torch import Generator, Tensor
@@ -32,7 +32,7 @@ class FilterNoise:
 
 @dataclass(frozen=True, kw_only=True)
 class System(ABC):
-    """A separable Hamiltonian system H(q, p) = T(p) + V(q), ground truth for data and floors.
+    """A Hamiltonian system, T(p) + V(q) unless it says otherwise, ground truth for data and floors.
 
     A subclass is a frozen dataclass whose fields are its physical constants; all of them enter the hash
     under which generated trajectories are cached.
@@ -80,6 +80,15 @@ class System(ABC):
     def inertia(self) -> float:
         """The factor m of the kinetic energy p^2 / 2m."""
         return self.mass
+
+    @property
+    def separable(self) -> bool:
+        """Whether H is T(p) + V(q), which symplectic compositions need; else it overrides `__call__`."""
+        return True
+
+    def parameters(self) -> dict[str, Any]:
+        """Return all that determines the equations and initial states, as plain values."""
+        return asdict(self)
 
     @property
     def space(self) -> Space:

@@ -1,0 +1,9 @@
+"""Gravity fields as spherical harmonics: coefficients, files of them, potential and attraction."""
+
+from __future__ import annotations
+
+from ahnn.systems.gravity.field import GravityField, Tide
+from ahnn.systems.gravity.gfc import read_gfc
+from ahnn.systems.gravity.ggm05c import ggm05c
+
+__all__ = ["GravityField", "Tide", "ggm05c", "read_gfc"]

@@ -1,0 +1,93 @@
+"""A gravity field: its coefficients, its potential and its attraction."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from ahnn.errors import UserError
+from ahnn.systems.gravity.harmonics import Coefficients, gradient, in_a_row, solid_harmonics
+
+Tide = Literal["zero_tide", "tide_free", "mean_tide", "unknown"]
+"""What of the permanent tide C_20 contains (IERS Conventions 2010, section 1.1)."""
+HIGHEST = 1900
+"""Beyond this degree double precision loses harmonics near the poles (Holmes & Featherstone 2002)."""
+
+
+@dataclass(frozen=True, eq=False)
+class GravityField:
+    """A static field as a series of spherical harmonics, in axes that are fixed to the body.
+
+    Attributes:
+        name: of the model.
+        mu: gravitational parameter in km^3/s^2.
+        radius: reference radius in km.
+        cosines, sines: fully normalised coefficients (N + 1, M + 1), row n and column m.
+        tide: the tide system of C_20.
+    """
+
+    name: str
+    mu: float
+    radius: float
+    cosines: Coefficients
+    sines: Coefficients
+    tide: Tide
+
+    @property
+    def degree(self) -> int:
+        """The highest degree N."""
+        return len(self.cosines) - 1
+
+    @property
+    def order(self) -> int:
+        """The highest order M."""
+        return self.cosines.shape[1] - 1
+
+    def cut(self, degree: int, order: int) -> GravityField:
+        """Return the field to a lower degree and order.
+
+        Raises:
+            UserError: it does not reach so far, or the order is above the degree.
+        """
+        highest = min(self.degree, HIGHEST)
+        for name, received, most in (("degree", degree, highest), ("order", order, min(degree, self.order))):
+            if not 0 <= received <= most:
+                message = f"{name}: expected 0 to {most} of {self.name}; received {received}"
+                raise UserError(message)
+        parts = (part[: degree + 1, : order + 1].copy() for part in (self.cosines, self.sines))
+        return dataclasses.replace(self, **dict(zip(("cosines", "sines"), parts, strict=True)))
+
+    @cached_property
+    def checksum(self) -> str:
+        """SHA-256 of all that determines the attraction."""
+        digest = hashlib.sha256(repr((self.mu, self.radius, self.cosines.shape)).encode())
+        digest.update(self.cosines.tobytes() + self.sines.tobytes())
+        return digest.hexdigest()
+
+    def potential(self, q: Tensor) -> Tensor:
+        """Return the potential energy of 1 kg in km^2/s^2, shape (...), at the positions q, (..., 3), in km."""
+        harmonics = solid_harmonics(q, self.radius, self.degree, self.order)
+        return -self.mu / self.radius * (harmonics.flatten(-2) @ self._series.to(q))
+
+    def attraction(self, q: Tensor) -> Tensor:
+        """Return the acceleration in km/s^2, shape (..., 3), at the positions q, shape (..., 3), in km."""
+        highest = self.degree + 1
+        harmonics = solid_harmonics(q, self.radius, highest, min(self.order + 1, highest))
+        return self.mu / self.radius**2 * (harmonics.flatten(-2) @ self._gradient.to(q))
+
+    @cached_property
+    def _series(self) -> Tensor:
+        """Coefficients of the potential, (2 K,)."""
+        return in_a_row(self.cosines, self.sines).flatten()
+
+    @cached_property
+    def _gradient(self) -> Tensor:
+        """Coefficients of its three derivatives, (2 K, 3)."""
+        parts = gradient(self.cosines, self.sines)
+        return torch.stack([in_a_row(*part).flatten() for part in parts], dim=-1)

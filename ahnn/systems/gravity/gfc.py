@@ -1,0 +1,133 @@
+"""Gravity fields in files of the ICGEM format (.gfc).
+
+Barthelmes & Förste, The ICGEM-format, GFZ Potsdam 2011. Coefficients that vary in time (rows gfct) are taken at
+an epoch: C(t) = C(t0) + trnd (t - t0) + sum of acos cos(2 pi (t - t0) / T) + asin sin(2 pi (t - t0) / T), with
+t in years. Of version 2.0 the static fields are read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import perm, sqrt
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+
+from ahnn.systems.gravity.field import GravityField, Tide
+from ahnn.systems.gravity.rows import VARIES, Coefficient, Index, Line, coefficients
+
+MU, RADIUS, DEGREE = "earth_gravity_constant", "radius", "max_degree"
+KNOWN: dict[str, tuple[str, ...]] = {
+    "product_type": ("gravity_field",),
+    "norm": ("fully_normalized", "unnormalized"),
+    "tide_system": get_args(Tide),
+    "format": ("icgem1.0", "icgem2.0"),
+}
+"""Keywords of the header with the values that can be read; the first stands where there is none."""
+PLAIN = 80
+"""Beyond this degree factors of the normalisation are no floats."""
+CONVENTION: dict[Index, Coefficient] = {(0, 0): (1.0, 0.0), (1, 0): (0.0, 0.0), (1, 1): (0.0, 0.0)}
+"""What a file may leave out: the mass is that of mu, the origin the centre of mass."""
+
+
+def read_gfc(path: Path | str, epoch: str | None = None) -> GravityField:
+    """Return the gravity field in a file, in km and s.
+
+    Args:
+        path: of the file.
+        epoch: YYYY-MM-DD, at which coefficients that vary in time are taken.
+
+    Raises:
+        UserError: no such file, or what is wrong with it, with the row.
+    """
+    file = Line(str(path), 0, [])
+    try:
+        text = Path(path).expanduser().read_bytes().decode("latin-1")
+    except (OSError, ValueError) as error:
+        file.refuse("a file with a gravity field", getattr(error, "strerror", error))
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    numbered = (Line(str(path), row, words.split()) for row, words in enumerate(text.split("\n"), 1))
+    lines = [line for line in numbered if line.words]
+    ends = [k for k, line in enumerate(lines) if line.word(0) == "end_of_head"]
+    if not ends:
+        file.refuse("a header that ends with end_of_head, as in files of ICGEM", "none")
+    head = header(lines[: ends[0]], file)
+    rows = lines[ends[0] + 1 :]
+    for line in rows:
+        if line.word(0) == VARIES and head.get("format", line).word(1) == "icgem2.0":
+            line.refuse("a static field of format icgem2.0, or icgem1.0", f"a row {VARIES} with intervals")
+    degree = head[DEGREE].whole(1, DEGREE)
+    found = CONVENTION | coefficients(rows, degree, epoch)
+    require_all(found, degree, file)
+    return assembled(found, degree, head, file)
+
+
+def header(lines: list[Line], file: Line) -> dict[str, Line]:
+    """Return the lines of the header by their keyword; what stands before begin_of_head is a comment.
+
+    Raises:
+        UserError: a keyword that is missing, there twice, or with a value that cannot be read.
+    """
+    starts = [k for k, line in enumerate(lines) if line.word(0) == "begin_of_head"]
+    head: dict[str, Line] = {}
+    for line in lines[starts[0] + 1 if starts else 0 :]:
+        name = MU if line.word(0) == "gravity_constant" else line.word(0)  # of other bodies
+        if name not in (MU, RADIUS, DEGREE, "modelname", *KNOWN):
+            continue
+        if len(line.words) < 2 or name in head:
+            line.refuse(f"one {name} with a value", " ".join(line.words)[:60])
+        if name in KNOWN and line.word(1) not in KNOWN[name]:
+            line.refuse(f"{name} {' or '.join(KNOWN[name])}", line.word(1))
+        head[name] = line
+    for name in (MU, RADIUS, DEGREE):
+        if name not in head:
+            file.refuse(f"{name} in the header", "none")
+    return head
+
+
+def require_all(found: Mapping[Index, Any], degree: int, file: Line) -> None:
+    """Refuse a file that has not all coefficients up to its degree; raises UserError."""
+    if sum(n <= degree for n, _ in found) == (degree + 1) * (degree + 2) // 2:
+        return
+    pairs = ((n, m) for n in range(degree + 1) for m in range(n + 1))
+    missing = next(pair for pair in pairs if pair not in found)
+    file.refuse(f"all coefficients to {DEGREE} {degree}", f"none of n, m = {missing}; it may be cut off")
+
+
+def assembled(
+    found: Mapping[Index, Coefficient], degree: int, head: Mapping[str, Line], file: Line
+) -> GravityField:
+    """Return the field of coefficients and a header.
+
+    Raises:
+        UserError: mu or radius that are none, or coefficients beyond what a float holds.
+    """
+    mu, radius = head[MU].number(1, MU), head[RADIUS].number(1, RADIUS)
+    plain = head.get("norm", file).word(1) == "unnormalized"
+    if plain and degree > PLAIN:
+        head["norm"].refuse(f"norm fully_normalized above degree {PLAIN}", f"unnormalized to {degree}")
+    for name, value in ((MU, mu), (RADIUS, radius)):
+        if value <= 0:
+            head[name].refuse(f"{name} > 0, in m and s", value)
+    factor = inverse_normalisation if plain else one
+    cosines, sines = np.zeros((2, degree + 1, degree + 1))
+    for (n, m), pair in found.items():
+        if n <= degree:
+            cosines[n, m], sines[n, m] = (value * factor(n, m) for value in pair)
+    if not (np.isfinite(cosines).all() and np.isfinite(sines).all()):
+        file.refuse("coefficients that are finite when normalised", "infinite ones")
+    name = head["modelname"].word(1) if "modelname" in head else Path(file.file).stem
+    tide: Any = head["tide_system"].word(1) if "tide_system" in head else "unknown"
+    return GravityField(name, mu / 1e9, radius / 1e3, cosines, sines, tide)
+
+
+def one(n: int, m: int) -> float:
+    """Return the factor of coefficients that are normalised already."""
+    del n, m
+    return 1.0
+
+
+def inverse_normalisation(n: int, m: int) -> float:
+    """Return 1 / sqrt((2 - [m = 0]) (2 n + 1) (n - m)! / (n + m)!), by which plain coefficients are normalised."""
+    return sqrt(perm(n + m, 2 * m) / ((1 if m == 0 else 2) * (2 * n + 1)))

@@ -1,0 +1,109 @@
+"""The same satellites in a gravity field of spherical harmonics, about a planet that may rotate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, Any, final
+
+import torch
+from torch import Tensor
+
+from ahnn.arguments import Finite, Within
+from ahnn.errors import UserError
+from ahnn.systems.gravity import GravityField, Tide, ggm05c, read_gfc
+from ahnn.systems.satellites import Planet, Satellites
+from ahnn.types import Space
+
+Degree = Annotated[int, Within(0)]
+TURN = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]], dtype=torch.float64)
+"""Rows (x, y, z) times it are (y, -x, 0): how vectors at rest turn in axes that rotate at 1 rad/s."""
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class MolniyaGravity(Satellites):
+    """Molniya orbits in the axes of a planet that rotates about z; km, km/s, kg.
+
+    H = p^2 / 2m + m V(q) - rotation (x p_y - y p_x) with p = m times the inertial velocity, in the planet's axes:
+    canonical and conserved (the Jacobi constant), though V turns in an inertial frame. Zonal harmonics alone do
+    not turn: with order 0 and rotation 0 the axes are inertial and H is T + V.
+
+    Attributes:
+        gravity: `ggm05c` (to degree 8), or the path of a file of the ICGEM format.
+        degree, order: of the harmonics.
+        rotation: of the planet in rad/s; 0 only where the order is 0.
+        tide: what the gravity field must contain of the permanent tide.
+        epoch: YYYY-MM-DD, at which coefficients of a file that vary in time are taken.
+    """
+
+    gravity: str = "ggm05c"
+    degree: Degree = 8
+    order: Degree = 0
+    rotation: Finite = 0.0
+    tide: Tide = "zero_tide"
+    epoch: str | None = None
+
+    integrator = "dopri8"
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no orbit and no field; raises UserError."""
+        super().__post_init__()
+        if self.order > 0 and self.rotation == 0:
+            message = (
+                f"rotation: expected the rate of the planet for harmonics of order {self.order}, which turn with "
+                "it, 7.292115e-5 rad/s of the Earth; received 0.0. Only order 0 does not turn"
+            )
+            raise UserError(message)
+
+    @cached_property
+    def gravity_field(self) -> GravityField:
+        """The gravity field."""
+        known = ggm05c(self.tide) if self.gravity == "ggm05c" else read_gfc(self.gravity, self.epoch)
+        if known.tide != self.tide:
+            message = f"tide: expected {known.tide}, as {self.gravity} has it; received {self.tide}"
+            raise UserError(message)
+        return known.cut(self.degree, self.order)
+
+    @property
+    def planet(self) -> Planet:
+        """The planet that the elements refer to."""
+        return Planet(self.gravity_field.mu, self.gravity_field.radius)
+
+    @property
+    def r_eq(self) -> float:
+        """Equatorial radius in km, which figures draw."""
+        return self.gravity_field.radius
+
+    @property
+    def space(self) -> Space:
+        """What the numbers of a state mean."""
+        return super().space._replace(frame="" if self.separable else "axes of the rotating planet")
+
+    @property
+    def separable(self) -> bool:
+        """Whether H = T(p) + V(q)."""
+        return self.rotation == 0
+
+    def parameters(self) -> dict[str, Any]:
+        """Return all that determines the equations, the content of a file included."""
+        return {**super().parameters(), "gravity": self.gravity_field.checksum}
+
+    def energy(self, x: Tensor) -> Tensor:
+        """Return H, shape (...), at the states x, shape (..., 6)."""
+        q, p = x.chunk(2, dim=-1)
+        momentum = q[..., 0] * p[..., 1] - q[..., 1] * p[..., 0]
+        kinetic = (p * p).sum(-1) / (2 * self.mass)
+        return kinetic + self.mass * self.gravity_field.potential(q) - self.rotation * momentum
+
+    def force(self, q: Tensor) -> Tensor:
+        """Return the attraction -m dV/dq, shape (..., 3)."""
+        return self.mass * self.gravity_field.attraction(q)
+
+    def __call__(self, x: Tensor) -> Tensor:
+        """Return Hamilton's field (dq/dt, dp/dt), shape (..., 6), at the states x, shape (..., 6)."""
+        at_rest = super().__call__(x)
+        if self.separable:
+            return at_rest
+        turned = x.unflatten(-1, (2, 3)) @ TURN.to(x)
+        return at_rest + self.rotation * turned.flatten(-2)
