@@ -25,9 +25,9 @@ TURN = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]], dtype=
 class MolniyaGravity(Satellites):
     """Molniya orbits in the axes of a planet that rotates about z; km, km/s, kg.
 
-    H = p^2 / 2m + m V(q) - rotation (x p_y - y p_x) with p = m times the inertial velocity, in the planet's axes:
-    canonical and conserved (the Jacobi constant), though V turns in an inertial frame. Zonal harmonics alone do
-    not turn: with order 0 and rotation 0 the axes are inertial and H is T + V.
+    H = p^2 / 2m + m V(q) - rotation (x p_y - y p_x), with p the mass times the inertial velocity, in the axes
+    of the planet: canonical, and conserved (the Jacobi constant) although V turns in an inertial frame. Zonal
+    harmonics alone do not turn: with order 0 and rotation 0 the axes are inertial and H is T + V.
 
     Attributes:
         gravity: `ggm05c` (to degree 8), or the path of a file of the ICGEM format.
@@ -51,8 +51,8 @@ class MolniyaGravity(Satellites):
         super().__post_init__()
         if self.order > 0 and self.rotation == 0:
             message = (
-                f"rotation: expected the rate of the planet for harmonics of order {self.order}, which turn with "
-                "it, 7.292115e-5 rad/s of the Earth; received 0.0. Only order 0 does not turn"
+                f"rotation: expected the rate of the planet, with which harmonics to order {self.order} "
+                "turn, 7.292115e-5 rad/s of the Earth; received 0.0. Only order 0 does not turn"
             )
             raise UserError(message)
 

@@ -71,23 +71,23 @@ class GravityField:
         return digest.hexdigest()
 
     def potential(self, q: Tensor) -> Tensor:
-        """Return the potential energy of 1 kg in km^2/s^2, shape (...), at the positions q, (..., 3), in km."""
+        """Return the potential energy of 1 kg in km^2/s^2, shape (...), at the positions q, (..., 3)."""
         harmonics = solid_harmonics(q, self.radius, self.degree, self.order)
-        return -self.mu / self.radius * (harmonics.flatten(-2) @ self._series.to(q))
+        return -self.mu / self.radius * (torch.view_as_real(harmonics).flatten(-2) @ self._series.to(q))
 
     def attraction(self, q: Tensor) -> Tensor:
         """Return the acceleration in km/s^2, shape (..., 3), at the positions q, shape (..., 3), in km."""
         highest = self.degree + 1
         harmonics = solid_harmonics(q, self.radius, highest, min(self.order + 1, highest))
-        return self.mu / self.radius**2 * (harmonics.flatten(-2) @ self._gradient.to(q))
+        return self.mu / self.radius**2 * (torch.view_as_real(harmonics).flatten(-2) @ self._gradient.to(q))
 
     @cached_property
     def _series(self) -> Tensor:
         """Coefficients of the potential, (2 K,)."""
-        return in_a_row(self.cosines, self.sines).flatten()
+        return in_a_row(self.cosines, self.sines)
 
     @cached_property
     def _gradient(self) -> Tensor:
         """Coefficients of its three derivatives, (2 K, 3)."""
         parts = gradient(self.cosines, self.sines)
-        return torch.stack([in_a_row(*part).flatten() for part in parts], dim=-1)
+        return torch.stack([in_a_row(*part) for part in parts], dim=-1)

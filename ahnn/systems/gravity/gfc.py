@@ -1,8 +1,8 @@
 """Gravity fields in files of the ICGEM format (.gfc).
 
-Barthelmes & Förste, The ICGEM-format, GFZ Potsdam 2011. Coefficients that vary in time (rows gfct) are taken at
-an epoch: C(t) = C(t0) + trnd (t - t0) + sum of acos cos(2 pi (t - t0) / T) + asin sin(2 pi (t - t0) / T), with
-t in years. Of version 2.0 the static fields are read.
+Barthelmes & Förste, The ICGEM-format, GFZ Potsdam 2011. Coefficients that vary in time (rows gfct) are taken
+at an epoch: C(t) = C(t0) + trnd s + sum of acos cos(2 pi s / T) + asin sin(2 pi s / T), s = t - t0 in years.
+Of version 2.0 the static fields are read.
 """
 
 from __future__ import annotations
@@ -129,5 +129,5 @@ def one(n: int, m: int) -> float:
 
 
 def inverse_normalisation(n: int, m: int) -> float:
-    """Return 1 / sqrt((2 - [m = 0]) (2 n + 1) (n - m)! / (n + m)!), by which plain coefficients are normalised."""
+    """Return 1 / sqrt((2 - [m = 0]) (2 n + 1) (n - m)! / (n + m)!), which normalises a plain coefficient."""
     return sqrt(perm(n + m, 2 * m) / ((1 if m == 0 else 2) * (2 * n + 1)))

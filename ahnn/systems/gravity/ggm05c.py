@@ -73,4 +73,6 @@ def ggm05c(tide: str = "zero_tide") -> GravityField:
         cosines[n, m], sines[n, m] = c, s
     if tide == "tide_free":
         cosines[2, 0] += PERMANENT_TIDE
-    return GravityField("GGM05C", MU, RADIUS, cosines, sines, "tide_free" if tide == "tide_free" else "zero_tide")
+    return GravityField(
+        "GGM05C", MU, RADIUS, cosines, sines, "tide_free" if tide == "tide_free" else "zero_tide"
+    )

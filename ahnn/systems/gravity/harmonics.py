@@ -29,30 +29,30 @@ class Factors(NamedTuple):
     Attributes:
         along: (columns,) of z times the harmonics one degree before.
         before: (columns,) of R^2 / r^2 times those two degrees before.
-        sectoral: of x + i y times the last harmonic one degree before.
+        across: of x + i y times the last harmonic one degree before.
     """
 
     along: Tensor
     before: Tensor
-    sectoral: float
+    across: float
 
 
 def solid_harmonics(q: Tensor, radius: float, degree: int, order: int) -> Tensor:
-    """Return V_nm and W_nm of all degrees up to `degree` and orders up to `order`, shape (..., 2, K).
+    """Return V_nm + i W_nm of all degrees up to `degree` and orders up to `order`, complex, shape (..., K).
 
     Sorted by degree, within it by order, as `in_a_row` sorts coefficients.
 
     Args:
         q: positions, (..., 3), from the centre.
         radius: R, in the same unit.
-        degree, order: the highest, order <= degree.
+        degree: the highest.
+        order: the highest, at most the degree.
     """
-    inverse = (q * q).sum(-1).reciprocal()
-    x, y, z = (radius * inverse.unsqueeze(-1) * q).unbind(-1)
-    square = radius**2 * inverse
-    first = square.sqrt().unsqueeze(-1)
-    rows = [torch.stack((first, torch.zeros_like(first)), dim=-2)]
-    z, square = (part[..., None, None] for part in (z, square))
+    inverse = (q * q).sum(-1, keepdim=True).reciprocal()
+    x, y, z = (radius * inverse * q).split(1, dim=-1)
+    across, square = torch.complex(x, y), radius**2 * inverse
+    first = square.sqrt()
+    rows = [torch.complex(first, torch.zeros_like(first))]
     for n in range(1, degree + 1):
         factors, last = _factors(n, order), rows[-1]
         row = factors.along.to(q) * z * last
@@ -60,9 +60,7 @@ def solid_harmonics(q: Tensor, radius: float, degree: int, order: int) -> Tensor
             older = pad(rows[-2], (0, row.shape[-1] - rows[-2].shape[-1]))
             row = row - factors.before.to(q) * square * older
         if n <= order:
-            v, w = last[..., -1].unbind(-1)
-            turned = torch.stack((x * v - y * w, x * w + y * v), dim=-1)
-            row = torch.cat((row, factors.sectoral * turned.unsqueeze(-1)), dim=-1)
+            row = torch.cat((row, factors.across * across * last[..., -1:]), dim=-1)
         rows.append(row)
     return torch.cat(rows, dim=-1)
 
@@ -77,9 +75,9 @@ def _factors(n: int, order: int) -> Factors:
 
 
 def in_a_row(cosines: Coefficients, sines: Coefficients) -> Tensor:
-    """Return coefficients in the order of `solid_harmonics`, shape (2, K)."""
-    parts = [np.stack((c[: n + 1], s[: n + 1])) for n, (c, s) in enumerate(zip(cosines, sines, strict=True))]
-    return torch.from_numpy(np.concatenate(parts, axis=1))
+    """Return coefficients in the order of `solid_harmonics`, C and S in turn, shape (2 K,)."""
+    pairs = np.stack((cosines, sines), axis=-1)
+    return torch.from_numpy(np.concatenate([row[: n + 1].ravel() for n, row in enumerate(pairs)]))
 
 
 def gradient(cosines: Coefficients, sines: Coefficients) -> list[tuple[Coefficients, Coefficients]]:
@@ -92,7 +90,7 @@ def gradient(cosines: Coefficients, sines: Coefficients) -> list[tuple[Coefficie
     degrees, orders = cosines.shape
     n, m = np.indices(cosines.shape, dtype=np.float64)
     below = m <= n
-    c = np.where(below, cosines - 1j * sines, 0)
+    c = np.where(below, cosines - 1j * np.where(m == 0, 0.0, sines), 0)  # W_n0 is 0, whatever S_n0
     scale = np.where(below, (2 * n + 1) / (2 * n + 3), 0.0)
     falling = np.where(below, n - m + 1, 0.0)
     up, down, along = np.zeros((3, degrees + 1, orders + 1), dtype=np.complex128)
@@ -105,4 +103,3 @@ def gradient(cosines: Coefficients, sines: Coefficients) -> list[tuple[Coefficie
     x = (up + down).real, (down - up).imag
     y = (up + down).imag, (up - down).real
     return [x, y, (along.real, -along.imag)]
-

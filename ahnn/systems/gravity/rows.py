@@ -1,4 +1,4 @@
-"""The rows of a gravity field's file: coefficients by degree and order, those that vary in time at an epoch."""
+"""The rows of a gravity field's file: coefficients by degree and order, what varies in time at an epoch."""
 
 from __future__ import annotations
 
