@@ -13,12 +13,13 @@ PLUGINS = sorted((ROOT / "plugins").rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
 
 # Each room of the library and the rooms that it may import; the open ones serve all.
-OPEN = {"errors", "arguments", "files", "memory", "numbers", "progress", "types", "paths"}
+OPEN = {"errors", "arguments", "files", "memory", "numbers", "progress", "types", "paths", "extensions"}
 GROUND = OPEN | {"integrators", "measurements", "metrics", "rollouts", "statistics", "checkpoints"}
 MAY_IMPORT = {
     "errors": set(),
     "types": set(),
     "paths": set(),
+    "extensions": set(),
     "numbers": set(),
     "progress": set(),
     "files": {"errors"},

@@ -108,6 +108,8 @@ def build_model(cfg: DictConfig, data: WindowDataModule) -> AbstractModel:
     space = data.source.space
     given = {"dof": space.dof, "inertia": space.inertia, "window": cfg.window}
     model = build(cfg.model, "model", **given).to(data.dtype)
+    if (method := getattr(model.dynamics, "integrator", None)) and data.source.truth is not None:
+        method.require(data.source.truth)  # the floor goes through the integrator of the model
     if data.sensor is not None:
         require_identifiable(model.dynamics, data.sensor, windows=model.curriculum.span is not None)
     if model.curriculum.span is not None:

@@ -11,8 +11,11 @@ from ahnn.dynamics.base import Dynamics, HasEnergy, HasField
 from ahnn.dynamics.fields import HamiltonianDynamics, NeuralODE
 from ahnn.dynamics.maps import NextState
 from ahnn.errors import UserError
+from ahnn.extensions import Table
 
-KINDS: dict[str, type[Dynamics]] = {"hamiltonian": HamiltonianDynamics, "node": NeuralODE, "map": NextState}
+KINDS: Table[type[Dynamics]] = Table(
+    "ahnn.dynamics", {"hamiltonian": HamiltonianDynamics, "node": NeuralODE, "map": NextState}
+)
 """Names under which dynamics are stored, and what is built for them."""
 
 

@@ -1,7 +1,7 @@
 """One-step integrators: a method is a table of numbers, and one loop serves each family.
 
 Explicit Runge-Kutta methods, symmetric symplectic compositions and one implicit Gauss method, all batched,
-differentiable and free of state. Add a method by adding its numbers and a line to `INTEGRATORS`.
+differentiable and free of state. Add a method by adding its numbers and a line to `OWN`.
 """
 
 from __future__ import annotations
@@ -11,29 +11,29 @@ from typing import Any
 
 from ahnn.arguments import check_arguments
 from ahnn.errors import UserError
+from ahnn.extensions import Table
 from ahnn.integrators import compositions, tableaus
 from ahnn.integrators.base import Integrator, column
 from ahnn.integrators.explicit import ExplicitRungeKutta
 from ahnn.integrators.implicit import GaussLegendre4
 from ahnn.integrators.symplectic import SymmetricComposition
 
-INTEGRATORS: dict[str, Integrator] = {
-    method.name: method
-    for method in (
-        ExplicitRungeKutta("euler", 1, tableaus.EULER),
-        ExplicitRungeKutta("midpoint", 2, tableaus.MIDPOINT),
-        ExplicitRungeKutta("rk4", 4, tableaus.RK4),
-        ExplicitRungeKutta("dopri5", 5, tableaus.DOPRI5),
-        ExplicitRungeKutta("dopri8", 8, tableaus.DOPRI8),
-        GaussLegendre4(),
-        SymmetricComposition("leapfrog", 2, compositions.LEAPFROG),
-        SymmetricComposition("yoshida4", 4, compositions.YOSHIDA4),
-        SymmetricComposition("yoshida6", 6, compositions.YOSHIDA6),
-        SymmetricComposition("yoshida8", 8, compositions.YOSHIDA8),
-        SymmetricComposition("kahan_li6", 6, compositions.KAHAN_LI6),
-        SymmetricComposition("kahan_li8", 8, compositions.KAHAN_LI8),
-    )
-}
+OWN = (
+    ExplicitRungeKutta("euler", 1, tableaus.EULER),
+    ExplicitRungeKutta("midpoint", 2, tableaus.MIDPOINT),
+    ExplicitRungeKutta("rk4", 4, tableaus.RK4),
+    ExplicitRungeKutta("dopri5", 5, tableaus.DOPRI5),
+    ExplicitRungeKutta("dopri8", 8, tableaus.DOPRI8),
+    GaussLegendre4(),
+    SymmetricComposition("leapfrog", 2, compositions.LEAPFROG),
+    SymmetricComposition("yoshida4", 4, compositions.YOSHIDA4),
+    SymmetricComposition("yoshida6", 6, compositions.YOSHIDA6),
+    SymmetricComposition("yoshida8", 8, compositions.YOSHIDA8),
+    SymmetricComposition("kahan_li6", 6, compositions.KAHAN_LI6),
+    SymmetricComposition("kahan_li8", 8, compositions.KAHAN_LI8),
+)
+INTEGRATORS: Table[Integrator] = Table("ahnn.integrators", {method.name: method for method in OWN})
+"""Methods by name, those that installed packages declare in the entry-point group among them."""
 
 
 def make_integrator(name: str, **options: Any) -> Integrator:

@@ -13,7 +13,7 @@ from ahnn.errors import UserError
 from ahnn.shooting.robust import RobustName
 from ahnn.statistics import Statistics
 from ahnn.training.loss import Loss, LossOptions
-from ahnn.training.objectives import Derivative, Objective, Recursive
+from ahnn.training.objectives import OBJECTIVES, Derivative, Objective
 from ahnn.training.shooting import Shooting
 from ahnn.training.weak import Weak
 
@@ -134,13 +134,27 @@ def make_curriculum(size: int, window: int, options: dict[str, Any]) -> tuple[nn
 
 
 def windowed(loss: Loss, window: int) -> Curriculum:
-    """Return derivatives first and recursive predictions after them, as the options of the loss say."""
-    fraction, recursive = loss.options.derivative, Recursive(loss, window)
+    """Return derivatives first and the objective of the loss after them, as its options say.
+
+    Raises:
+        UserError: there is no such objective, or it has other options.
+    """
+    fraction, last = loss.options.derivative, named(loss, window)
     if fraction == 0:
-        return Curriculum([Phase(1.0, recursive)], recursive, window)
+        return Curriculum([Phase(1.0, last)], last, window)
     derivative = Derivative(loss, loss.options.order)
-    phases = [Phase(fraction, derivative), *([Phase(1.0, recursive)] if fraction < 1 else [])]
-    return Curriculum(phases, recursive, max(window, derivative.order))
+    phases = [Phase(fraction, derivative), *([Phase(1.0, last)] if fraction < 1 else [])]
+    return Curriculum(phases, last, max(window, derivative.order))
+
+
+def named(loss: Loss, window: int) -> Objective:
+    """Return the objective that a loss names; raises UserError for a name or an option that is unknown."""
+    name, options = loss.options.objective, loss.options.options
+    if name not in OBJECTIVES:
+        message = f"loss.objective: expected one of {', '.join(OBJECTIVES)}; received {name!r}"
+        raise UserError(message)
+    check_arguments("loss.options", OBJECTIVES[name], options, ("loss", "window"))
+    return OBJECTIVES[name](loss, window, **options)
 
 
 def staged(options: SegmentOptions) -> Curriculum:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Literal
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
 
 import torch
 from torch import Tensor, nn
@@ -31,6 +31,8 @@ class LossOptions:
         derivative: fraction of the epochs, from the first, that fits the field to derivatives of the data;
             the rest fits recursive predictions (the paper). 1 is the loss of Greydanus et al. 2019.
         order: of the central differences that give those derivatives; even.
+        objective: what follows the derivatives, recursive predictions or one of an installed package.
+        options: of the objective.
     """
 
     scale: Literal["increment", "state"] = "increment"
@@ -38,6 +40,8 @@ class LossOptions:
     balance: Annotated[float, Within(0, 1)] = 0.0
     derivative: Annotated[float, Within(0, 1)] = 0.0
     order: Annotated[int, Within(2, multiple=2)] = 12
+    objective: str = "recursive"
+    options: dict[str, Any] = field(default_factory=dict)
 
 
 class Loss(nn.Module):

@@ -6,6 +6,7 @@ of optimisers.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from math import factorial
@@ -16,6 +17,7 @@ from torch import Tensor
 
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.errors import UserError
+from ahnn.extensions import Table
 from ahnn.training.least_squares import LeastSquares, Problem, pointwise_problem, recursive_problem
 from ahnn.training.loss import Loss
 from ahnn.types import Window
@@ -122,6 +124,10 @@ class Derivative:
     def validation(self, dynamics: Dynamics, batch: Window) -> dict[str, Tensor]:
         """Return the loss."""
         return {"loss": self.loss(self.residuals(dynamics, batch))}
+
+
+OBJECTIVES: Table[Callable[..., Objective]] = Table("ahnn.objectives", {"recursive": Recursive})
+"""What `loss.objective` names: called with the loss, the window W and `loss.options`."""
 
 
 def divided(batch: Window, parts: int) -> tuple[Window, Window]:
