@@ -30,7 +30,10 @@ def make_dynamics(kind: str, **options: Any) -> Dynamics:
         UserError: unknown kind, or arguments that make no dynamics.
     """
     if kind not in KINDS:
-        message = f"dynamics: expected one of {', '.join(KINDS)}; received {kind!r}"
+        message = (
+            f"dynamics: expected one of {', '.join(KINDS)}; received {kind!r}. Others are those of installed "
+            f"packages that declare them in the entry-point group {KINDS.group}"
+        )
         raise UserError(message)
     dynamics = KINDS[kind](**options)
     dynamics.spec = {"kind": kind, **options}

@@ -151,7 +151,10 @@ def named(loss: Loss, window: int) -> Objective:
     """Return the objective that a loss names; raises UserError for a name or an option that is unknown."""
     name, options = loss.options.objective, loss.options.options
     if name not in OBJECTIVES:
-        message = f"loss.objective: expected one of {', '.join(OBJECTIVES)}; received {name!r}"
+        message = (
+            f"loss.objective: expected one of {', '.join(OBJECTIVES)}; received {name!r}. Others are "
+            f"those of installed packages that declare them in the entry-point group {OBJECTIVES.group}"
+        )
         raise UserError(message)
     check_arguments("loss.options", OBJECTIVES[name], options, ("loss", "window"))
     return OBJECTIVES[name](loss, window, **options)

@@ -1,11 +1,12 @@
 """An estimator: the extended Kalman filter, with the three functions of `ahnn.estimation.Recursive`."""
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple, final
 
 import torch
 from torch import Tensor
-from torch.func import jacfwd, vmap
+from torch.func import jacrev, vmap
 
 from ahnn.estimation import Belief, Innovation
 from ahnn.measurements import Measurement
@@ -51,7 +52,7 @@ class ExtendedKalmanFilter:
         after = keep @ covariance @ keep.mT + gain @ torch.where(both, measurement_noise, 0.0) @ gain.mT
         nis = (error.mT @ torch.linalg.solve(s, error)).flatten()
         measured = present.sum(-1)
-        density = -0.5 * (nis + torch.logdet(s) + measured * torch.log(torch.tensor(2 * torch.pi)))
+        density = -0.5 * (nis + torch.logdet(s) + measured * math.log(2 * math.pi))
         belief = Belief(mean + (gain @ error).squeeze(-1), torch.linalg.cholesky(after))
         told = Innovation(
             residual, nis.masked_fill(measured == 0, torch.nan), measured, measured < 0, density
@@ -61,4 +62,4 @@ class ExtendedKalmanFilter:
 
 def linearised(function: Callable[[Tensor], Tensor], x: Tensor) -> tuple[Tensor, Tensor]:
     """Return the values (B, K) of a function at x, (B, D), and its derivatives (B, K, D)."""
-    return function(x), vmap(jacfwd(lambda row: function(row.unsqueeze(0)).squeeze(0)))(x)
+    return function(x), vmap(jacrev(lambda row: function(row.unsqueeze(0)).squeeze(0)))(x)

@@ -36,7 +36,9 @@ class EKFEvaluation:
         """Refuse data that it does not fit, before anything is trained on them."""
         if truth is None or steps < self.cadence:
             known = f"{space.name} with {steps} steps"
-            message = f"cadence: expected at most the steps of a known system; received {self.cadence}, {known}"
+            message = (
+                f"cadence: expected at most the steps of a known system; received {self.cadence}, {known}"
+            )
             raise UserError(message)
 
     @torch.no_grad()
@@ -44,7 +46,9 @@ class EKFEvaluation:
         """Filter the test trajectories."""
         assert case.truth is not None
         assert isinstance(case.dt, float)
-        model = reading(self.measurement, case.space) if isinstance(self.measurement, str) else self.measurement
+        model = (
+            reading(self.measurement, case.space) if isinstance(self.measurement, str) else self.measurement
+        )
         sd = torch.full((len(model.names),), self.measurement_sd, dtype=torch.float64)
         updates = tuple(range(self.cadence, case.test.states.shape[1], self.cadence))
         setting = Setting(model, sd, case.truth.deviations(), updates)
