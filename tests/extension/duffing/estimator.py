@@ -52,7 +52,7 @@ class ExtendedKalmanFilter:
         after = keep @ covariance @ keep.mT + gain @ torch.where(both, measurement_noise, 0.0) @ gain.mT
         nis = (error.mT @ torch.linalg.solve(s, error)).flatten()
         measured = present.sum(-1)
-        density = -0.5 * (nis + torch.logdet(s) + measured * math.log(2 * math.pi))
+        density = -0.5 * (nis + torch.logdet(s) + measured.to(nis) * math.log(2 * math.pi))
         belief = Belief(mean + (gain @ error).squeeze(-1), torch.linalg.cholesky(after))
         told = Innovation(
             residual, nis.masked_fill(measured == 0, torch.nan), measured, measured < 0, density
