@@ -32,7 +32,8 @@ from ahnn_plugins.ukf import UnscentedKalmanFilter
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "tests" / "extension"
 PAGE = (ROOT / "docs" / "extending.md").read_text()
-COMMANDS = [re.split(r"\s#\s", line)[0].strip() for line in re.findall(r"^python .*$", PAGE, re.MULTILINE)]
+LINES = re.findall(r"^python .*$", PAGE.replace("\\\n", ""), re.MULTILINE)
+COMMANDS = [re.split(r"\s#\s", line)[0].strip() for line in LINES]
 SMALL = ["system.steps=60", "data.trajectories=20", "data.windows_per_epoch=200", "data.batch_size=100"]
 SMALL += ["data.val_windows=40", "trainer.max_epochs=1", "evaluation=scores", "logger=none"]
 
