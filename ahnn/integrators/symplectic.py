@@ -38,7 +38,7 @@ class SymmetricComposition(Integrator):
         return drifts, kicks
 
     def require(self, field: object) -> None:
-        """Refuse a field that is not separable; raises UserError."""
+        """Refuse a field that is not separable, or says so by `separable`; raises UserError."""
         if not (isinstance(field, SeparableField) and getattr(field, "separable", True)):
             message = (
                 f"integrator {self.name}: expected a separable Hamiltonian T(p) + V(q), whose field offers "

@@ -173,6 +173,12 @@ def test_a_mistake_in_time_is_one_message(parsed, epoch, text, said):
         parsed(text, epoch=epoch)
 
 
+@pytest.mark.parametrize("place", ["/dev/zero", "/", "no\0where", "", "~nobody-of-this-name/x.gfc"])
+def test_what_is_no_file_is_refused(place):
+    with pytest.raises(UserError, match="expected a file with a gravity field; received none"):
+        read_gfc(place)
+
+
 def test_a_file_is_a_system_with_its_own_tide(tmp_path):
     path = tmp_path / "mine.gfc"
     path.write_text(TEXT.replace("zero_tide", "tide_free"))

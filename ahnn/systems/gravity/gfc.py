@@ -42,10 +42,13 @@ def read_gfc(path: Path | str, epoch: str | None = None) -> GravityField:
         UserError: no such file, or what is wrong with it, with the row.
     """
     file = Line(str(path), 0, [])
+    place = Path(path)
+    if not place.is_file():  # a device would never end
+        file.refuse("a file with a gravity field", "none")
     try:
-        text = Path(path).expanduser().read_bytes().decode("latin-1")
-    except (OSError, ValueError) as error:
-        file.refuse("a file with a gravity field", getattr(error, "strerror", error))
+        text = place.read_bytes().decode("latin-1")
+    except OSError as error:
+        file.refuse("a file with a gravity field", error.strerror)
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     numbered = (Line(str(path), row, words.split()) for row, words in enumerate(text.split("\n"), 1))
     lines = [line for line in numbered if line.words]
