@@ -85,6 +85,14 @@ def test_writings_of_the_same_field(parsed, changed):
     )
 
 
+def test_mass_and_centre_are_those_of_the_file_where_it_gives_them(parsed):
+    field = parsed(
+        TEXT.replace("gfc 0 0 1.0d0", "gfc 0 0 1.5d0").replace("gfc 1 1 0.0 0.0", "gfc 1 1 2D-9 3D-9")
+    )
+    assert (field.cosines[0, 0], field.cosines[1, 1], field.sines[1, 1]) == (1.5, 2e-9, 3e-9)
+    assert parsed(TEXT.replace(FIRST, "")).cosines[:2, :2].tolist() == [[1.0, 0.0], [0.0, 0.0]]
+
+
 def test_plain_coefficients_are_normalised(parsed):
     rows = []
     for n, m, c, s in ROWS:

@@ -207,3 +207,11 @@ def test_a_method_that_no_floor_goes_through_is_refused_before_anything_is_made(
     ]
     assert call("ahnn.train", *FIRST, *options) == 2
     assert "leapfrog: expected a separable Hamiltonian" in capsys.readouterr().err
+
+
+def test_degrees_that_double_precision_does_not_hold_are_refused():
+    wide = np.zeros((1902, 2))
+    field = GravityField("wide", 1.0, 1.0, wide, wide, "unknown")
+    assert field.cut(1900, 0).degree == 1900
+    with pytest.raises(UserError, match="degree: expected 0 to 1900 of wide; received 1901"):
+        field.cut(1901, 0)
