@@ -156,6 +156,7 @@ def fit(
     from ahnn.checkpoints import read_checkpoint
     from ahnn.cli.stops import interruptible
     from ahnn.files import write_atomically
+    from ahnn.uncertainty import find_domain
 
     folder = Path(cfg.folder)
     statistics = data.statistics()
@@ -163,6 +164,7 @@ def fit(
     model.about["dt"] = statistics.dt
     if cfg.weights is not None and checkpoint is None:
         begin_at(model, cfg.weights)
+    model.about["domain"] = find_domain(model.dynamics.frozen(), data.examples()).about()
     if trainer.is_global_zero:
         write_atomically(folder / "config.yaml", stored(cfg))
         done = 0 if checkpoint is None else read_checkpoint(checkpoint)["global_step"]

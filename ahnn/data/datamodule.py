@@ -19,10 +19,13 @@ from ahnn.data.splits import Split, SplitData
 from ahnn.data.windows import Windows, require_span
 from ahnn.errors import UserError
 from ahnn.measurements import Instrument, Segment
-from ahnn.measurements.smoothing import Local, smoothed
+from ahnn.measurements.smoothing import Local, as_states, smoothed
 from ahnn.memory import require_memory
 from ahnn.statistics import Statistics
 from ahnn.types import Trajectories
+
+EXACT = 20_000
+"""About so many exact states are examples of the training split."""
 
 
 class Stages(Protocol):
@@ -111,6 +114,14 @@ class WindowDataModule(LightningDataModule):
         if self.sensor is None:
             return Statistics.of(train)
         return measured_statistics(self.smooth, self.instrument, train.times)
+
+    def examples(self) -> Tensor:
+        """Return training states (M, D) float64, measurements smoothed."""
+        train = self.trajectories("train")
+        if self.sensor is None:
+            states = train.states[train.present]
+            return states[:: max(1, len(states) // EXACT)]
+        return as_states(self.smooth.value, self.smooth.rate, self.instrument)
 
     def remark(self) -> str | None:
         """Return what the user should know of the noise of the training data, or None."""

@@ -31,6 +31,10 @@ class Dynamics(nn.Module, ABC):
     def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return x(t + dt) - x(t), shape (B, D), predicted for the states x, shape (B, D)."""
 
+    def seen(self, x: Tensor) -> Tensor:
+        """Return what the networks see of the states x, shape (..., D): (..., F), the states unless they say."""
+        return x
+
     def forward(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the states (B, D) that the states x, shape (B, D), reach after dt."""
         return x + self.increment(x, dt)

@@ -31,6 +31,10 @@ class Energy(Protocol):
         """Return the gradient of the energy with respect to q, shape (..., n)."""
         ...
 
+    def seen(self, q: Tensor) -> Tensor:
+        """Return what its network sees of q, shape (..., F); F = 0 where nothing is learned."""
+        ...
+
 
 def energy_units(statistics: Statistics) -> tuple[Tensor, Tensor]:
     """Return the sizes of V and T implied by the data: rms rate of one block times half range of the other.
@@ -73,6 +77,10 @@ class NetworkEnergy(nn.Module):
         """Return the gradient with respect to q, shape (..., n)."""
         return self.unit * self.inputs.pullback(q, self.network.gradient(self.inputs(q)))
 
+    def seen(self, q: Tensor) -> Tensor:
+        """Return the inputs of the network, shape (..., F)."""
+        return self.inputs(q)
+
 
 class Quadratic(nn.Module):
     """The kinetic energy p^2 / 2m of a known mass."""
@@ -91,6 +99,10 @@ class Quadratic(nn.Module):
     def gradient(self, p: Tensor) -> Tensor:
         """Return p / m, shape (..., n)."""
         return p / self.mass
+
+    def seen(self, p: Tensor) -> Tensor:
+        """Return nothing, shape (..., 0)."""
+        return p[..., :0]
 
 
 class CentralBody(nn.Module):
@@ -144,3 +156,7 @@ class CentralBody(nn.Module):
         """Return the gradient with respect to q, shape (..., n)."""
         r = q.norm(dim=-1, keepdim=True)
         return self.remainder.gradient(q) + (self.mass * self.mu / r**3) * q
+
+    def seen(self, q: Tensor) -> Tensor:
+        """Return what the remainder sees, shape (..., F)."""
+        return self.remainder.seen(q)

@@ -40,10 +40,14 @@ class NeuralField(nn.Module):
         self.momenta.fit(statistics)
         self.rate.copy_(statistics.rate)
 
+    def seen(self, x: Tensor) -> Tensor:
+        """Return the inputs of the network, shape (..., D)."""
+        q, p = x.chunk(2, dim=-1)
+        return torch.cat((self.positions(q), self.momenta(p)), dim=-1)
+
     def forward(self, x: Tensor) -> Tensor:
         """Return dx/dt, shape (..., D)."""
-        q, p = x.chunk(2, dim=-1)
-        return self.rate * self.network(torch.cat((self.positions(q), self.momenta(p)), dim=-1))
+        return self.rate * self.network(self.seen(x))
 
 
 class _Integrated(Dynamics):
@@ -58,6 +62,10 @@ class _Integrated(Dynamics):
     def fit(self, statistics: Statistics) -> None:
         """Set scalings and units from the training split."""
         cast(Any, self.field).fit(statistics)
+
+    def seen(self, x: Tensor) -> Tensor:
+        """Return what the networks of the field see, shape (..., F)."""
+        return cast(Any, self.field).seen(x)
 
     def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the integrator's increment along the field, shape (B, D)."""

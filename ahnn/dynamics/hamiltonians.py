@@ -49,17 +49,19 @@ class GenericHamiltonian(nn.Module):
         potential, kinetic = energy_units(statistics)
         self.unit.copy_((kinetic * potential).sqrt())
 
-    def _inputs(self, q: Tensor, p: Tensor) -> Tensor:
+    def seen(self, x: Tensor) -> Tensor:
+        """Return the inputs of the network, shape (..., F)."""
+        q, p = x.chunk(2, dim=-1)
         return torch.cat((self.positions(q), self.momenta(p)), dim=-1)
 
     def energy(self, x: Tensor) -> Tensor:
         """Return H, shape (...), at the states x, shape (..., D)."""
-        return self.unit * self.network(self._inputs(*x.chunk(2, dim=-1))).squeeze(-1)
+        return self.unit * self.network(self.seen(x)).squeeze(-1)
 
     def forward(self, x: Tensor) -> Tensor:
         """Return (dH/dp, -dH/dq), shape (..., D), at the states x, shape (..., D)."""
         q, p = x.chunk(2, dim=-1)
-        gradient = self.unit * self.network.gradient(self._inputs(q, p))
+        gradient = self.unit * self.network.gradient(self.seen(x))
         split = self.positions.size
         dq = self.momenta.pullback(p, gradient[..., split:])
         return torch.cat((dq, -self.positions.pullback(q, gradient[..., :split])), dim=-1)
@@ -81,6 +83,12 @@ class SeparableHamiltonian(nn.Module):
         """Return H, shape (...), at the states x, shape (..., D)."""
         q, p = x.chunk(2, dim=-1)
         return self.kinetic(p) + self.potential(q)
+
+    def seen(self, x: Tensor) -> Tensor:
+        """Return what the learned parts see, shape (..., F)."""
+        q, p = x.chunk(2, dim=-1)
+        potential, kinetic = cast(Energy, self.potential), cast(Energy, self.kinetic)
+        return torch.cat((potential.seen(q), kinetic.seen(p)), dim=-1)
 
     def velocity(self, p: Tensor) -> Tensor:
         """Return dq/dt = dT/dp, shape (..., n)."""

@@ -46,21 +46,26 @@ class NextState(Dynamics):
         self.rms.copy_(statistics.increment)
         self.dt.fill_(statistics.dt)
 
+    def seen(self, x: Tensor) -> Tensor:
+        """Return the inputs of the network, shape (..., D)."""
+        q, p = x.chunk(2, dim=-1)
+        return torch.cat((self.positions(q), self.momenta(p)), dim=-1)
+
     def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the predicted increment, shape (B, D).
 
         Raises:
             UserError: dt is not the sampling interval of the training data.
         """
-        if isinstance(dt, Tensor) or abs(dt - float(self.dt)) > 1e-6 * dt:
+        exporting = torch.compiler.is_exporting()  # a graph has the step that it was made for
+        if not exporting and (isinstance(dt, Tensor) or abs(dt - float(self.dt)) > 1e-6 * dt):
             received = "steps that differ" if isinstance(dt, Tensor) else dt
             message = (
                 f"model mlp: expected the step of its training, {float(self.dt)}; received {received}. "
                 "A map has no time axis: use node, hnn or ahnn for other steps"
             )
             raise UserError(message)
-        q, p = x.chunk(2, dim=-1)
-        output = self.network(torch.cat((self.positions(q), self.momenta(p)), dim=-1))
+        output = self.network(self.seen(x))
         if self.residual:
             return self.rms * output
         next_q, next_p = output.chunk(2, dim=-1)

@@ -1,8 +1,19 @@
-"""How well learned dynamics are known: the covariance of their parameters, and bands of predictions."""
+"""How well learned dynamics are known: covariance of their parameters, bands, distance from the training data."""
 
 from __future__ import annotations
 
 from ahnn.uncertainty.bands import rollout_covariances, sampled_rollouts
+from ahnn.uncertainty.domain import Domain, domain_of, find_domain, growth
 from ahnn.uncertainty.posterior import Uncertainty, load_uncertainty, save_uncertainty
 
-__all__ = ["Uncertainty", "load_uncertainty", "rollout_covariances", "sampled_rollouts", "save_uncertainty"]
+__all__ = [
+    "Domain",
+    "Uncertainty",
+    "domain_of",
+    "find_domain",
+    "growth",
+    "load_uncertainty",
+    "rollout_covariances",
+    "sampled_rollouts",
+    "save_uncertainty",
+]
