@@ -59,8 +59,8 @@ def evaluate(arguments: list[str]) -> None:
     training = load_results(run.folder).training if (run.folder / "metrics.json").exists() else {}
     options = report_options(cfg)
     folder = evaluation_folder(request.folder, request.name)
-    known_about = {"label": cfg.label, "seed": cfg.evaluation.seed, "uncertainty": run.uncertainty}
-    case = make_case(run.dynamics, splits, folder=folder, **known_about)
+    learned = {"uncertainty": run.uncertainty, "domain": run.domain}
+    case = make_case(run.dynamics, splits, label=cfg.label, seed=cfg.evaluation.seed, folder=folder, **learned)
     about = {"ckpt": request.ckpt, "data": note}
     board = TensorBoardSink(Board(folder), about)
     known: dict[str, Any] = {**training, "val_loss": run.about["val_loss"], **about}

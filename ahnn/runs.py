@@ -19,10 +19,11 @@ from ahnn.checkpoints import Weights, read_weights
 from ahnn.dynamics import Dynamics, HasEnergy, make_dynamics
 from ahnn.errors import UserError
 from ahnn.numbers import Numbers, as_float64
+from ahnn.prediction.kernel import Knowledge, Prediction, predicted
 from ahnn.pretrained import names, shipped
 from ahnn.rollouts import rollout
 from ahnn.types import Space, TimeStep, Units
-from ahnn.uncertainty import Uncertainty, load_uncertainty, rollout_covariances
+from ahnn.uncertainty import Domain, Uncertainty, domain_of, load_uncertainty, rollout_covariances
 from ahnn.uncertainty.posterior import FILE
 
 if TYPE_CHECKING:
@@ -105,6 +106,48 @@ class Run:
         lengths = x.new_full((len(x), steps), self.dt if dt is None else dt)
         covariances = rollout_covariances(self.dynamics, x, lengths, self.uncertainty.spread)
         return covariances.diagonal(dim1=-2, dim2=-1).sqrt()
+
+    @cached_property
+    def domain(self) -> Domain | None:
+        """Training states that stand for all; None beside weights of an earlier version.
+
+        Raises:
+            UserError: it is damaged.
+        """
+        return domain_of(self.about, len(self.space.components))
+
+    def novelty(self, x: Numbers) -> Tensor:
+        """Return how far states x, shape (..., 2n), are from those of the training, shape (...).
+
+        The distance is measured in what the networks see; one training state in a hundred is farther than 1
+        from those that stand for all.
+
+        Raises:
+            UserError: the weights do not say where their training data were.
+        """
+        if self.domain is None:
+            message = (
+                "novelty: expected weights that say where their training data were; received those of an "
+                "earlier version. Train again"
+            )
+            raise UserError(message)
+        return self.domain.novelty(self.dynamics, self._states(x, "x"))
+
+    def predict(self, start: Numbers, times: Numbers, description: str | None = None) -> Prediction:
+        """Return predicted states at given times, with covariance and novelty where they are known.
+
+        Args:
+            start: (B, 2n) or (2n,) states at the first of the times, in the units of the space.
+            times: (T,) increasing, in its unit of time; between them the step is at most that of the training.
+            description: text of a progress bar; None shows none.
+
+        Raises:
+            UserError: starts or times that are none, or a damaged file beside the weights.
+        """
+        x = torch.atleast_2d(self._states(start, "start"))
+        spread = None if self.uncertainty is None else self.uncertainty.spread
+        known = Knowledge(spread, self.domain)
+        return predicted(self.dynamics, x, as_float64(times, "times"), self.dt, known, description)
 
     @cached_property
     def config(self) -> dict[str, Any]:

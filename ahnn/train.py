@@ -234,7 +234,7 @@ def judge(
     folder = Path(cfg.folder)
     run = load(folder)
     loss = math.nan if run.about["val_loss"] is None else float(run.about["val_loss"])
-    options = {"label": cfg.label, "seed": cfg.evaluation.seed, "folder": folder}
+    options = {"label": cfg.label, "seed": cfg.evaluation.seed, "folder": folder, "domain": run.domain}
     case = make_case(run.dynamics, data.splits, uncertainty=run.uncertainty, **options)
     boards = [logger for logger in trainer.loggers if isinstance(logger, TensorBoardLogger)]
     sinks = [TensorBoardSink(board, searched_settings(cfg)) for board in boards]

@@ -40,8 +40,9 @@ MAY_IMPORT = {
     "models": GROUND | {"dynamics", "training"},
     "estimation": GROUND | {"systems", "data"},
     "evaluation": GROUND | {"dynamics", "systems", "data", "estimation", "shooting", "uncertainty"},
+    "prediction": GROUND | {"dynamics", "data", "evaluation", "shooting", "uncertainty"},
     "pretrained": OPEN | {"checkpoints"},
-    "runs": GROUND | {"dynamics", "pretrained", "evaluation", "uncertainty"},
+    "runs": GROUND | {"dynamics", "pretrained", "evaluation", "prediction", "uncertainty"},
 }
 ENTRIES = {"train", "evaluate", "fitting", "cli", "__init__", "__main__"}
 """The doors of the house: they may import every room, and no room imports them."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -16,7 +17,7 @@ from ahnn.evaluation.explained import fit_to
 from ahnn.measurements import Segment
 from ahnn.statistics import sampling_interval
 from ahnn.types import Trajectories
-from ahnn.uncertainty import Uncertainty
+from ahnn.uncertainty import Domain, Uncertainty
 
 
 def make_case(
@@ -27,6 +28,7 @@ def make_case(
     seed: int,
     folder: Path,
     uncertainty: Uncertainty | None = None,
+    domain: Domain | None = None,
 ) -> Case:
     """Return the case of learned dynamics on the test trajectories of its data.
 
@@ -37,6 +39,7 @@ def make_case(
         seed: of the initial errors.
         folder: where the results are written.
         uncertainty: of the parameters of the dynamics, if it is known.
+        domain: where the dynamics were learned, if that is known.
     """
     source, truth, measured = data.source, data.source.truth, measured_test(data)
     fitted, test = None, data["test"]
@@ -58,6 +61,7 @@ def make_case(
         folder=folder,
         measured=measured,
         uncertainty=uncertainty,
+        novelty=None if domain is None else partial(domain.novelty, dynamics),
         fitted=fitted,
     )
 

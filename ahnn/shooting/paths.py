@@ -84,8 +84,10 @@ def transitions(jacobians: Tensor) -> Tensor:
     return torch.stack(products, dim=1)
 
 
-def sensitivities(jacobians: Tensor, forcing: Tensor, steps: Steps) -> Tensor:
-    """Return dx_k/dtheta at the times of measurements, shape (B, K + 1, D, P), the start held fixed.
+def sensitivities(
+    jacobians: Tensor, forcing: Tensor, steps: Steps, first: Tensor | None = None
+) -> Tensor:
+    """Return dx_k/dtheta at the times of measurements, shape (B, K + 1, D, P).
 
     The variational equation dS/dt = f_x S + f_theta, its transition exact and its integral by the trapezoidal
     rule: the error is a factor 1 + O(dt^2) on what shapes a step, not on the residuals that judge it.
@@ -94,8 +96,9 @@ def sensitivities(jacobians: Tensor, forcing: Tensor, steps: Steps) -> Tensor:
         jacobians: of the steps, (B, N, D, D).
         forcing: f_theta, the derivative of the field with respect to the parameters, (B, N + 1, D, P).
         steps: lengths, and which states are wanted.
+        first: dx_0/dtheta, (B, D, P); None is zero, the start held fixed.
     """
-    measured, current = set(steps.ends.tolist()), torch.zeros_like(forcing[:, 0])
+    measured, current = set(steps.ends.tolist()), torch.zeros_like(forcing[:, 0]) if first is None else first
     wanted = [current]
     for k, dt in enumerate(steps.lengths.to(forcing).unbind(1)):
         half = dt[:, None, None] / 2

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from ahnn.uncertainty.bands import rollout_covariances, sampled_rollouts
-from ahnn.uncertainty.domain import Domain, domain_of, find_domain, growth
+from ahnn.uncertainty.domain import BEYOND, Domain, domain_of, find_domain, growth
 from ahnn.uncertainty.posterior import Uncertainty, load_uncertainty, save_uncertainty
 
 __all__ = [
+    "BEYOND",
     "Domain",
     "Uncertainty",
     "domain_of",

@@ -21,6 +21,10 @@ KEPT = 500
 FARTHEST = 0.01
 """Fraction of the training states that are farther than 1 from all of them."""
 
+TOGETHER = 20_000
+"""States that are compared at once."""
+BEYOND = 1.5
+"""Novelty from which a state is flagged: unseen trajectories of the training's kind reach 1.3."""
 POWER = 4.0
 """With which the error of a learned force grows beyond a novelty of 1; docs/predict.md has the measurements."""
 
@@ -102,5 +106,6 @@ def _distances(inputs: Tensor, known: Tensor) -> Tensor:
     """Return the distance (...) of each of the inputs (..., F) from the nearest of the known ones (K, F)."""
     flat = inputs.reshape(-1, inputs.shape[-1])
     # |a - b|² as a product would lose the digits that near points differ by.
-    found = torch.cdist(flat, known, compute_mode="donot_use_mm_for_euclid_dist").amin(-1)
-    return found.reshape(inputs.shape[:-1])
+    exact = "donot_use_mm_for_euclid_dist"
+    parts = [torch.cdist(part, known, compute_mode=exact).amin(-1) for part in flat.split(TOGETHER)]
+    return torch.cat(parts).reshape(inputs.shape[:-1])

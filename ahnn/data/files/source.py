@@ -72,6 +72,7 @@ class Files:
         if first.frame.upper().startswith(ROTATING):
             log.warning("%s: frame %s rotates: mass times velocity is no momentum in it", name, first.frame)
         self.trajectories = self._trajectories(contents)
+        self.epoch = first.epoch
         self._sha256 = digest.hexdigest()
 
     def recipe(self) -> dict[str, Any]:
@@ -116,6 +117,7 @@ class Files:
         if not contents[0].momenta:
             factor[dof:] = self.space.inertia
         whole = [part._replace(values=widened(part, dof) * factor) for part in parts]
+        self.names = tuple(part.name for part in parts)
         log.info("%s: %s", self.space.name, described(self.space, parts, contents[0]))
         return stacked(whole)
 

@@ -8,11 +8,13 @@ process (Tapley, Schutz & Born 2004, section 4.9) that is held over a step:
 
 with w ~ N(0, size² (1 - exp(-2 dt / memory))), which keeps the variance of e at size². The impulse of the
 step, F_p(x) - p, stands for the force: any flow has one. The error is largest where the force is, at perigee,
-where noise of one size for all states is too small; and its memory carries it through many steps.
+where noise of one size for all states is too small; and its memory carries it through many steps. Where a
+state is far from the training data e counts `growth` times: a learned force is off by more there.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -31,11 +33,13 @@ class ForceError(NamedTuple):
         size: standard deviation of each component of e, a number or (B,).
         memory: time constant, in the unit of the flow.
         inertia: the factor m of p = m dq/dt.
+        growth: factor (...) on the error at the states (..., 2 n); None is 1 everywhere.
     """
 
     size: Tensor | float
     memory: Tensor | float
     inertia: float = 1.0
+    growth: Callable[[Tensor], Tensor] | None = None
 
     def belief(self, belief: Belief) -> Belief:
         """Return the augmented belief, the error of its stationary law and independent of the state."""
@@ -55,6 +59,8 @@ class ForceError(NamedTuple):
             state, error = x[..., : 2 * n], x[..., 2 * n :]
             after = flow(state, dt)
             kick = error * (after - state)[..., n:].norm(dim=-1, keepdim=True)
+            if self.growth is not None:
+                kick = kick * self.growth(state).unsqueeze(-1)
             step = dt.unsqueeze(-1) if isinstance(dt, Tensor) else dt
             moved = torch.cat((step / (2 * self.inertia) * kick, kick), dim=-1)
             return torch.cat((after + moved, self._kept(step) * error), dim=-1)

@@ -9,6 +9,7 @@ learned force is no Gauss-Markov process, it differs from orbit to orbit.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -43,6 +44,7 @@ def fitted_force_error(
     *,
     size: float | None = None,
     memory: float | None = None,
+    growth: Callable[[Tensor], Tensor] | None = None,
 ) -> FittedForceError:
     """Return the force error with which a filter is consistent on validation data.
 
@@ -54,12 +56,13 @@ def fitted_force_error(
         inertia: the factor m of p = m dq/dt.
         size: one that is taken as it is; None takes that of the residuals, scaled.
         memory: the time constant; None takes that of the residuals.
+        growth: factor on the error at a state; None is 1 everywhere.
     """
     dt = float(Statistics.of(trajectories).dt)
     errors = force_errors(chosen.flow, trajectories, dt)
     seen = float(errors[errors.isfinite()].square().mean().nan_to_num()) ** 0.5
     memory = memory_of(errors, dt) if memory is None else memory
-    error = ForceError(seen if size is None else size, memory, inertia)
+    error = ForceError(seen if size is None else size, memory, inertia, growth)
     if size is not None or seen == 0.0:
         return FittedForceError(error, 1.0, ())
     values = mean_nees(chosen._replace(force_error=error), setting, problem, SCALES)

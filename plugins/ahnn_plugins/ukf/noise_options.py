@@ -7,10 +7,13 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import torch
+from torch import Tensor
 
 from ahnn.arguments import Positive, Within, check_arguments, checked
+from ahnn.errors import UserError
 from ahnn.estimation.scenario import Problem, Setting
 from ahnn.evaluation import Case
+from ahnn.uncertainty import growth
 from ahnn_plugins.ukf.assimilation import Filter
 from ahnn_plugins.ukf.force_error_fit import fitted_force_error
 from ahnn_plugins.ukf.process_noise import fitted_process_noise
@@ -49,7 +52,12 @@ def noise_option(
 
 
 def with_process_noise(
-    option: NoiseOption, plain: Filter, case: Case, setting: Setting, arcs: Callable[[int], Problem]
+    option: NoiseOption,
+    plain: Filter,
+    case: Case,
+    setting: Setting,
+    arcs: Callable[[int], Problem],
+    power: float | None = None,
 ) -> tuple[Filter, dict[str, Any]]:
     """Return a filter with the process noise of its model, and where that comes from, as plain values.
 
@@ -59,13 +67,18 @@ def with_process_noise(
         case: the model.
         setting: measurements and P0.
         arcs: gives so many whole validation trajectories, on which a scale is chosen.
+        power: of the novelty with which a force error grows beyond the training data; None lets it not.
+
+    Raises:
+        UserError: the model does not say where its training data were.
     """
     if isinstance(option, ForceOptions):
-        given = {"size": option.size, "memory": option.memory}
+        given = {"size": option.size, "memory": option.memory, "growth": grown(case, power)}
         tried, inertia = arcs(FORCE_FITTED_ON), case.space.inertia
         fit = fitted_force_error(plain, setting, tried, case.validation, inertia, **given)
         told = {"size": float(fit.error.size), "memory": float(fit.error.memory)}
         about = {"from": "force_error", **told, "scale": fit.scale, "nees_of_scales": list(fit.nees)}
+        about["novelty"] = power
         # A variance of zero would end every member.
         return plain._replace(force_error=fit.error if told["size"] > 0.0 else None), about
     if isinstance(option, str):
@@ -78,3 +91,14 @@ def with_process_noise(
         q = torch.diag(blocks.repeat_interleave(case.space.dof) ** 2)
         about = {"from": "given"}
     return plain._replace(process_noise=q), {**about, "step_sd": q.diagonal().sqrt().tolist()}
+
+
+def grown(case: Case, power: float | None) -> Callable[[Tensor], Tensor] | None:
+    """Return the factor on the error of a force at a state; raises UserError where nobody knows the novelty."""
+    if power is None:
+        return None
+    novelty = case.novelty
+    if novelty is None:
+        message = "novelty: expected weights that say where their training data were; received others. Train again"
+        raise UserError(message)
+    return lambda x: growth(novelty(x), power)

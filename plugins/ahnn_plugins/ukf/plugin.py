@@ -59,6 +59,8 @@ class UKFEvaluation:
         process_noise: `fitted` to validation data; standard deviations [position, velocity] of the error
             of one step; or `force_error`, relative and with memory, `{size: ..., memory: ...}` where one of
             them is given.
+        novelty: power of the novelty with which the force error grows beyond the training data; None lets it
+            not. It needs `force_error`.
         alpha, beta, kappa: parameters of the sigma points.
         form: how covariances are carried.
         gate: probability beyond which a measurement is refused as an outlier; None takes all.
@@ -79,6 +81,7 @@ class UKFEvaluation:
         measurement_sd: Positive | list[Positive] | None,
         start_sd: tuple[Positive, Positive] | None,
         process_noise: Literal["fitted", "force_error"] | tuple[Deviation, Deviation] | dict[str, Any],
+        novelty: Annotated[float, Within(0, 20)] | None = None,
         alpha: Finite,
         beta: Finite,
         kappa: Finite,
@@ -93,6 +96,10 @@ class UKFEvaluation:
         _check_measurement(measurement)
         self.seed, self.smoother, self.least_squares = seed, smoother, least_squares
         self.process_noise: NoiseOption = noise_option(process_noise)
+        self.novelty = novelty
+        if novelty is not None and not isinstance(self.process_noise, ForceOptions):
+            message = f"novelty: expected process_noise=force_error, which it scales; received {process_noise}"
+            raise UserError(message)
         self.parameters = UnscentedParameters(alpha, beta, kappa)
         self.form = {"square_root": SQUARE_ROOT, "standard": STANDARD}[form]
         self.gate = None if gate is None else Gate(gate, patience)
@@ -188,7 +195,7 @@ class UKFEvaluation:
         def arcs(count: int) -> Problem:
             return self._arcs(case, setting, count, None, self.seed + 1)
 
-        model, about = with_process_noise(self.process_noise, plain, case, setting, arcs)
+        model, about = with_process_noise(self.process_noise, plain, case, setting, arcs, self.novelty)
         findings.numbers["process_noise"] = about
         filters = [(Who(MODEL, "true", "ukf"), model)]
         if self.tuning is not None:

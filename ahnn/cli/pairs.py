@@ -1,0 +1,46 @@
+"""Commands that take KEY=VALUE alone: the keys are the fields of a dataclass, checked by its annotations."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+from hydra.core.override_parser.types import QuotedString
+
+from ahnn.arguments import check_arguments
+from ahnn.cli.commandline import parse
+from ahnn.errors import UserError
+
+T = TypeVar("T")
+
+
+def read_pairs(arguments: list[str], schema: type[T], usage: str) -> T:
+    """Return what a command line asks for.
+
+    Args:
+        arguments: KEY=VALUE, lists in brackets.
+        schema: a dataclass.
+        usage: for the message when nothing is given.
+
+    Raises:
+        UserError: no KEY=VALUE, a key that is unknown or missing, or a value of another type.
+    """
+    if not arguments:
+        message = f"{usage}; received nothing"
+        raise UserError(message)
+    values = {}
+    for text in arguments:
+        override = parse(text)
+        if override.is_sweep_override() or override.get_key_element() != override.key_or_group:
+            message = f"{text!r}: expected key=value with one value"
+            raise UserError(message)
+        value = override.value()
+        values[override.key_or_group] = value.text if isinstance(value, QuotedString) else plain(value)
+    check_arguments("", schema, values)
+    return schema(**values)
+
+
+def plain(value: object) -> object:
+    """Return nested lists without the marks of quotes."""
+    if isinstance(value, QuotedString):
+        return value.text
+    return [plain(item) for item in value] if isinstance(value, list) else value

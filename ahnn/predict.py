@@ -1,0 +1,126 @@
+"""Predict with learned dynamics: `python -m ahnn.predict run=DIR start=FILE duration=1d output=orbit.csv`.
+
+run=DIR             a run folder, or [A,B,C]: the mean of several trainings, with their spread
+pretrained=NAME     a model that comes with the package
+ckpt=best           the weights: best, last, or a path
+start=FILE          first sample of each trajectory in a file (docs/data.md); or numbers in the units of the
+                    model: start=[0.5,0], start=[[0.5,0],[0.7,0]]
+duration=1d         with a unit, or a number in the model's unit of time
+step=90min          between two predicted states; the sampling interval of the training without it
+output=FILE         .csv, .parquet or .oem; without it a summary alone
+figure=FILE         .png or .svg
+epoch=2024-03-01T12:00:00       of time zero; a message that holds the start has its own
+frame=[EME2000,EARTH,UTC]       frame, centre and time system, where neither model nor file says them
+"""
+
+from __future__ import annotations
+
+if __name__ == "__main__":  # until `guard` listens, Ctrl-C ends this process without a traceback
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+import logging
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ahnn.cli.guard import guard
+from ahnn.cli.stops import held
+
+if TYPE_CHECKING:
+    from ahnn.runs import Run
+
+log = logging.getLogger("ahnn")
+
+USAGE = "usage: python -m ahnn.predict run=DIR | pretrained=NAME start=FILE|[numbers] duration=1d [output=FILE]"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """The keys of the command; the module's help says what they are."""
+
+    start: str | list[Any]
+    duration: str | float
+    run: str | list[str] | None = None
+    pretrained: str | None = None
+    ckpt: str = "best"
+    step: str | float | None = None
+    output: str | None = None
+    figure: str | None = None
+    epoch: str | None = None
+    frame: str | list[str] | None = None
+
+
+def predict(arguments: list[str]) -> None:
+    """Predict, write what is asked for and show a summary.
+
+    Raises:
+        UserError: no such run, starts that are no states of it, or an output that cannot be written.
+    """
+    with held():
+        from ahnn.cli.pairs import read_pairs
+        from ahnn.evaluation.terminal import show
+        from ahnn.prediction import amounts, output, together
+        from ahnn.prediction.starts import starts, with_epoch
+        from ahnn.prediction.summary import summary, warning
+
+    logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
+    asked = read_pairs(arguments, Asked, USAGE)
+    runs = loaded(asked)
+    space, clock = runs[0].space, runs[0].space.units.time
+    begin = starts(asked.start, space)
+    named = ", ".join(asked.frame) if isinstance(asked.frame, list) else asked.frame
+    frame = named or space.frame or begin.frame
+    begin = with_epoch(begin, asked.epoch, utc=output.clock_of(frame) == "UTC")
+    total = amounts.duration(asked.duration, "duration", clock)
+    step = runs[0].dt if asked.step is None else amounts.duration(asked.step, "step", clock)
+    times = amounts.grid(total, step)
+    if asked.output is not None:
+        output.require_output(Path(asked.output), begin, space, frame)
+    if asked.figure is not None:
+        output.require_figure(Path(asked.figure))
+    found = together([run.predict(begin.states, times, f"predicting with {run.folder.name}") for run in runs])
+    title = " + ".join(run.folder.name for run in runs)
+    if asked.output is not None:
+        output.write(Path(asked.output), found, begin, space, frame)
+    if asked.figure is not None:
+        output.draw(Path(asked.figure), found, space, title)
+    show(summary(found, begin, space, title))
+    if remark := warning(found, begin, space):
+        log.warning(remark)
+
+
+def loaded(asked: Asked) -> list[Run]:
+    """Return the runs that are asked for.
+
+    Raises:
+        UserError: none or both kinds are named, or runs whose states differ.
+    """
+    from ahnn.errors import UserError
+    from ahnn.pretrained import shipped
+    from ahnn.runs import load
+
+    if (asked.run is None) == (asked.pretrained is None):
+        message = f"{USAGE}; received {'both' if asked.run else 'neither run nor pretrained'}"
+        raise UserError(message)
+    names = asked.run if isinstance(asked.run, list) else [asked.run]
+    folders = [shipped(asked.pretrained)] if asked.pretrained is not None else map(str, names)
+    runs = [load(folder, asked.ckpt) for folder in folders]
+    for run in runs[1:]:
+        if run.space._replace(name="") != runs[0].space._replace(name=""):
+            message = f"run: expected runs of the same states and units; received {runs[0].space}, {run.space}"
+            raise UserError(message)
+    return runs
+
+
+def main() -> None:
+    """Entry point of `python -m ahnn.predict` and `ahnn-predict`."""
+    arguments = sys.argv[1:]
+    asks = bool({"-h", "--help"} & {*arguments})
+    sys.exit(guard(lambda: sys.stdout.write(f"{__doc__}\n") if asks else predict(arguments)))
+
+
+if __name__ == "__main__":
+    main()

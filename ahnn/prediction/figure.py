@@ -1,0 +1,39 @@
+"""The picture of a prediction: components with their bands, and the novelty below."""
+
+from __future__ import annotations
+
+from matplotlib.figure import Figure
+
+from ahnn.evaluation import style
+from ahnn.prediction.kernel import Prediction
+from ahnn.prediction.table import labels
+from ahnn.types import Space
+
+SIGMAS = 3
+"""Half width of the band, in standard deviations."""
+
+
+def prediction_figure(prediction: Prediction, space: Space, title: str) -> Figure:
+    """Draw the first predicted trajectory: positions, velocities, and how novel its states are."""
+    figure = style.canvas(8, 8)
+    panels = figure.subplots(2 if prediction.novelty is None else 3, 1, sharex=True)
+    time, n = prediction.times, space.dof
+    colours = (style.BLUE, style.VERMILLION, style.GREEN, style.PURPLE, style.ORANGE, style.SKY)
+    for k, name in enumerate(labels(space)):
+        axes, scale = panels[k // n], 1.0 if k < n else 1 / space.inertia
+        value, colour = prediction.states[0, :, k] * scale, colours[k % n % len(colours)]
+        axes.plot(time, value, color=colour, label=name)
+        if prediction.deviations is not None:
+            half = SIGMAS * prediction.deviations[0, :, k] * scale
+            axes.fill_between(time, value - half, value + half, color=colour, alpha=0.25, lw=0)
+        axes.legend(loc="upper right", frameon=False)
+        axes.grid(alpha=0.3)
+    if prediction.novelty is not None:
+        panels[2].plot(time, prediction.novelty[0], color=style.BLACK)
+        panels[2].axhline(1.0, color=style.VERMILLION, ls="--", lw=1, label="edge of the training data")
+        panels[2].set_ylabel("novelty")
+        panels[2].set_ylim(bottom=0)
+        panels[2].legend(loc="upper right", frameon=False)
+    style.label_time(panels[-1], style.Axis(time, space.units.time))
+    panels[0].set_title(title if prediction.deviations is None else f"{title}, with {SIGMAS} sigma")
+    return figure

@@ -1,0 +1,194 @@
+"""From starts to predicted states at given times, with their covariance and novelty.
+
+The covariance is that of `ahnn.uncertainty.rollout_covariances`, carried along in stretches so that any
+duration fits into memory. Where a path leaves the training data, the sensitivity of the field to its
+parameters counts `growth` times: the error of a learned force grows there faster than its parameters know.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn.utils import parameters_to_vector
+
+from ahnn.dynamics import Dynamics
+from ahnn.dynamics.derivatives import field_jacobian
+from ahnn.errors import UserError
+from ahnn.memory import require_memory
+from ahnn.progress import track
+from ahnn.shooting.paths import Steps, sensitivities, step_jacobians, steps_between
+from ahnn.uncertainty import Domain, growth
+
+CELLS = 4e6
+"""Numbers in the largest tensor of sensitivities; longer paths are followed in stretches."""
+
+TOGETHER = 2_000
+"""States of a stretch; a bar moves behind each."""
+
+
+class Prediction(NamedTuple):
+    """Predicted trajectories.
+
+    Attributes:
+        times: (T,), the first of the starts.
+        states: (B, T, D).
+        covariances: (B, T, D, D), or None where nothing is known of them.
+        novelty: (B, T) distance from the training data, 1 for the farthest of these; None where the weights do
+            not say where their data were.
+    """
+
+    times: Tensor
+    states: Tensor
+    covariances: Tensor | None = None
+    novelty: Tensor | None = None
+
+    @property
+    def deviations(self) -> Tensor | None:
+        """Standard deviations of the states, (B, T, D)."""
+        return None if self.covariances is None else self.covariances.diagonal(dim1=-2, dim2=-1).sqrt()
+
+
+class Knowledge(NamedTuple):
+    """What is known of learned dynamics besides their parameters.
+
+    Attributes:
+        spread: factor (P, R) of the covariance of the parameters, or None.
+        domain: where they were learned, or None.
+    """
+
+    spread: Tensor | None = None
+    domain: Domain | None = None
+
+
+@torch.no_grad()
+def predicted(
+    dynamics: Dynamics,
+    start: Tensor,
+    times: Tensor,
+    longest: float,
+    known: Knowledge = Knowledge(),  # noqa: B008 - a tuple
+    description: str | None = None,
+) -> Prediction:
+    """Return the predicted states at given times.
+
+    Args:
+        dynamics: float64.
+        start: (B, D) states at the first of the times.
+        times: (T,) increasing.
+        longest: time step of the integrator; an interval is cut into as few equal steps as it allows.
+        known: of the dynamics.
+        description: text of a progress bar; None shows none.
+
+    Raises:
+        UserError: starts that are not finite, times that do not increase, or more than the memory holds.
+    """
+    require_times(times)
+    require_finite(start)
+    (count, size), samples = start.shape, len(times)
+    require_memory("duration and step", "predicted states", 8.0 * count * samples * size * (size + 3))
+    steps = steps_between(times.unsqueeze(0), longest)
+    wanted = torch.zeros(int(steps.ends[-1]) + 1, dtype=torch.bool)
+    wanted[steps.ends] = True
+    columns = 1 if known.spread is None else known.spread.shape[1]
+    stretch = max(1, min(int(CELLS // (count * size * columns)), TOGETHER // count))
+    parts = steps.lengths[0].split(stretch)
+    path, first = _Path(dynamics, known), 0
+    rows = [path.begin(start)]
+    for lengths in track(parts, description, len(parts)) if description else parts:
+        found = path.follow(lengths)
+        chosen = wanted[first + 1 : first + len(lengths) + 1]
+        rows.append(tuple(None if part is None else part[:, chosen] for part in found))
+        first += len(lengths)
+    columns_of = (list(column) for column in zip(*rows, strict=True))
+    states, covariances, novelty = (None if c[0] is None else torch.cat(c, dim=1) for c in columns_of)
+    assert states is not None
+    return Prediction(times, states, covariances, novelty)
+
+
+Rows = tuple[Tensor, Tensor | None, Tensor | None]
+"""States (B, N, D), covariances (B, N, D, D) and novelty (B, N)."""
+
+
+class _Path:
+    """Where a batch of paths has come to, and how it moves with the parameters."""
+
+    def __init__(self, dynamics: Dynamics, known: Knowledge) -> None:
+        self.dynamics, self.known = dynamics, known
+        if known.spread is not None:
+            self.theta = parameters_to_vector(dynamics.parameters()).detach()
+            self.rough, self.forcing = copy.deepcopy(dynamics).float(), field_jacobian(dynamics)  # pyright: ignore[reportArgumentType]
+
+    def begin(self, start: Tensor) -> Rows:
+        """Take the starts (B, D), known exactly, and return them as rows."""
+        self.x, self.moved = start, None
+        size, states = start.shape[1], start.unsqueeze(1)
+        nothing = None if self.known.spread is None else start.new_zeros(len(start), 1, size, size)
+        return states, nothing, self._novelty(states)
+
+    def follow(self, lengths: Tensor) -> Rows:
+        """Take steps of lengths (N,) and return the rows behind each of them."""
+        states = torch.stack([self.x, *self._steps(lengths)], dim=1)
+        novelty = self._novelty(states)
+        self.x = states[:, -1]
+        later = None if novelty is None else novelty[:, 1:]
+        if self.known.spread is None:
+            return states[:, 1:], None, later
+        dt = lengths.expand(len(states), -1)
+        jacobians = step_jacobians(self.rough.increment, states[:, :-1].float(), dt.float())
+        forcing = self.forcing(self.theta, states) @ self.known.spread.float()
+        if novelty is not None:
+            forcing = forcing * growth(novelty)[..., None, None].float()
+        steps = Steps(dt, torch.arange(len(lengths) + 1))
+        moved = sensitivities(jacobians, forcing, steps, self.moved)
+        self.moved = moved[:, -1]
+        return states[:, 1:], (moved @ moved.mT).double()[:, 1:], later
+
+    def _steps(self, lengths: Tensor) -> Iterator[Tensor]:
+        x = self.x
+        for dt in lengths.tolist():
+            x = self.dynamics(x, dt)
+            yield x
+
+    def _novelty(self, states: Tensor) -> Tensor | None:
+        return None if self.known.domain is None else self.known.domain.novelty(self.dynamics, states)
+
+
+def together(predictions: Sequence[Prediction]) -> Prediction:
+    """Return the mean of predictions of several trainings, with the spread between them in the covariance.
+
+    The law of total covariance: the mean of their own ones, where all have one, and the sample covariance of
+    their states. The novelty is the largest.
+    """
+    first, *others = predictions
+    if not others:
+        return first
+    states = torch.stack([one.states for one in predictions])
+    off = states - states.mean(0)
+    covariances = torch.einsum("s...i,s...j->...ij", off, off) / len(others)
+    own = [one.covariances for one in predictions if one.covariances is not None]
+    if len(own) == len(predictions):
+        covariances = covariances + torch.stack(own).mean(0)
+    far = [one.novelty for one in predictions if one.novelty is not None]
+    novelty = torch.stack(far).amax(0) if len(far) == len(predictions) else None
+    return Prediction(first.times, states.mean(0), covariances, novelty)
+
+
+def require_finite(start: Tensor) -> None:
+    """Refuse starts (B, D) with NaN or infinity; raises UserError."""
+    wrong = ~start.isfinite().all(-1)
+    if bool(wrong.any()):
+        row = int(wrong.nonzero()[0])
+        message = f"start: expected finite numbers; received {start[row].tolist()} in start {row + 1}"
+        raise UserError(message)
+
+
+def require_times(times: Tensor) -> None:
+    """Refuse times that are not (T,), finite and increasing; raises UserError."""
+    if times.ndim != 1 or len(times) < 2 or not bool((times.diff() > 0).all() & times.isfinite().all()):
+        received = times.tolist() if times.numel() < 7 else f"shape {tuple(times.shape)}"
+        message = f"times: expected two or more that increase, the first that of the start; received {received}"
+        raise UserError(message)

@@ -1,0 +1,67 @@
+"""A prediction as a file: the suffix decides, and the file appears whole or not at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ahnn.data.files import write_oem
+from ahnn.errors import UserError
+from ahnn.files import write_atomically
+from ahnn.prediction.kernel import Prediction
+from ahnn.prediction.message import ephemerides, frame_of
+from ahnn.prediction.starts import Starts, words
+from ahnn.prediction.table import as_csv, as_parquet, columns
+from ahnn.types import Space
+
+SUFFIXES = (".csv", ".parquet", ".oem")
+PICTURES = (".png", ".svg")
+
+
+def require_output(path: Path, starts: Starts, space: Space, frame: str) -> None:
+    """Refuse, before anything is computed, a file that cannot be written.
+
+    Raises:
+        UserError: another suffix, no folder, or an ephemeris message of what is no orbit with an epoch.
+    """
+    if path.suffix.lower() not in SUFFIXES or not path.parent.is_dir() or path.is_dir():
+        message = f"output: expected a file {', '.join(SUFFIXES)} in a folder that exists; received {path}"
+        raise UserError(message)
+    if path.suffix.lower() == ".oem":
+        nothing = Prediction(starts.times[:1], starts.states.unsqueeze(1))
+        ephemerides(nothing, starts, space, frame_of(frame))
+
+
+def write(path: Path, prediction: Prediction, starts: Starts, space: Space, frame: str) -> None:
+    """Write a prediction.
+
+    Raises:
+        UserError: see `require_output`; or Parquet without pyarrow.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".oem":
+        write_oem(path, ephemerides(prediction, starts, space, frame_of(frame)))
+        return
+    utc = clock_of(frame) == "UTC"
+    found = columns(prediction, starts, space, utc=utc)
+    write_atomically(path, as_csv(found) if suffix == ".csv" else as_parquet(found))
+
+
+def require_figure(path: Path) -> None:
+    """Refuse a picture that cannot be written; raises UserError."""
+    if path.suffix.lower() not in PICTURES or not path.parent.is_dir():
+        message = f"figure: expected a file {', '.join(PICTURES)} in a folder that exists; received {path}"
+        raise UserError(message)
+
+
+def draw(path: Path, prediction: Prediction, space: Space, title: str) -> None:
+    """Draw a prediction."""
+    from ahnn.evaluation.sinks.figures import FORMATS, drawn
+    from ahnn.prediction.figure import prediction_figure
+
+    suffix = path.suffix.lower()
+    write_atomically(path, drawn(prediction_figure(prediction, space, title), suffix, FORMATS[suffix]))
+
+
+def clock_of(frame: str) -> str:
+    """Return the time system of a frame such as "EME2000, EARTH, TAI"; UTC where none is named."""
+    return [*(word.upper() for word in words(frame)), "", "", "UTC"][2] or "UTC"

@@ -1,0 +1,46 @@
+"""What a prediction says, in a few lines."""
+
+from __future__ import annotations
+
+from ahnn.prediction.kernel import Prediction
+from ahnn.prediction.starts import Starts
+from ahnn.prediction.table import labels
+from ahnn.types import Space
+from ahnn.uncertainty import BEYOND
+
+
+def summary(prediction: Prediction, starts: Starts, space: Space, title: str) -> str:
+    """Return title, last state of the first trajectory with its standard deviations, and the novelty."""
+    count, samples, _ = prediction.states.shape
+    end = f"{float(prediction.times[-1]):g} {space.units.time}"
+    whose = f", {starts.names[0]} of {count} trajectories" if count > 1 else ""
+    lines = [f"{title}: {samples:,} states over {end}{whose}", ""]
+    deviations = prediction.deviations
+    lines.append(f"  {'':16s}{'last state':>16s}{'1 sigma':>12s}")
+    for k, name in enumerate(labels(space)):
+        scale = 1.0 if k < space.dof else 1 / space.inertia
+        value = float(prediction.states[0, -1, k]) * scale
+        sigma = "not known" if deviations is None else f"{float(deviations[0, -1, k]) * scale:.3g}"
+        lines.append(f"  {name:16s}{value:>16.9g}{sigma:>12s}")
+    if prediction.novelty is not None:
+        last, most = float(prediction.novelty[0, -1]), float(prediction.novelty.max())
+        lines.append(f"  {'novelty':16s}{last:>16.3g}    at most {most:.3g} on the way, 1 is the edge of the training data")
+    return "\n".join(lines)
+
+
+def warning(prediction: Prediction, starts: Starts, space: Space) -> str | None:
+    """Return one line about states beyond the training data; None where there are none, or nobody knows."""
+    if prediction.novelty is None:
+        return "novelty: not known, these weights do not say where their training data were. Train again to know"
+    beyond = prediction.novelty > BEYOND
+    if not bool(beyond.any()):
+        return None
+    row, sample = (int(k) for k in beyond.nonzero()[0])
+    first = float(starts.times[row] + prediction.times[sample])
+    whose = f" of {starts.names[row]}" if len(beyond) > 1 else ""
+    share = 100 * float(beyond.double().mean())
+    return (
+        f"novelty: {share:.2g} % of the predicted states lie beyond the training data, up to "
+        f"{float(prediction.novelty.max()):.3g} times as far as its edge, first{whose} at t = {first:g} "
+        f"{space.units.time}. There a learned model may be wrong by far more than it knows"
+    )
