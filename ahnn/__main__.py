@@ -10,6 +10,8 @@ COMMANDS = f"""ahnn {__version__}: learn Hamiltonian dynamics, and assimilate me
 
   python -m ahnn.train       train a model and evaluate it              --help
   python -m ahnn.evaluate    evaluate a finished run again              --help
+  python -m ahnn.predict     states to come, with their bands           --help
+  python -m ahnn.export      a trained model for other programs         --help
   tensorboard --logdir runs  curves, scores and figures of all runs
 
 In Python: ahnn.load(RUN), ahnn.fit(TRAJECTORIES, SPACE); help(ahnn) says more.

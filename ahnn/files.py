@@ -6,6 +6,7 @@ import contextlib
 import fcntl
 import os
 import re
+import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -97,3 +98,17 @@ def require_writable(folder: Path) -> None:
     except OSError as error:
         message = f"folder {folder}: expected a place that can be written; received: {error.strerror}"
         raise UserError(message) from error
+
+
+@contextlib.contextmanager
+def whole_folder(folder: Path) -> Iterator[Path]:
+    """Give an empty folder that takes the name of a new one when all is written, and vanishes otherwise."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    place = folder.with_name(f".{folder.name}.{uuid4().hex}.tmp")
+    place.mkdir()
+    try:
+        yield place
+        place.rename(folder)
+    except BaseException:
+        shutil.rmtree(place, ignore_errors=True)
+        raise

@@ -24,13 +24,10 @@ import logging
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ahnn.cli.guard import guard
 from ahnn.cli.stops import held
-
-if TYPE_CHECKING:
-    from ahnn.runs import Run
 
 log = logging.getLogger("ahnn")
 
@@ -60,7 +57,7 @@ def predict(arguments: list[str]) -> None:
         UserError: no such run, starts that are no states of it, or an output that cannot be written.
     """
     with held():
-        from ahnn.cli.pairs import read_pairs
+        from ahnn.cli.pairs import named_runs, read_pairs
         from ahnn.evaluation.terminal import show
         from ahnn.prediction import amounts, output, together
         from ahnn.prediction.starts import starts, with_epoch
@@ -68,7 +65,7 @@ def predict(arguments: list[str]) -> None:
 
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
     asked = read_pairs(arguments, Asked, USAGE)
-    runs = loaded(asked)
+    runs = named_runs(asked.run, asked.pretrained, asked.ckpt)
     space, clock = runs[0].space, runs[0].space.units.time
     begin = starts(asked.start, space)
     named = ", ".join(asked.frame) if isinstance(asked.frame, list) else asked.frame
@@ -90,29 +87,6 @@ def predict(arguments: list[str]) -> None:
     show(summary(found, begin, space, title))
     if remark := warning(found, begin, space):
         log.warning(remark)
-
-
-def loaded(asked: Asked) -> list[Run]:
-    """Return the runs that are asked for.
-
-    Raises:
-        UserError: none or both kinds are named, or runs whose states differ.
-    """
-    from ahnn.errors import UserError
-    from ahnn.pretrained import shipped
-    from ahnn.runs import load
-
-    if (asked.run is None) == (asked.pretrained is None):
-        message = f"{USAGE}; received {'both' if asked.run else 'neither run nor pretrained'}"
-        raise UserError(message)
-    names = asked.run if isinstance(asked.run, list) else [asked.run]
-    folders = [shipped(asked.pretrained)] if asked.pretrained is not None else map(str, names)
-    runs = [load(folder, asked.ckpt) for folder in folders]
-    for run in runs[1:]:
-        if run.space._replace(name="") != runs[0].space._replace(name=""):
-            message = f"run: expected runs of the same states and units; received {runs[0].space}, {run.space}"
-            raise UserError(message)
-    return runs
 
 
 def main() -> None:

@@ -40,11 +40,12 @@ MAY_IMPORT = {
     "models": GROUND | {"dynamics", "training"},
     "estimation": GROUND | {"systems", "data"},
     "evaluation": GROUND | {"dynamics", "systems", "data", "estimation", "shooting", "uncertainty"},
+    "graphs": GROUND | {"dynamics", "evaluation", "runs"},
     "prediction": GROUND | {"dynamics", "data", "evaluation", "shooting", "uncertainty"},
     "pretrained": OPEN | {"checkpoints"},
     "runs": GROUND | {"dynamics", "pretrained", "evaluation", "prediction", "uncertainty"},
 }
-ENTRIES = {"train", "evaluate", "fitting", "cli", "__init__", "__main__"}
+ENTRIES = {"train", "evaluate", "predict", "export", "fitting", "cli", "__init__", "__main__"}
 """The doors of the house: they may import every room, and no room imports them."""
 
 

@@ -25,8 +25,8 @@ TOGETHER = 20_000
 """States that are compared at once."""
 BEYOND = 1.5
 """Novelty from which a state is flagged: unseen trajectories of the training's kind reach 1.3."""
-POWER = 4.0
-"""With which the error of a learned force grows beyond a novelty of 1; docs/predict.md has the measurements."""
+RATE = 300.0
+"""By which the error of a learned force grows with each unit of novelty; docs/predict.md has the measurements."""
 
 
 class Domain(NamedTuple):
@@ -55,9 +55,9 @@ class Domain(NamedTuple):
         return _distances(dynamics.seen(x), dynamics.seen(self.states)) / self.unit
 
 
-def growth(novelty: Tensor, power: float = POWER) -> Tensor:
+def growth(novelty: Tensor, rate: float = RATE) -> Tensor:
     """Return the factor, at least 1, on the error of a learned force at states of some novelty."""
-    return novelty.clamp(min=1.0) ** power
+    return 1 + rate * (novelty - 1).clamp(min=0)
 
 
 @torch.no_grad()

@@ -57,7 +57,7 @@ def with_process_noise(
     case: Case,
     setting: Setting,
     arcs: Callable[[int], Problem],
-    power: float | None = None,
+    rate: float | None = None,
 ) -> tuple[Filter, dict[str, Any]]:
     """Return a filter with the process noise of its model, and where that comes from, as plain values.
 
@@ -67,18 +67,18 @@ def with_process_noise(
         case: the model.
         setting: measurements and P0.
         arcs: gives so many whole validation trajectories, on which a scale is chosen.
-        power: of the novelty with which a force error grows beyond the training data; None lets it not.
+        rate: by which a force error grows with each unit of novelty beyond 1; None lets it not.
 
     Raises:
         UserError: the model does not say where its training data were.
     """
     if isinstance(option, ForceOptions):
-        given = {"size": option.size, "memory": option.memory, "growth": grown(case, power)}
+        given = {"size": option.size, "memory": option.memory, "growth": grown(case, rate)}
         tried, inertia = arcs(FORCE_FITTED_ON), case.space.inertia
         fit = fitted_force_error(plain, setting, tried, case.validation, inertia, **given)
         told = {"size": float(fit.error.size), "memory": float(fit.error.memory)}
         about = {"from": "force_error", **told, "scale": fit.scale, "nees_of_scales": list(fit.nees)}
-        about["novelty"] = power
+        about["novelty"] = rate
         # A variance of zero would end every member.
         return plain._replace(force_error=fit.error if told["size"] > 0.0 else None), about
     if isinstance(option, str):
@@ -93,12 +93,12 @@ def with_process_noise(
     return plain._replace(process_noise=q), {**about, "step_sd": q.diagonal().sqrt().tolist()}
 
 
-def grown(case: Case, power: float | None) -> Callable[[Tensor], Tensor] | None:
+def grown(case: Case, rate: float | None) -> Callable[[Tensor], Tensor] | None:
     """Return the factor on the error of a force at a state; raises UserError where nobody knows the novelty."""
-    if power is None:
+    if rate is None:
         return None
     novelty = case.novelty
     if novelty is None:
         message = "novelty: expected weights that say where their training data were; received others. Train again"
         raise UserError(message)
-    return lambda x: growth(novelty(x), power)
+    return lambda x: growth(novelty(x), rate)

@@ -59,8 +59,8 @@ class UKFEvaluation:
         process_noise: `fitted` to validation data; standard deviations [position, velocity] of the error
             of one step; or `force_error`, relative and with memory, `{size: ..., memory: ...}` where one of
             them is given.
-        novelty: power of the novelty with which the force error grows beyond the training data; None lets it
-            not. It needs `force_error`.
+        novelty: rate by which the force error grows with each unit of novelty beyond 1, such as 300; None lets
+            it not. It needs `force_error`.
         alpha, beta, kappa: parameters of the sigma points.
         form: how covariances are carried.
         gate: probability beyond which a measurement is refused as an outlier; None takes all.
@@ -81,7 +81,7 @@ class UKFEvaluation:
         measurement_sd: Positive | list[Positive] | None,
         start_sd: tuple[Positive, Positive] | None,
         process_noise: Literal["fitted", "force_error"] | tuple[Deviation, Deviation] | dict[str, Any],
-        novelty: Annotated[float, Within(0, 20)] | None = None,
+        novelty: Annotated[float, Within(0)] | None = None,
         alpha: Finite,
         beta: Finite,
         kappa: Finite,

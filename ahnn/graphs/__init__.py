@@ -1,0 +1,7 @@
+"""Learned dynamics as graphs that other programs run: torch.export and ONNX, with all that their numbers mean."""
+
+from __future__ import annotations
+
+from ahnn.graphs.folder import write_export
+
+__all__ = ["write_export"]

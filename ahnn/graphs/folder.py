@@ -1,0 +1,67 @@
+"""An exported model as a folder: graphs, weights, and a JSON that says what the numbers mean."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from torch import nn
+
+from ahnn.checkpoints import Weights, checksum, write_weights
+from ahnn.errors import UserError
+from ahnn.evaluation.provenance import provenance
+from ahnn.files import whole_folder
+from ahnn.graphs.modules import modules
+from ahnn.graphs.programs import INPUT, OUTPUT, as_onnx, as_pt2, program, require_onnx
+from ahnn.progress import track
+from ahnn.runs import Run, about_space
+
+ABOUT, WEIGHTS = "model.json", "weights.safetensors"
+SHAPES = {"flow": ["batch", "components"], "energy": ["batch"]}
+
+
+def write_export(run: Run, folder: Path) -> list[str]:
+    """Write an exported model and return the names of its files; the folder appears whole or not at all.
+
+    Raises:
+        UserError: the folder exists, a package is missing, or the model has no graph.
+    """
+    if folder.exists():
+        message = f"output: expected a new folder; received {folder}, which exists"
+        raise UserError(message)
+    require_onnx()
+    parts = modules(run.dynamics, run.dt)
+    with whole_folder(folder) as place:
+        for name, module in track(parts.items(), "exporting", len(parts)):
+            found = program(module, len(run.space.components))
+            (place / f"{name}.pt2").write_bytes(as_pt2(found))
+            (place / f"{name}.onnx").write_bytes(as_onnx(found))
+        write_weights(place / WEIGHTS, Weights(run.dynamics.state_dict(), run.about))
+        (place / ABOUT).write_text(json.dumps(about(run, parts), indent=2) + "\n")
+        return sorted(path.name for path in place.iterdir())
+
+
+def about(run: Run, parts: dict[str, nn.Module]) -> dict[str, Any]:
+    """Return what the numbers of an exported model mean, plain values."""
+    made = provenance()
+    kept = {name: made[name] for name in ("ahnn", "commit", "torch", "date")}
+    state = run.dynamics.state_dict()
+    return {
+        "space": about_space(run.space),
+        "dt": run.dt,
+        "dynamics": run.dynamics.spec,
+        "assumes": run.dynamics.assumes,
+        "scalings": {name: value.tolist() for name, value in run.dynamics.named_buffers()},
+        "graphs": {
+            name: {
+                "files": [f"{name}.pt2", f"{name}.onnx"],
+                "input": {"name": INPUT, "type": "float64", "shape": ["batch", "components"]},
+                "output": {"name": OUTPUT, "type": "float64", "shape": SHAPES[name]},
+            }
+            for name in parts
+        },
+        "training": {name: run.about.get(name) for name in ("data", "settings", "val_loss")},
+        "domain": run.about.get("domain"),
+        "provenance": {**kept, "sha256_of_weights": checksum(state, "")},
+    }

@@ -1,0 +1,95 @@
+"""What is exported: a step of the flow, and the energy, as modules of one argument."""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import cast
+
+import torch
+from torch import Tensor, nn
+
+from ahnn.dynamics import Dynamics, HasEnergy
+from ahnn.dynamics.networks import Activation, Perceptron
+from ahnn.errors import UserError
+from ahnn.integrators import GaussLegendre4
+
+SPACING, TERMS = 0.5, 13
+"""Of the sum for the normal distribution; its error is below 4e-16."""
+
+
+class Step(nn.Module):
+    """One step of a flow: the states (B, D) that the states x, shape (B, D), reach after dt."""
+
+    def __init__(self, dynamics: Dynamics, dt: float) -> None:
+        super().__init__()
+        self.dynamics, self.dt = dynamics, dt
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return the next states, shape (B, D)."""
+        return self.dynamics(x, self.dt)
+
+
+class Energy(nn.Module):
+    """The learned Hamiltonian, shape (B,), at states of shape (B, D)."""
+
+    def __init__(self, dynamics: Dynamics) -> None:
+        super().__init__()
+        self.dynamics = dynamics
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return H, shape (B,)."""
+        return cast(HasEnergy, self.dynamics).energy(x)
+
+
+def modules(dynamics: Dynamics, dt: float) -> dict[str, nn.Module]:
+    """Return what there is to export, by name: `flow`, and `energy` of a model with a Hamiltonian.
+
+    Raises:
+        UserError: an implicit integrator, whose iteration has no fixed length.
+    """
+    integrator = getattr(dynamics, "integrator", None)
+    if isinstance(integrator, GaussLegendre4):
+        message = (
+            f"integrator {integrator.name}: expected an explicit one, whose steps are a graph of fixed length; "
+            "received an implicit one, which iterates until it is solved. Train with rk4 or a composition"
+        )
+        raise UserError(message)
+    own = portable(dynamics)
+    found: dict[str, nn.Module] = {"flow": Step(own, dt)}
+    if isinstance(own, HasEnergy):
+        found["energy"] = Energy(own)
+    return found
+
+
+def portable(dynamics: Dynamics) -> Dynamics:
+    """Return a copy without the error function, which runtimes lack in double precision."""
+    own = copy.deepcopy(dynamics)
+    for module in own.modules():
+        if isinstance(module, Perceptron) and module.activation.value is torch.nn.functional.gelu:
+            module.activation = GELU
+    return own
+
+
+def normal(z: Tensor) -> Tensor:
+    """Return the normal distribution function from exponentials alone.
+
+    The trapezoidal rule for the integral of erfc, with its poles accounted for (Chiarella & Reichl 1968, Math.
+    Comp. 22, 137; Hunter & Regan 1972, Math. Comp. 26, 539), converges exponentially.
+    """
+    x = z.abs() / math.sqrt(2)
+    squares = [((k + 0.5) * SPACING) ** 2 for k in range(TERMS)]
+    total = math.exp(-squares[0]) / (x * x + squares[0])
+    for square in squares[1:]:
+        total = total + math.exp(-square) / (x * x + square)
+    tail = SPACING / math.pi * x * torch.exp(-x * x) * total + 1 / (1 + torch.exp(2 * math.pi / SPACING * x))
+    return torch.where(z < 0, tail, 1 - tail)
+
+
+def _slope(z: Tensor) -> tuple[Tensor, Tensor]:
+    cumulative = normal(z)
+    return z * cumulative, cumulative + z * torch.exp(-0.5 * z * z) * (1 / math.sqrt(2 * math.pi))
+
+
+GELU = Activation(lambda z: z * normal(z), _slope)
+"""The activation `gelu`, x Phi(x), without the error function."""

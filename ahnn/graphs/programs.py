@@ -1,0 +1,87 @@
+"""From a module to a torch.export program and to ONNX, both in double precision with any number of states."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import torch
+from torch import nn
+from torch.export import Dim, ExportedProgram, export
+
+from ahnn.errors import UserError
+
+INPUT, OUTPUT = "states", "result"
+"""Names of what goes in and comes out of the ONNX graphs."""
+
+
+def program(module: nn.Module, size: int) -> ExportedProgram:
+    """Return a program of a module of states (B, D)."""
+    example = torch.ones(2, size, dtype=torch.float64)
+    with quiet():
+        return export(module.eval(), (example,), dynamic_shapes=({0: Dim("batch")},))
+
+
+def as_pt2(found: ExportedProgram) -> bytes:
+    """Return a program as the content of a .pt2 file."""
+    buffer = io.BytesIO()
+    with quiet():
+        torch.export.save(found, buffer)
+    return buffer.getvalue()
+
+
+def as_onnx(found: ExportedProgram) -> bytes:
+    """Return a program as the content of an .onnx file.
+
+    Raises:
+        UserError: the packages that write it are not installed.
+    """
+    require_onnx()
+    import numpy as np
+    from onnx import TensorProto, numpy_helper
+
+    with quiet():
+        names = {"input_names": [INPUT], "output_names": [OUTPUT]}
+        made: Any = torch.onnx.export(found, dynamo=True, verbose=False, **names)
+    model = made.model_proto
+    exact = {float(np.float32(factor)): factor for factor in factors(found)}
+    for constant in model.graph.initializer:
+        value = numpy_helper.to_array(constant)
+        if constant.data_type == TensorProto.DOUBLE and value.ndim == 0 and float(value) in exact:
+            whole = np.array(exact[float(value)])
+            constant.CopyFrom(numpy_helper.from_array(whole, constant.name))
+    return model.SerializeToString()
+
+
+def factors(found: ExportedProgram) -> set[float]:
+    """Return the numbers in the operations of a program, which torch's exporter rounds to single precision."""
+    given = (value for node in found.graph.nodes for value in (*node.args, *node.kwargs.values()))
+    return {value for value in given if isinstance(value, float)}
+
+
+def require_onnx() -> None:
+    """Raise UserError where the packages that write ONNX are not installed."""
+    try:
+        import onnx  # noqa: F401
+        import onnxscript  # noqa: F401
+    except ImportError as error:
+        message = f"export: expected the packages onnx and onnxscript; {error}. Install the extra ahnn[export]"
+        raise UserError(message) from error
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Silence what torch's exporters say of other packages and of their own deprecations."""
+    logger = logging.getLogger("torch.onnx")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.setLevel(level)

@@ -1,0 +1,16 @@
+"""An exported model without ahnn: `python examples/run_exported.py FOLDER` needs onnxruntime and numpy alone."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+
+folder = Path(sys.argv[1])
+about = json.loads((folder / "model.json").read_text())
+flow = onnxruntime.InferenceSession(folder / "flow.onnx", providers=["CPUExecutionProvider"])
+states = np.array([[0.0, -3145.0, -6173.0, 10.0, 0.0, 0.0]])  # in the units of about["space"]
+for _ in range(60):
+    (states,) = flow.run(None, {"states": states})
+print(60 * about["dt"], about["space"]["units"][0], *zip(about["space"]["components"], states[0].tolist()))
