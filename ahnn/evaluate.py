@@ -60,7 +60,9 @@ def evaluate(arguments: list[str]) -> None:
     options = report_options(cfg)
     folder = evaluation_folder(request.folder, request.name)
     learned = {"uncertainty": run.uncertainty, "domain": run.domain}
-    case = make_case(run.dynamics, splits, label=cfg.label, seed=cfg.evaluation.seed, folder=folder, **learned)
+    case = make_case(
+        run.dynamics, splits, label=cfg.label, seed=cfg.evaluation.seed, folder=folder, **learned
+    )
     about = {"ckpt": request.ckpt, "data": note}
     board = TensorBoardSink(Board(folder), about)
     known: dict[str, Any] = {**training, "val_loss": run.about["val_loss"], **about}

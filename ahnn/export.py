@@ -3,7 +3,7 @@
 run=DIR             a run folder
 pretrained=NAME     a model that comes with the package
 ckpt=best           the weights: best, last, or a path
-output=FOLDER       a new one: flow and energy as .pt2 (torch.export) and .onnx, weights.safetensors, model.json
+output=FOLDER       a new one: flow and energy as .pt2 and .onnx, weights.safetensors, model.json
 """
 
 from __future__ import annotations

@@ -31,7 +31,9 @@ from ahnn.cli.stops import held
 
 log = logging.getLogger("ahnn")
 
-USAGE = "usage: python -m ahnn.predict run=DIR | pretrained=NAME start=FILE|[numbers] duration=1d [output=FILE]"
+USAGE = (
+    "usage: python -m ahnn.predict run=DIR | pretrained=NAME start=FILE|[numbers] duration=1d [output=FILE]"
+)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -138,7 +138,7 @@ class Run:
 
         Args:
             start: (B, 2n) or (2n,) states at the first of the times, in the units of the space.
-            times: (T,) increasing, in its unit of time; between them the step is at most that of the training.
+            times: (T,) increasing, in its unit of time; steps are at most that of the training.
             description: text of a progress bar; None shows none.
 
         Raises:

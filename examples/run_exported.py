@@ -1,4 +1,4 @@
-"""An exported model without ahnn: `python examples/run_exported.py FOLDER` needs onnxruntime and numpy alone."""
+"""An exported model without ahnn: `python examples/run_exported.py FOLDER` needs onnxruntime and numpy."""
 
 import json
 import sys
@@ -13,4 +13,5 @@ flow = onnxruntime.InferenceSession(folder / "flow.onnx", providers=["CPUExecuti
 states = np.array([[0.0, -3145.0, -6173.0, 10.0, 0.0, 0.0]])  # in the units of about["space"]
 for _ in range(60):
     (states,) = flow.run(None, {"states": states})
-print(60 * about["dt"], about["space"]["units"][0], *zip(about["space"]["components"], states[0].tolist()))
+names = about["space"]["components"]
+print(60 * about["dt"], about["space"]["units"][0], dict(zip(names, states[0].tolist(), strict=True)))

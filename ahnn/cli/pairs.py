@@ -58,7 +58,7 @@ def named_runs(run: str | list[str] | None, pretrained: str | None, ckpt: str) -
     from ahnn.pretrained import shipped
     from ahnn.runs import load
 
-    if not run and pretrained is None or run and pretrained is not None:
+    if (not run and pretrained is None) or (run and pretrained is not None):
         message = f"run: expected run=DIR or pretrained=NAME; received {'both' if run else 'neither'}"
         raise UserError(message)
     folders = [shipped(pretrained)] if pretrained is not None else run if isinstance(run, list) else [run]

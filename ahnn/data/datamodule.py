@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, Protocol
 
 import torch
 from lightning import LightningDataModule
+from torch import Tensor
 
 from ahnn.arguments import Count, Seed, Within, checked
 from ahnn.data.loader import SegmentLoader, WindowLoader

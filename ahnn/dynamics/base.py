@@ -32,7 +32,7 @@ class Dynamics(nn.Module, ABC):
         """Return x(t + dt) - x(t), shape (B, D), predicted for the states x, shape (B, D)."""
 
     def seen(self, x: Tensor) -> Tensor:
-        """Return what the networks see of the states x, shape (..., D): (..., F), the states unless they say."""
+        """Return what the networks see of the states x, shape (..., D): (..., F), by default the states."""
         return x
 
     def forward(self, x: Tensor, dt: TimeStep) -> Tensor:

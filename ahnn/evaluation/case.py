@@ -45,7 +45,7 @@ class Case:
         folder: where results are written.
         measured: measurements of the test trajectories, where training saw nothing else.
         uncertainty: covariance of the learned parameters, where the training left one.
-        novelty: distance (...) of states (..., D) from the training data, where the weights say where these were.
+        novelty: distance (...) of states (..., D) from the training data, where it is known.
         fitted: (B, D) starts from which the model meets the measurements of the test trajectories best, where
             nothing else is known of these: then `test` holds measurements, NaN in what is not measured.
     """

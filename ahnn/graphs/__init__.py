@@ -1,4 +1,4 @@
-"""Learned dynamics as graphs that other programs run: torch.export and ONNX, with all that their numbers mean."""
+"""Learned dynamics as graphs that other programs run: torch.export and ONNX, and what their numbers mean."""
 
 from __future__ import annotations
 

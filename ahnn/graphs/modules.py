@@ -51,8 +51,9 @@ def modules(dynamics: Dynamics, dt: float) -> dict[str, nn.Module]:
     integrator = getattr(dynamics, "integrator", None)
     if isinstance(integrator, GaussLegendre4):
         message = (
-            f"integrator {integrator.name}: expected an explicit one, whose steps are a graph of fixed length; "
-            "received an implicit one, which iterates until it is solved. Train with rk4 or a composition"
+            f"integrator {integrator.name}: expected an explicit one, whose steps are a graph of fixed "
+            "length; received an implicit one, which iterates until it is solved. Train with rk4 or a "
+            "composition"
         )
         raise UserError(message)
     own = portable(dynamics)
@@ -74,8 +75,8 @@ def portable(dynamics: Dynamics) -> Dynamics:
 def normal(z: Tensor) -> Tensor:
     """Return the normal distribution function from exponentials alone.
 
-    The trapezoidal rule for the integral of erfc, with its poles accounted for (Chiarella & Reichl 1968, Math.
-    Comp. 22, 137; Hunter & Regan 1972, Math. Comp. 26, 539), converges exponentially.
+    The trapezoidal rule for the integral of erfc, with its poles accounted for, converges exponentially
+    (Chiarella & Reichl 1968, Math. Comp. 22, 137; Hunter & Regan 1972, Math. Comp. 26, 539).
     """
     x = z.abs() / math.sqrt(2)
     squares = [((k + 0.5) * SPACING) ** 2 for k in range(TERMS)]

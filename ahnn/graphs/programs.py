@@ -58,7 +58,7 @@ def as_onnx(found: ExportedProgram) -> bytes:
 
 
 def factors(found: ExportedProgram) -> set[float]:
-    """Return the numbers in the operations of a program, which torch's exporter rounds to single precision."""
+    """Return the numbers in the operations of a program, which torch's exporter rounds to single."""
     given = (value for node in found.graph.nodes for value in (*node.args, *node.kwargs.values()))
     return {value for value in given if isinstance(value, float)}
 
@@ -69,7 +69,9 @@ def require_onnx() -> None:
         import onnx  # noqa: F401
         import onnxscript  # noqa: F401
     except ImportError as error:
-        message = f"export: expected the packages onnx and onnxscript; {error}. Install the extra ahnn[export]"
+        message = (
+            f"export: expected the packages onnx and onnxscript; {error}. Install the extra ahnn[export]"
+        )
         raise UserError(message) from error
 
 

@@ -1,4 +1,4 @@
-"""What learned dynamics say of times to come: states, how well they are known, and how far from the training."""
+"""What learned dynamics say of times to come: states, how well they are known, and how novel they are."""
 
 from __future__ import annotations
 

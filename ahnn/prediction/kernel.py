@@ -37,8 +37,8 @@ class Prediction(NamedTuple):
         times: (T,), the first of the starts.
         states: (B, T, D).
         covariances: (B, T, D, D), or None where nothing is known of them.
-        novelty: (B, T) distance from the training data, 1 for the farthest of these; None where the weights do
-            not say where their data were.
+        novelty: (B, T) distance from the training data, 1 for the farthest of these; None where it is not
+            known.
     """
 
     times: Tensor
@@ -190,5 +190,7 @@ def require_times(times: Tensor) -> None:
     """Refuse times that are not (T,), finite and increasing; raises UserError."""
     if times.ndim != 1 or len(times) < 2 or not bool((times.diff() > 0).all() & times.isfinite().all()):
         received = times.tolist() if times.numel() < 7 else f"shape {tuple(times.shape)}"
-        message = f"times: expected two or more that increase, the first that of the start; received {received}"
+        message = (
+            f"times: expected two or more that increase, the first that of the start; received {received}"
+        )
         raise UserError(message)

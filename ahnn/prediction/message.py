@@ -48,7 +48,9 @@ def ephemerides(
         )
         raise UserError(message)
     if starts.epoch is None:
-        message = "epoch: expected that of time zero for an ephemeris message, such as epoch=2024-03-01T12:00:00"
+        message = (
+            "epoch: expected that of time zero for an ephemeris message, such as epoch=2024-03-01T12:00:00"
+        )
         raise UserError(message)
     km = position.size / 1e3
     speed = unit(space.units.velocity).size / 1e3 / space.inertia
@@ -56,7 +58,9 @@ def ephemerides(
     times = (prediction.times * clock.size).numpy()
     matrices, segments = prediction.covariances, []
     for b, name in enumerate(starts.names):
-        begin = starts.epoch + picoseconds(float(starts.times[b]) + float(prediction.times[0]), space.units.time)
+        begin = starts.epoch + picoseconds(
+            float(starts.times[b]) + float(prediction.times[0]), space.units.time
+        )
         known = () if matrices is None else (matrices[b] * scale * scale.unsqueeze(1)).numpy()
         since = times - times[0]
         segments.append(

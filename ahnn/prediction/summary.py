@@ -24,14 +24,18 @@ def summary(prediction: Prediction, starts: Starts, space: Space, title: str) ->
         lines.append(f"  {name:16s}{value:>16.9g}{sigma:>12s}")
     if prediction.novelty is not None:
         last, most = float(prediction.novelty[0, -1]), float(prediction.novelty.max())
-        lines.append(f"  {'novelty':16s}{last:>16.3g}    at most {most:.3g} on the way, 1 is the edge of the training data")
+        lines.append(
+            f"  {'novelty':16s}{last:>16.3g}    at most {most:.3g} on the way (1: edge of the training data)"
+        )
     return "\n".join(lines)
 
 
 def warning(prediction: Prediction, starts: Starts, space: Space) -> str | None:
     """Return one line about states beyond the training data; None where there are none, or nobody knows."""
     if prediction.novelty is None:
-        return "novelty: not known, these weights do not say where their training data were. Train again to know"
+        return (
+            "novelty: not known, these weights do not say where their training data were. Train again to know"
+        )
     beyond = prediction.novelty > BEYOND
     if not bool(beyond.any()):
         return None

@@ -28,7 +28,7 @@ def columns(prediction: Prediction, starts: Starts, space: Space, *, utc: bool) 
         space: what the numbers mean.
         utc: whether epochs count leap seconds.
     """
-    count, samples, _ = prediction.states.shape
+    samples = prediction.states.shape[1]
     times = (starts.times.unsqueeze(1) + prediction.times).flatten()
     found: dict[str, Any] = {"id": np.repeat(np.asarray(starts.names), samples)}
     found[f"t [{space.units.time}]"] = times.numpy()

@@ -84,9 +84,7 @@ def transitions(jacobians: Tensor) -> Tensor:
     return torch.stack(products, dim=1)
 
 
-def sensitivities(
-    jacobians: Tensor, forcing: Tensor, steps: Steps, first: Tensor | None = None
-) -> Tensor:
+def sensitivities(jacobians: Tensor, forcing: Tensor, steps: Steps, first: Tensor | None = None) -> Tensor:
     """Return dx_k/dtheta at the times of measurements, shape (B, K + 1, D, P).
 
     The variational equation dS/dt = f_x S + f_theta, its transition exact and its integral by the trapezoidal

@@ -1,4 +1,4 @@
-"""How well learned dynamics are known: covariance of their parameters, bands, distance from the training data."""
+"""How well learned dynamics are known: covariance of parameters, bands, distance from the training data."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from ahnn.dynamics import Dynamics
 from ahnn.errors import UserError
 
 KEPT = 500
-"""Training states that are kept."""
+"""Training states that are kept, at most half of them: the others say how far apart neighbours are."""
 FARTHEST = 0.01
 """Fraction of the training states that are farther than 1 from all of them."""
 
@@ -25,8 +25,8 @@ TOGETHER = 20_000
 """States that are compared at once."""
 BEYOND = 1.5
 """Novelty from which a state is flagged: unseen trajectories of the training's kind reach 1.3."""
-RATE = 300.0
-"""By which the error of a learned force grows with each unit of novelty; docs/predict.md has the measurements."""
+RATE = 500.0
+"""By which the error of a learned force grows with each unit of novelty, measured in docs/predict.md."""
 
 
 class Domain(NamedTuple):
@@ -42,7 +42,10 @@ class Domain(NamedTuple):
 
     def about(self) -> dict[str, Any]:
         """Return plain values, as `domain_of` reads them; nine digits are more than a distance needs."""
-        return {"unit": self.unit, "states": [[float(f"{v:.9g}") for v in row] for row in self.states.tolist()]}
+        return {
+            "unit": self.unit,
+            "states": [[float(f"{v:.9g}") for v in row] for row in self.states.tolist()],
+        }
 
     @torch.no_grad()
     def novelty(self, dynamics: Dynamics, x: Tensor) -> Tensor:
@@ -69,12 +72,12 @@ def find_domain(dynamics: Dynamics, states: Tensor) -> Domain:
     """
     inputs = dynamics.seen(states)
     chosen, nearest = [0], torch.full(inputs.shape[:1], torch.inf, dtype=inputs.dtype)
-    for _ in range(min(KEPT, len(states)) - 1):
+    for _ in range(min(KEPT, len(states) // 2) - 1):
         nearest = torch.minimum(nearest, (inputs - inputs[chosen[-1]]).norm(dim=-1))
         chosen.append(int(nearest.argmax()))
     nearest = torch.minimum(nearest, (inputs - inputs[chosen[-1]]).norm(dim=-1))
     unit = float(nearest.quantile(1 - FARTHEST))
-    return Domain(states[chosen], unit if unit > 0 else 1.0)  # no more states than are kept
+    return Domain(states[chosen], unit if unit > 0 else 1.0)  # they do not vary
 
 
 def domain_of(about: dict[str, Any], size: int) -> Domain | None:
@@ -96,7 +99,7 @@ def domain_of(about: dict[str, Any], size: int) -> Domain | None:
         states, unit, cause = torch.empty(0), 0.0, error
     else:
         cause = None
-    if states.ndim != 2 or states.shape[1] != size or not (0 < unit and bool(states.isfinite().all())):
+    if states.ndim != 2 or states.shape[1] != size or not (unit > 0 and bool(states.isfinite().all())):
         message = f"domain: expected training states of {size} components beside the weights; received others"
         raise UserError(message) from cause
     return Domain(states, unit)

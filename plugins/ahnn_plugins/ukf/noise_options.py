@@ -94,11 +94,11 @@ def with_process_noise(
 
 
 def grown(case: Case, rate: float | None) -> Callable[[Tensor], Tensor] | None:
-    """Return the factor on the error of a force at a state; raises UserError where nobody knows the novelty."""
+    """Return the factor on the error of a force at a state; raises UserError where novelty is not known."""
     if rate is None:
         return None
     novelty = case.novelty
     if novelty is None:
-        message = "novelty: expected weights that say where their training data were; received others. Train again"
+        message = "novelty: expected weights that say where they were trained; received others"
         raise UserError(message)
     return lambda x: growth(novelty(x), rate)

@@ -59,8 +59,8 @@ class UKFEvaluation:
         process_noise: `fitted` to validation data; standard deviations [position, velocity] of the error
             of one step; or `force_error`, relative and with memory, `{size: ..., memory: ...}` where one of
             them is given.
-        novelty: rate by which the force error grows with each unit of novelty beyond 1, such as 300; None lets
-            it not. It needs `force_error`.
+        novelty: rate by which the force error grows with each unit of novelty beyond 1, such as 500; None
+            lets it not. It needs `force_error`.
         alpha, beta, kappa: parameters of the sigma points.
         form: how covariances are carried.
         gate: probability beyond which a measurement is refused as an outlier; None takes all.
@@ -98,7 +98,9 @@ class UKFEvaluation:
         self.process_noise: NoiseOption = noise_option(process_noise)
         self.novelty = novelty
         if novelty is not None and not isinstance(self.process_noise, ForceOptions):
-            message = f"novelty: expected process_noise=force_error, which it scales; received {process_noise}"
+            message = (
+                f"novelty: expected process_noise=force_error, which it scales; received {process_noise}"
+            )
             raise UserError(message)
         self.parameters = UnscentedParameters(alpha, beta, kappa)
         self.form = {"square_root": SQUARE_ROOT, "standard": STANDARD}[form]
