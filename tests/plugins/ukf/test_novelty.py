@@ -120,7 +120,7 @@ def test_what_cannot_grow_is_refused():
     options["measurement"] = "position"
     with pytest.raises(UserError, match=r"novelty: expected process_noise=force_error.*received fitted"):
         UKFEvaluation(**options | {"novelty": 500.0})
-    with pytest.raises(UserError, match=r"novelty: expected float or None"):
+    with pytest.raises(UserError, match=r"novelty: expected float >= 0 or None"):
         UKFEvaluation(**options | {"novelty": "much"})
 
     class Unknown:
