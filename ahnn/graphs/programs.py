@@ -45,7 +45,7 @@ def as_onnx(found: ExportedProgram) -> bytes:
     from onnx import TensorProto, numpy_helper
 
     with quiet():
-        names = {"input_names": [INPUT], "output_names": [OUTPUT]}
+        names: Any = {"input_names": [INPUT], "output_names": [OUTPUT]}
         made: Any = torch.onnx.export(found, dynamo=True, verbose=False, **names)
     model = made.model_proto
     exact = {float(np.float32(factor)): factor for factor in factors(found)}

@@ -89,28 +89,41 @@ def predicted(
     require_times(times)
     require_finite(start)
     (count, size), samples = start.shape, len(times)
-    require_memory("duration and step", "predicted states", 8.0 * count * samples * size * (size + 3))
+    numbers = count * samples * size * (size + 3) + float(times[-1] - times[0]) / longest
+    require_memory("times", "predicted states", 8.0 * numbers)
     steps = steps_between(times.unsqueeze(0), longest)
     wanted = torch.zeros(int(steps.ends[-1]) + 1, dtype=torch.bool)
     wanted[steps.ends] = True
     columns = 1 if known.spread is None else known.spread.shape[1]
     stretch = max(1, min(int(CELLS // (count * size * columns)), TOGETHER // count))
-    parts = steps.lengths[0].split(stretch)
-    path, first = _Path(dynamics, known), 0
+    parts = list(zip(steps.lengths[0].split(stretch), wanted[1:].split(stretch), strict=True))
+    path = _Path(dynamics, known)
     rows = [path.begin(start)]
-    for lengths in track(parts, description, len(parts)) if description else parts:
-        found = path.follow(lengths)
-        chosen = wanted[first + 1 : first + len(lengths) + 1]
-        rows.append(tuple(None if part is None else part[:, chosen] for part in found))
-        first += len(lengths)
-    columns_of = (list(column) for column in zip(*rows, strict=True))
-    states, covariances, novelty = (None if c[0] is None else torch.cat(c, dim=1) for c in columns_of)
-    assert states is not None
-    return Prediction(times, states, covariances, novelty)
+    for lengths, chosen in track(parts, description, len(parts)) if description else parts:
+        rows.append(path.follow(lengths).at(chosen))
+    return Prediction(times, *_Rows.joined(rows))
 
 
-Rows = tuple[Tensor, Tensor | None, Tensor | None]
-"""States (B, N, D), covariances (B, N, D, D) and novelty (B, N)."""
+class _Rows(NamedTuple):
+    """States (B, N, D), covariances (B, N, D, D) and novelty (B, N)."""
+
+    states: Tensor
+    covariances: Tensor | None
+    novelty: Tensor | None
+
+    def at(self, chosen: Tensor) -> _Rows:
+        """Return some of the samples."""
+        states, *others = (None if part is None else part[:, chosen] for part in self)
+        assert states is not None
+        return _Rows(states, *others)
+
+    @classmethod
+    def joined(cls, rows: Sequence[_Rows]) -> _Rows:
+        """Return stretches one behind the other."""
+        columns = zip(*rows, strict=True)
+        states, *others = (None if column[0] is None else torch.cat(column, dim=1) for column in columns)
+        assert states is not None
+        return cls(states, *others)
 
 
 class _Path:
@@ -122,21 +135,21 @@ class _Path:
             self.theta = parameters_to_vector(dynamics.parameters()).detach()
             self.rough, self.forcing = copy.deepcopy(dynamics).float(), field_jacobian(dynamics)  # pyright: ignore[reportArgumentType]
 
-    def begin(self, start: Tensor) -> Rows:
+    def begin(self, start: Tensor) -> _Rows:
         """Take the starts (B, D), known exactly, and return them as rows."""
         self.x, self.moved = start, None
         size, states = start.shape[1], start.unsqueeze(1)
         nothing = None if self.known.spread is None else start.new_zeros(len(start), 1, size, size)
-        return states, nothing, self._novelty(states)
+        return _Rows(states, nothing, self._novelty(states))
 
-    def follow(self, lengths: Tensor) -> Rows:
+    def follow(self, lengths: Tensor) -> _Rows:
         """Take steps of lengths (N,) and return the rows behind each of them."""
         states = torch.stack([self.x, *self._steps(lengths)], dim=1)
         novelty = self._novelty(states)
         self.x = states[:, -1]
         later = None if novelty is None else novelty[:, 1:]
         if self.known.spread is None:
-            return states[:, 1:], None, later
+            return _Rows(states[:, 1:], None, later)
         dt = lengths.expand(len(states), -1)
         jacobians = step_jacobians(self.rough.increment, states[:, :-1].float(), dt.float())
         forcing = self.forcing(self.theta, states) @ self.known.spread.float()
@@ -145,7 +158,7 @@ class _Path:
         steps = Steps(dt, torch.arange(len(lengths) + 1))
         moved = sensitivities(jacobians, forcing, steps, self.moved)
         self.moved = moved[:, -1]
-        return states[:, 1:], (moved @ moved.mT).double()[:, 1:], later
+        return _Rows(states[:, 1:], (moved @ moved.mT).double()[:, 1:], later)
 
     def _steps(self, lengths: Tensor) -> Iterator[Tensor]:
         x = self.x
