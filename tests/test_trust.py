@@ -154,6 +154,8 @@ def test_no_file_of_a_run_is_unpickled(run, tmp_path, file, how):
     if file.startswith(("checkpoints", "weights")):
         with pytest.raises(UserError):
             ahnn.load(run)
+        assert call("ahnn.predict", f"run={run}", "start=[0.1,0]", "duration=1") == 2
+        assert call("ahnn.export", f"run={run}", f"output={tmp_path / 'out'}") == 2
     assert not trace.exists()
 
 

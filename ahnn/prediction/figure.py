@@ -33,7 +33,7 @@ def prediction_figure(prediction: Prediction, space: Space, title: str) -> Figur
         panels[2].axhline(1.0, color=style.VERMILLION, ls="--", lw=1, label="edge of the training data")
         panels[2].set_ylabel("novelty")
         panels[2].set_ylim(bottom=0)
-        panels[2].legend(loc="upper right", frameon=False)
+        panels[2].legend(loc="lower right", frameon=False)
     style.label_time(panels[-1], style.Axis(time, space.units.time))
     panels[0].set_title(title if prediction.deviations is None else f"{title}, with {SIGMAS} sigma")
     return figure

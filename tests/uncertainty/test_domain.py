@@ -21,9 +21,9 @@ KINDS = ("mlp", "node", "generic", "separable", "mechanical", "central_body")
 
 
 def ring(count: int, seed: int) -> torch.Tensor:
-    """States of springs of amplitude 1 to 1.2: a ring, with nothing in its middle."""
+    """States of springs of amplitude 0.6 to 1.2: a ring, with nothing in its middle."""
     draw = torch.rand(2, count, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
-    angle, radius = 6.283 * draw[0], 1.0 + 0.2 * draw[1]
+    angle, radius = 6.283 * draw[0], 0.6 + 0.6 * draw[1]
     return torch.stack((radius * angle.cos(), radius * angle.sin()), dim=-1)
 
 
@@ -47,13 +47,13 @@ def test_one_training_state_in_a_hundred_is_beyond_one_and_so_are_unseen_ones():
     assert float(domain.novelty(Bare(), domain.states).max()) == 0.0
 
 
-@given(st.floats(0.0, 0.8), st.floats(1.5, 50.0), st.floats(0.0, 6.28))
+@given(st.floats(0.0, 0.4), st.floats(1.5, 50.0), st.floats(0.0, 6.28))
 def test_the_middle_of_a_ring_is_as_novel_as_its_outside(inner, outer, angle):
     """What the mean and covariance of the data would call typical; the distance is that from the ring."""
     domain = RING
     direction = torch.tensor([[angle]], dtype=torch.float64)
     unit = torch.cat((direction.cos(), direction.sin()), dim=-1)
-    for radius, distance in ((inner, 1.0 - inner), (outer, outer - 1.2)):
+    for radius, distance in ((inner, 0.6 - inner), (outer, outer - 1.2)):
         found = float(domain.novelty(Bare(), radius * unit)[0]) * domain.unit
         assert distance - 0.02 <= found <= distance + 0.05
         assert found > domain.unit
@@ -103,6 +103,14 @@ def test_of_few_states_half_are_kept(count):
     domain = find_domain(Bare(), ring(count, 0))
     assert len({tuple(row) for row in domain.states.tolist()}) == max(1, min(500, count // 2))
     assert domain.unit > 0
+
+
+def test_dense_data_make_no_neighbour_novel():
+    line = torch.linspace(-1, 1, 20_000, dtype=torch.float64).unsqueeze(-1).expand(-1, 2)
+    domain = find_domain(Bare(), line)
+    assert domain.unit == pytest.approx(0.04)
+    assert float(domain.novelty(Bare(), 1.02 * line[-1:])[0]) < 1
+    assert float(domain.novelty(Bare(), 1.1 * line[-1:])[0]) > 2
 
 
 def test_growth_is_one_within_and_linear_beyond():
