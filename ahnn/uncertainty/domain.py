@@ -2,8 +2,9 @@
 
 A network says nothing of states that its training never showed it, and does not know. So some of the training
 states are kept, spread evenly over what the networks see of them, and a state is as novel as its nearest one
-is far away. The unit is the distance that one training state in a hundred exceeds, or a little more where data are dense: up to 1 is known ground.
-What is known exactly, such as p^2 / 2m, has no inputs and makes no state novel.
+is far away. The unit is the distance that one training state in a hundred exceeds, or a little more where
+data are dense: up to 1 is known ground. What is known exactly, such as p^2 / 2m, has no inputs and makes no
+state novel.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ FARTHEST = 0.01
 TOGETHER = 20_000
 """States that are compared at once."""
 FINEST = 0.04
-"""Least unit, as a fraction of half the range of the inputs: where data are dense, a smooth network still knows
-what lies a little beside them."""
+"""Least unit, as a fraction of half the range of the inputs: where data are dense, a smooth network still
+knows what lies a little beside them."""
 BEYOND = 1.5
 """Novelty from which a state is flagged: unseen trajectories of the training's kind reach 1.3."""
 RATE = 500.0
