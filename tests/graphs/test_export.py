@@ -108,7 +108,8 @@ def test_a_folder_has_all_that_runs_the_model_elsewhere(tmp_path, capsys):
     assert call("ahnn.export", f"pretrained={name}", f"output={folder}") == 0
     listed = {"energy.onnx", "energy.pt2", "flow.onnx", "flow.pt2", "model.json", "weights.safetensors"}
     assert {path.name for path in folder.iterdir()} == listed
-    assert all(word in capsys.readouterr().out for word in listed)
+    said = capsys.readouterr().out
+    assert all(word in said for word in listed)
     run, about = ahnn.load(name), json.loads((folder / "model.json").read_text())
     assert about["space"] == about_space(run.space)
     assert about["dt"] == run.dt
@@ -132,8 +133,8 @@ def test_a_folder_has_all_that_runs_the_model_elsewhere(tmp_path, capsys):
     assert done.returncode == 0, done.stderr
     start = [0.0, -3145.0, -6173.0, 10.0, 0.0, 0.0]
     end = run.rollout(start, steps=60)[0, -1]
-    said = [float(number) for number in re.findall(r"': ([^,}]+)", done.stdout)]
-    np.testing.assert_allclose(said, end.numpy(), rtol=1e-10)
+    numbers = [float(number) for number in re.findall(r"': ([^,}]+)", done.stdout)]
+    np.testing.assert_allclose(numbers, end.numpy(), rtol=1e-10)
 
 
 def test_an_implicit_integrator_is_refused_before_anything_is_written(tmp_path, cache):
@@ -163,7 +164,7 @@ def test_what_fails_in_the_middle_leaves_nothing(tmp_path, cache, monkeypatch):
         (["pretrained=molniya_mechanical"], "expected key 'output'"),
         (["pretrained=molniya_mechanical", "ouput=x"], "did you mean 'output'?"),
         (["pretrained=molniya_mechanical", "output=."], "output: expected a new folder"),
-        (["run=[a,b]", "output=x"], "run: expected None or str"),
+        (["run=[a,b]", "output=x"], "run: expected str or None"),
         (["run=nowhere", "output=x"], "expected a run folder"),
     ],
 )
