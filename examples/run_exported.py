@@ -9,7 +9,9 @@ import onnxruntime
 
 folder = Path(sys.argv[1])
 about = json.loads((folder / "model.json").read_text())
-flow = onnxruntime.InferenceSession(folder / "flow.onnx", providers=["CPUExecutionProvider"])
+options = onnxruntime.SessionOptions()  # further optimisations would round some factors to single precision
+options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_BASIC
+flow = onnxruntime.InferenceSession(folder / "flow.onnx", options, providers=["CPUExecutionProvider"])
 states = np.array([[0.0, -3145.0, -6173.0, 10.0, 0.0, 0.0]])  # in the units of about["space"]
 for _ in range(60):
     (states,) = flow.run(None, {"states": states})
