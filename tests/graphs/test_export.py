@@ -36,7 +36,7 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "run_exported.py"
 
 
 def session(model, level="ORT_ENABLE_BASIC"):
-    """Beyond the basic ones, optimisations of the runtime fuse factors into operations in single precision."""
+    """Beyond the basic ones, optimisations of the runtime round some factors to single precision."""
     options = ort.SessionOptions()
     options.graph_optimization_level = getattr(ort.GraphOptimizationLevel, level)
     return ort.InferenceSession(model, options, providers=["CPUExecutionProvider"])
