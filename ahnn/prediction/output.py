@@ -55,11 +55,10 @@ def require_figure(path: Path) -> None:
 
 def draw(path: Path, prediction: Prediction, space: Space, title: str) -> None:
     """Draw a prediction."""
-    from ahnn.evaluation.sinks.figures import FORMATS, drawn
+    from ahnn.evaluation.sinks.figures import drawn
     from ahnn.prediction.figure import prediction_figure
 
-    suffix = path.suffix.lower()
-    write_atomically(path, drawn(prediction_figure(prediction, space, title), suffix, FORMATS[suffix]))
+    write_atomically(path, drawn(prediction_figure(prediction, space, title), path.suffix.lower()))
 
 
 def clock_of(frame: str) -> str:
