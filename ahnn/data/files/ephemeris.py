@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ahnn.data.files import epochs
 from ahnn.data.files.content import Content
-from ahnn.data.files.samples import Array, Track, require_order
-from ahnn.data.files.table import Place, number
+from ahnn.data.files.samples import Array, Track, ordered
+from ahnn.data.files.table import Note, Place, number, refuse
 from ahnn.types import Units
 
 COMPONENTS = ("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")
@@ -132,11 +132,16 @@ def values(cells: list[str], names: tuple[str, ...], place: Place) -> list[float
     return found
 
 
-def content(blocks: list[Block], *, weighed: bool) -> Content:
+def content(blocks: list[Block], *, weighed: bool, note: Note = refuse) -> Content:
     """Return segments as trajectories, their times from the first epoch.
 
+    Args:
+        blocks: the segments.
+        weighed: whether a mass is stated.
+        note: of each time that does not increase.
+
     Raises:
-        UserError: segments that differ in centre, frame or time system, or times that do not increase.
+        UserError: segments that differ in centre, frame or time system, or what `note` raises.
     """
     found = [ephemeris(block) for block in blocks]
     for name in ("frame", "center", "time_system"):
@@ -155,8 +160,13 @@ def content(blocks: list[Block], *, weighed: bool) -> Content:
         )
         for block, one in zip(blocks, found, strict=True)
     ]
-    for track in tracks:
-        require_order(track, "EPOCH")
-    units = Units("s", "km", "km/s", f"{'kg ' if weighed else ''}km²/s²")
+    tracks = [ordered(track, "EPOCH", note) for track in tracks]
     frame = f"{found[0].frame}, {found[0].center}, {found[0].time_system}"
-    return Content(("x", "y", "z"), ("vx", "vy", "vz"), False, units, frame, tuple(tracks), epoch)
+    return of_orbits(tracks, frame, epoch, weighed=weighed)
+
+
+def of_orbits(tracks: list[Track], frame: str, epoch: int, *, weighed: bool) -> Content:
+    """Return orbits in km and km/s, their times in seconds from an epoch of the clock that ends `frame`."""
+    units = Units("s", "km", "km/s", f"{'kg ' if weighed else ''}km²/s²")
+    names, rates, clock = ("x", "y", "z"), ("vx", "vy", "vz"), frame.rpartition(" ")[2].upper()
+    return Content(names, rates, False, units, frame, tuple(tracks), epoch, clock)

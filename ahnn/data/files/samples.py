@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ahnn.data.files.table import Place
+from ahnn.data.files.table import Fault, Note, Place, refuse
 from ahnn.types import Trajectories
 
 Array = NDArray[np.float64]
@@ -37,7 +37,7 @@ class Track(NamedTuple):
     times: Array
     values: Array
 
-    def part(self, chosen: NDArray[np.int64] | slice) -> Track:
+    def part(self, chosen: NDArray[Any] | slice) -> Track:
         """Return some of the samples."""
         return self._replace(rows=self.rows[chosen], times=self.times[chosen], values=self.values[chosen])
 
@@ -50,26 +50,35 @@ def by_id(ids: Sequence[str], track: Track) -> list[Track]:
     return [part._replace(name=ids[int(first[k])]) for part, k in zip(tracks, order, strict=True)]
 
 
-def require_order(track: Track, column: str) -> None:
-    """Refuse times that are missing or do not increase.
+def ordered(track: Track, column: str, note: Note = refuse) -> Track:
+    """Return a track whose times increase.
+
+    Args:
+        track: as it was read.
+        column: of the times.
+        note: of each time that is missing, occurs twice or goes back; such samples are then left out.
 
     Raises:
-        UserError: names the row.
+        UserError: what `note` raises.
     """
     place, whose = Place(track.file, 0, column), f" of {track.name}" if track.name else ""
-    if len(missing := np.flatnonzero(np.isnan(track.times))):
-        place._replace(row=int(track.rows[missing[0]])).refuse("a time", "none", "Leave the row out")
-    if len(wrong := np.flatnonzero(np.diff(track.times) <= 0)):
-        k = int(wrong[0])
-        before, here = track.times[k], track.times[k + 1]
-        row = place._replace(row=int(track.rows[k + 1]))
+    for row in track.rows[np.isnan(track.times)]:
+        note(Fault(place._replace(row=int(row)), "a time", "none", "Leave the row out"))
+    track = track.part(np.flatnonzero(np.isfinite(track.times)))
+    late = np.maximum.accumulate(track.times)
+    good = np.concatenate(([True], track.times[1:] > late[:-1])) if len(late) else np.zeros(0, dtype=bool)
+    last = np.maximum.accumulate(np.where(good, np.arange(len(late)), 0))
+    for k in np.flatnonzero(~good):
+        before, here, known = late[k - 1], track.times[k], track.rows[last[k]]
+        row = place._replace(row=int(track.rows[k]))
         if before == here:
-            row.refuse(
-                f"each time{whose} once",
-                f"{here} again, as in row {track.rows[k]}",
-                "Name trajectories in a column id",
+            remedy = "Name trajectories in a column id"
+            note(Fault(row, f"each time{whose} once", f"{here} again, as in row {known}", remedy))
+        else:
+            note(
+                Fault(row, f"a time{whose} after {before} of row {known}", f"{here}", "Sort the rows by time")
             )
-        row.refuse(f"a time{whose} after {before} of row {track.rows[k]}", f"{here}", "Sort the rows by time")
+    return track.part(good)
 
 
 def filled(track: Track, gap: float) -> Track:

@@ -5,26 +5,21 @@ from __future__ import annotations
 import hashlib
 import logging
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from ahnn.arguments import Positive, Within, checked
-from ahnn.data.files import ephemeris, epochs, messages, sidecar
-from ahnn.data.files.content import Content
-from ahnn.data.files.raw import content_of, decoded
+from ahnn.data.files.content import Content, since_first
+from ahnn.data.files.frames import ROTATING
+from ahnn.data.files.reading import Reading, bytes_of, parsed
 from ahnn.data.files.samples import Track, cut, filled, stacked, trimmed
 from ahnn.data.files.table import Place
-from ahnn.data.files.tabular import from_csv
 from ahnn.errors import UserError
 from ahnn.systems import System
 from ahnn.types import Space, Trajectories
 
 log = logging.getLogger(__name__)
-
-TABLES = (".csv", ".tsv", ".txt")
-ROTATING = ("ITRF", "ECEF", "EFG", "GTOD", "GRC", "TDR", "WGS")
-"""How the names of frames begin that turn with the Earth."""
 
 
 @checked
@@ -40,6 +35,9 @@ class Files:
             unit mass.
         cut: samples of the stretches that trajectories are cut into; None leaves them whole.
         gap: a step so many times longer than the median is a gap, where samples lie on no grid.
+        frame: into which data of a known frame and epoch are turned; None leaves them as they are.
+        step, duration: in seconds, of what SGP4 propagates from element sets.
+        unsound: train also on data that `check` finds unfit.
 
     Raises:
         UserError: a file that cannot be read, names row and column; or files that do not fit each other.
@@ -54,12 +52,24 @@ class Files:
         mass: Positive | None = None,
         cut: Annotated[int, Within(2)] | None = None,
         gap: Annotated[float, Within(1.5)] = 10.0,
+        frame: Literal["GCRF", "EME2000"] | None = None,
+        step: Positive | None = None,
+        duration: Positive | None = None,
+        unsound: bool = False,
     ) -> None:
         self.paths = [Path(p).expanduser() for p in ([path] if isinstance(path, str) else path)]
-        self.mass, self.cut, self.gap = mass, cut, gap
+        self.mass, self.cut, self.gap, self.unsound = mass, cut, gap, unsound
+        self.reading = Reading(mass is not None, frame, step, duration)
         require_different(self.paths)
         digest = hashlib.sha256()
-        contents = since_first([self._content(path, digest) for path in self.paths])
+        contents = []
+        for path in self.paths:
+            raw, aside = bytes_of(path)
+            digest.update(
+                hashlib.sha256(raw).digest() + (hashlib.sha256(aside).digest() if aside is not None else b"")
+            )
+            contents.append(parsed(path, raw, aside, self.reading))
+        contents = since_first(contents)
         first = together(self.paths, contents)
         self.positions_only = not first.rates
         if first.momenta and mass is None:
@@ -78,7 +88,8 @@ class Files:
     def recipe(self) -> dict[str, Any]:
         """Return the hash of the files, and how they are read."""
         options = {"mass": self.mass, "cut": self.cut, "gap": self.gap}
-        return {"files": self._sha256, **options}
+        asked = {name: getattr(self.reading, name) for name in ("frame", "step", "duration")}
+        return {"files": self._sha256, **options, **{k: v for k, v in asked.items() if v is not None}}
 
     def steps(self) -> int:
         """Return the steps of the shortest trajectory."""
@@ -87,21 +98,6 @@ class Files:
     def read(self) -> Trajectories:
         """Return the trajectories; the momenta are NaN where the files have positions alone."""
         return self.trajectories
-
-    def _content(self, path: Path, digest: Any) -> Content:
-        """Return what is in a file, and add it and its sidecar to a hash."""
-        raw, aside, weighed = content_of(path), sidecar.beside(path), self.mass is not None
-        digest.update(hashlib.sha256(raw).digest())
-        text, said = decoded(raw, path), sidecar.Sidecar()
-        if path.suffix.lower() in messages.SUFFIXES:
-            return ephemeris.content(messages.blocks_of(text, str(path)), weighed=weighed)
-        if aside.is_file():
-            beside = content_of(aside)
-            digest.update(hashlib.sha256(beside).digest())
-            said = sidecar.parse(decoded(beside, aside), str(aside))
-        if path.suffix.lower() in TABLES:
-            return from_csv(text, str(path), said, weighed=weighed)
-        Place(str(path)).refuse(f"a file {', '.join((*TABLES, *messages.SUFFIXES))}", f"{path.suffix!r}")
 
     def _trajectories(self, contents: list[Content]) -> Trajectories:
         """Return all tracks as states, momenta from velocities and the mass."""
@@ -141,22 +137,6 @@ def together(paths: list[Path], contents: list[Content]) -> Content:
             if (received := getattr(content, name)) != first:
                 Place(str(path)).refuse(f"{name} {spelled(first)}, as in {paths[0]}", spelled(received))
     return contents[0]
-
-
-def since_first(contents: list[Content]) -> list[Content]:
-    """Return contents whose times count from the first of their epochs, which is added to their frame."""
-    known = [content.epoch for content in contents if content.epoch is not None]
-    return [counted(content, min(known)) if known else content for content in contents]
-
-
-def counted(content: Content, first: int) -> Content:
-    """Return content whose times count from an epoch, where they do not count from nothing."""
-    if content.epoch is None:
-        return content
-    shift = (content.epoch - first) / epochs.SECOND
-    tracks = tuple(track._replace(times=track.times + shift) for track in content.tracks)
-    epoch = epochs.spelled(first, utc=content.frame.upper().endswith("UTC"))
-    return content._replace(tracks=tracks, epoch=first, frame=f"{content.frame}, from {epoch}")
 
 
 def spelled(value: Any) -> str:

@@ -6,8 +6,11 @@ import csv
 import io
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ahnn.errors import UserError
 
@@ -29,11 +32,34 @@ class Place(NamedTuple):
     column: str = ""
 
     def refuse(self, expected: str, received: str, remedy: str = "") -> NoReturn:
-        """Say what is wrong here; raises UserError."""
-        row = f", row {self.row}" if self.row else ""
-        column = f", column {self.column}" if self.column else ""
-        message = f"{self.file}{row}{column}: expected {expected}; received {received}"
-        raise UserError(f"{message}. {remedy}" if remedy else message) from None
+        """Say what is wrong here; raises Fault."""
+        raise Fault(self, expected, received, remedy) from None
+
+
+class Fault(UserError):
+    """What is wrong at a place of a file.
+
+    Attributes:
+        place: where.
+        expected, received: what should be there, and what is.
+        remedy: what to do, "" where that is plain.
+    """
+
+    def __init__(self, place: Place, expected: str, received: str, remedy: str = "") -> None:
+        row = f", row {place.row}" if place.row else ""
+        column = f", column {place.column}" if place.column else ""
+        message = f"{place.file}{row}{column}: expected {expected}; received {received}"
+        super().__init__(f"{message}. {remedy}" if remedy else message)
+        self.place, self.expected, self.received, self.remedy = place, expected, received, remedy
+
+
+Note = Callable[[Fault], None]
+"""What a reader does with a fault that it could pass over: a training refuses, a doctor writes it down."""
+
+
+def refuse(fault: Fault) -> None:
+    """Raise a fault."""
+    raise fault from None
 
 
 class Header(NamedTuple):
@@ -43,25 +69,32 @@ class Header(NamedTuple):
     units: tuple[str | None, ...]
 
 
-class Lines(NamedTuple):
-    """A text of separated values.
+class Sheet(NamedTuple):
+    """A file of columns.
 
     Attributes:
-        header: names and units of its columns.
+        header: names and units of the columns.
         place: of the header.
-        rows: numbers of the lines, from 1, each with its cells.
+        rows: (T,) numbers of the lines, or of the records, from 1.
+        columns: the T cells of each, texts or numbers.
     """
 
     header: Header
     place: Place
-    rows: list[tuple[int, list[str]]]
+    rows: NDArray[np.int64]
+    columns: list[Sequence[str] | NDArray[np.float64]]
 
 
-def read_csv(text: str, file: str) -> Lines:
+def read_csv(text: str, file: str, note: Note = refuse) -> Sheet:
     """Return the cells of comma, semicolon or tab separated values; lines that begin with # are left out.
 
+    Args:
+        text: of the file.
+        file: its name, for messages.
+        note: of a row of another length, which is then left out.
+
     Raises:
-        UserError: no header, a name that occurs twice, or a row of another length.
+        UserError: no header, a name that occurs twice, or what `note` raises.
     """
     lines = [
         (row, line)
@@ -74,11 +107,15 @@ def read_csv(text: str, file: str) -> Lines:
     delimiter = max(",;\t", key=first.count)
     place = Place(file, lines[0][0])
     header = header_of(next(csv.reader([first], delimiter=delimiter)), place)
-    rows = [(row, cells) for (row, _), cells in zip(lines[1:], cells_of(lines[1:], delimiter), strict=True)]
-    for row, cells in rows:
-        if len(cells) != len(header.names):
-            Place(file, row).refuse(f"{len(header.names)} cells, as in the header", f"{len(cells)}")
-    return Lines(header, place, rows)
+    width, rows, whole = len(header.names), [], []
+    for (row, _), cells in zip(lines[1:], cells_of(lines[1:], delimiter), strict=True):
+        if len(cells) == width:
+            rows.append(row)
+            whole.append(cells)
+        else:
+            note(Fault(Place(file, row), f"{width} cells, as in the header", f"{len(cells)}"))
+    columns = list(zip(*whole, strict=True)) if whole else [()] * width
+    return Sheet(header, place, np.array(rows, dtype=np.int64), columns)
 
 
 def cells_of(lines: Sequence[tuple[int, str]], delimiter: str) -> Iterator[list[str]]:

@@ -107,7 +107,7 @@ def test_a_file_that_is_none(tmp_path):
     with pytest.raises(UserError, match=r"expected different files; received .*good.csv twice"):
         Files("mine", [str(good), f"{tmp_path}/../{tmp_path.name}/good.csv"])
     assert "row 2: expected text in UTF-8" in message_of(tmp_path, b"t,x,vx\n0,\xff,1\n")
-    assert "expected a file .csv, .tsv, .txt, .oem, .xml; received '.xls'" in message_of(
+    assert "expected a file .csv, .tsv, .txt, .parquet, .tle, .oem, .xml; received '.xls'" in message_of(
         tmp_path, GOOD, name="a.xls"
     )
 

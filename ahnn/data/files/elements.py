@@ -1,0 +1,161 @@
+"""Two-line element sets, propagated by SGP4 to trajectories in TEME.
+
+Hoots and Roehrich, Spacetrack Report 3 (1980), as revised by Vallado et al., AIAA 2006-6753.
+"""
+
+from __future__ import annotations
+
+import re
+from datetime import date
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ahnn.data.files import epochs
+from ahnn.data.files.content import Content
+from ahnn.data.files.ephemeris import of_orbits
+from ahnn.data.files.libraries import library
+from ahnn.data.files.samples import Track
+from ahnn.data.files.table import Fault, Note, Place, refuse
+from ahnn.errors import UserError
+
+SUFFIX = ".tle"
+FRAME = "TEME, EARTH, UTC"
+FIRST, SECOND = re.compile(r"1 [ \dA-Z]{5}[A-Z ] "), re.compile(r"2 [ \dA-Z]{5} ")
+LENGTH = 69
+"""Signs of a line; what follows is no part of the set."""
+EPOCH = slice(18, 32)
+
+
+class Elements(NamedTuple):
+    """The two lines of a set, and where the first one stands."""
+
+    place: Place
+    lines: tuple[str, str]
+
+
+def are_elements(text: str, suffix: str) -> bool:
+    """Return whether a text holds element sets: by the ending of its file, or by its first lines."""
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")][:2]
+    return suffix == SUFFIX or any(FIRST.match(line) for line in lines)
+
+
+def content(
+    text: str,
+    file: str,
+    step: float | None,
+    duration: float | None,
+    *,
+    weighed: bool,
+    note: Note = refuse,
+) -> Content:
+    """Return a trajectory for each element set, from its epoch on.
+
+    Args:
+        text: sets of two lines, or of three with a name before them.
+        file: its name, for messages.
+        step: between samples, in seconds.
+        duration: of each trajectory, in seconds.
+        weighed: whether a mass is stated.
+        note: of a set that is damaged or cannot be propagated.
+
+    Raises:
+        UserError: no step or duration, no set, or what `note` raises.
+    """
+    if step is None or duration is None or duration < step:
+        message = (
+            "system.step, system.duration: expected seconds between samples and of a whole trajectory, that "
+            f"SGP4 propagates from the element sets of {file}; received {step} and {duration}"
+        )
+        raise UserError(message)
+    model = library("sgp4.api", "sgp4", "orbit", file)
+    times = step * np.arange(int(duration / step + 1e-9) + 1)
+    tracks, starts = [], []
+    for one in sets_of(text, file, note):
+        try:
+            tracks.append(propagated(model, one, times))
+            starts.append(epoch(one))
+        except Fault as fault:
+            note(fault)
+    if not tracks:
+        Place(file).refuse("an element set, lines that begin with 1 and 2", "none")
+    first = min(starts)
+    shifted = [
+        track._replace(times=track.times + (start - first) / epochs.SECOND)
+        for track, start in zip(tracks, starts, strict=True)
+    ]
+    return of_orbits(shifted, FRAME, first, weighed=weighed)
+
+
+def sets_of(text: str, file: str, note: Note) -> list[Elements]:
+    """Return the sets of a text; lines that begin otherwise are names and remarks."""
+    lines = [(row, line) for row, line in enumerate(text.splitlines(), 1) if line[:2] in ("1 ", "2 ")]
+    found: list[Elements] = []
+    pending: tuple[int, str] | None = None
+    damaged: set[int] = set()
+    for row, line in lines:
+        place = Place(file, row)
+        if FIRST.match(line) is None and SECOND.match(line) is None:
+            continue
+        if (fault := fault_of(line, place)) is not None:
+            note(fault)
+            damaged.add(row)
+        if line[0] == "1":
+            if pending is not None:
+                note(Fault(Place(file, pending[0]), "a line 2 behind it", "none"))
+            pending = row, line[:LENGTH]
+        elif pending is None or pending[1][2:7] != line[2:7]:
+            before = "none" if pending is None else repr(pending[1][2:7])
+            note(Fault(place, f"a line 1 of {line[2:7]!r} before it", before))
+            pending = None
+        else:
+            if not damaged & {pending[0], row}:
+                found.append(Elements(place._replace(row=pending[0]), (pending[1], line[:LENGTH])))
+            pending = None
+    if pending is not None:
+        note(Fault(Place(file, pending[0]), "a line 2 behind it", "none"))
+    return found
+
+
+def fault_of(line: str, place: Place) -> Fault | None:
+    """Return what is wrong with the length or the checksum of a line, or None."""
+    if len(line) < LENGTH:
+        return Fault(place, f"{LENGTH} signs", f"{len(line)}")
+    total = sum(int(sign) if sign.isdigit() else sign == "-" for sign in line[: LENGTH - 1]) % 10
+    if line[LENGTH - 1] != str(total):
+        return Fault(
+            place._replace(column="checksum"), f"{total}", repr(line[LENGTH - 1]), "The line is damaged"
+        )
+    return None
+
+
+def propagated(model: Any, one: Elements, times: NDArray[np.float64]) -> Track:
+    """Return the orbit of a set; raises Fault where its lines hold no numbers or SGP4 gives up."""
+    try:
+        satellite = model.Satrec.twoline2rv(*one.lines)
+    except ValueError as error:
+        one.place.refuse("an element set", " ".join(str(error).split()))
+    days = times / epochs.DAY
+    whole = np.full(len(times), satellite.jdsatepoch)
+    codes, positions, velocities = satellite.sgp4_array(whole, satellite.jdsatepochF + days)
+    if len(wrong := np.flatnonzero(codes)):
+        reason, k = model.SGP4_ERRORS[int(codes[wrong[0]])], wrong[0]
+        one.place.refuse(
+            "elements that SGP4 propagates", f"after {times[k]:g} s: {reason}", "Shorten system.duration"
+        )
+    rows = np.full(len(times), one.place.row, dtype=np.int64)
+    name = one.lines[0][2:7].strip()
+    return Track(name, one.place.file, rows, times, np.concatenate((positions, velocities), axis=1))
+
+
+def epoch(one: Elements) -> int:
+    """Return the epoch of a set (`epochs.instant`); years from 57 on are of the last century."""
+    text = one.lines[0][EPOCH]
+    try:
+        year, day, fraction = int(text[:2]), int(text[2:5]), int(text[6:].ljust(8, "0"))
+    except ValueError:
+        one.place._replace(column="epoch").refuse("year and day", repr(text))
+    year += 1900 if year >= 57 else 2000
+    days = date(year, 1, 1).toordinal() + day - 1 - epochs.FIRST
+    return (days * epochs.DAY + epochs.leaps(days)) * epochs.SECOND + fraction * epochs.DAY * 10**4

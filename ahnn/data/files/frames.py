@@ -1,0 +1,107 @@
+"""Positions and velocities near the Earth turned into an inertial frame, by the conventions of the IERS.
+
+TEME is turned into the terrestrial frame by the sidereal time of 1982, as SGP4 defines it (Vallado et al.,
+AIAA 2006-6753), and from there into GCRF by IAU 2006/2000A (IERS Conventions 2010). Polar motion and
+UT1 - UTC are left out: of the turn from TEME they are no part, and for ITRF docs/data.md says what they cost.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ahnn.data.files import epochs
+from ahnn.data.files.content import Content
+from ahnn.data.files.libraries import library
+from ahnn.data.files.samples import Array, Track
+from ahnn.data.files.table import Place
+from ahnn.data.files.units import LENGTH, unit
+
+INERTIAL = ("GCRF", "EME2000")
+NAMES = {"GCRF": "GCRF", "ICRF": "GCRF", "EME2000": "EME2000", "J2000": "EME2000", "TEME": "TEME"}
+ROTATING = ("ITRF", "ECEF", "EFG", "GTOD", "GRC", "TDR", "WGS")
+"""How the names of frames begin that turn with the Earth."""
+TURN = 7.292115146706979e-5
+"""Rate of the Earth's rotation angle in rad/s (IERS Conventions 2010, 5.15)."""
+TO_TT = {"TAI": 32.184, "GPS": 51.184, "TT": 0.0, "TDB": 0.0}
+"""Seconds from a clock to terrestrial time; UTC counts its leap seconds from the 32 of 2000."""
+JULIAN = 2451544.5
+"""Julian date of the first day of 2000."""
+
+
+def known(frame: str) -> str:
+    """Return the frame that a name such as `ITRF2014, EARTH, UTC` means; "" for one that is not known."""
+    name = frame.split(",")[0].strip().upper()
+    return "ITRF" if name.startswith("ITRF") else NAMES.get(name, "")
+
+
+def turned(content: Content, frame: str, file: str) -> Content:
+    """Return content in another frame.
+
+    Args:
+        content: three positions, with velocities or without.
+        frame: GCRF or EME2000.
+        file: its name, for messages.
+
+    Raises:
+        UserError: a frame that is not stated or not known, times without epoch, or no three lengths.
+    """
+    given, place = known(content.frame), Place(file)
+    if given == frame:
+        return content
+    if not given:
+        remedy = "The key frame of a sidecar says it"
+        expected = f"a frame that can be turned into {frame}: {', '.join((*NAMES, 'ITRF'))}"
+        place.refuse(expected, content.frame or "none", remedy)
+    if content.momenta or len(content.positions) != 3 or unit(content.units.position).dimension != LENGTH:
+        place.refuse(
+            "three lengths, with velocities or alone", ", ".join((*content.positions, *content.rates))
+        )
+    if content.epoch is None:
+        place._replace(column=content.time).refuse("epochs such as 2024-03-01T12:00:00", "numbers")
+    if content.clock not in ("UTC", *TO_TT):
+        place.refuse(f"epochs of {', '.join(('UTC', *TO_TT))}", content.clock)
+    rest = content.frame.partition(",")
+    tracks = tuple(of_track(track, content, given, frame) for track in content.tracks)
+    return content._replace(frame=f"{frame}{rest[1]}{rest[2]}", tracks=tracks)
+
+
+def of_track(track: Track, content: Content, given: str, frame: str) -> Track:
+    """Return a track in another frame."""
+    assert content.epoch is not None
+    second = unit(content.units.time).size
+    matrices = rotations(terrestrial(content.epoch, second * track.times, content.clock), given, frame)
+    positions, velocities = track.values[:, :3], track.values[:, 3:]
+    if given == "ITRF" and velocities.shape[1]:
+        velocities = velocities + np.cross([0.0, 0.0, TURN * second], positions)
+    parts = [np.einsum("tij,tj->ti", matrices, part) for part in (positions, velocities) if part.shape[1]]
+    return track._replace(values=np.concatenate(parts, axis=1))
+
+
+def terrestrial(epoch: int, times: Array, clock: str) -> Array:
+    """Return Julian dates of terrestrial time, (2, T) whose sum counts, of seconds after an epoch."""
+    offset = 32 + TO_TT["TAI"] if clock == "UTC" else TO_TT[clock]
+    seconds, fraction = divmod(epoch, epochs.SECOND)
+    days, of_day = divmod(seconds, epochs.DAY)
+    parts = (of_day + fraction / epochs.SECOND + offset + times) / epochs.DAY
+    return np.stack((np.full_like(parts, JULIAN + days), parts))
+
+
+def rotations(tt: Array, given: str, frame: str) -> NDArray[np.float64]:
+    """Return matrices, (T, 3, 3), from a frame into GCRF or EME2000 at Julian dates of TT, (2, T)."""
+    erfa = library("erfa", "pyerfa", "orbit", "system.frame")
+    matrices: Any = np.eye(3)
+    bias = erfa.bp00(*tt[:, 0])[0]  # from GCRF to the mean equator and equinox of J2000.0
+    if given == "EME2000":
+        matrices = bias.T
+    elif given != "GCRF":
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", erfa.ErfaWarning)  # of years whose leap seconds nobody knows yet
+            ut1 = erfa.taiutc(*erfa.tttai(*tt))
+        matrices = erfa.c2t06a(*tt, *ut1, 0.0, 0.0).transpose(0, 2, 1)
+        if given == "TEME":
+            matrices = matrices @ erfa.rz(erfa.gmst82(*ut1), np.eye(3))
+    return np.broadcast_to(bias @ matrices if frame == "EME2000" else matrices, (tt.shape[1], 3, 3))

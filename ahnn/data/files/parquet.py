@@ -1,0 +1,58 @@
+"""Parquet files as tables: the columns of a CSV, units in their names or in the metadata of the fields."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ahnn.data.files.libraries import library
+from ahnn.data.files.table import Place, Sheet, header_of
+
+SUFFIX = ".parquet"
+
+
+def read_parquet(raw: bytes, file: str) -> Sheet:
+    """Return the columns of a Parquet file; its rows are records, counted from 1.
+
+    Args:
+        raw: content of the file.
+        file: its name, for messages.
+
+    Raises:
+        UserError: no Parquet, a column of neither numbers, texts nor times, or units that are said twice.
+    """
+    arrow = library("pyarrow", "pyarrow", "parquet", file)
+    reader = library("pyarrow.parquet", "pyarrow", "parquet", file)
+    try:
+        table = reader.read_table(arrow.BufferReader(raw))
+    except (arrow.ArrowInvalid, OSError) as error:
+        Place(file).refuse("a Parquet file", " ".join(str(error).split()))
+    place = Place(file)
+    header = header_of(table.column_names, place)
+    units = []
+    for name, unit, field in zip(header.names, header.units, table.schema, strict=True):
+        said = (field.metadata or {}).get(b"unit")
+        text = unit if said is None else said.decode()
+        if unit not in (None, text):
+            place._replace(column=name).refuse(f"[{text}], as in its metadata", f"[{unit}]", "Say it once")
+        units.append(text)
+    columns = [cells(arrow, table.column(k), place._replace(column=n)) for k, n in enumerate(header.names)]
+    rows = np.arange(1, table.num_rows + 1, dtype=np.int64)
+    return Sheet(header._replace(units=tuple(units)), place, rows, columns)
+
+
+def cells(arrow: Any, column: Any, place: Place) -> Sequence[str] | NDArray[np.float64]:
+    """Return the cells of a column, NaN or "" where one is missing; raises UserError for another type."""
+    kind = column.type
+    if arrow.types.is_floating(kind):
+        return column.cast(arrow.float64()).to_numpy()
+    if arrow.types.is_integer(kind) or arrow.types.is_decimal(kind):
+        return [str(value) if value is not None else "" for value in column.to_pylist()]
+    if arrow.types.is_timestamp(kind):
+        return [(value or "").removesuffix("Z") for value in column.cast(arrow.string()).to_pylist()]
+    if arrow.types.is_string(kind) or arrow.types.is_large_string(kind) or arrow.types.is_dictionary(kind):
+        return [value or "" for value in column.cast(arrow.string()).to_pylist()]
+    place.refuse("numbers, texts or times", str(kind))

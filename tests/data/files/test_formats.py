@@ -1,0 +1,255 @@
+"""Parquet, epochs, element sets and frames: each against another library or a formula of its own."""
+
+from __future__ import annotations
+
+import datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from ahnn.data import Files
+from ahnn.data.files import Ephemeris, epochs, frames, instant, read_oem, write_oem
+from ahnn.errors import UserError
+
+VANGUARD = """VANGUARD 1
+1 00005U 58002B   00179.78495062  .00000023  00000-0  28098-4 0  4753
+2 00005  34.2682 348.7242 1859667 331.7664  19.3264 10.82419157413667
+"""
+"""The first set of the verification of SGP4 (AIAA 2006-6753)."""
+ORBIT = ["x [km]", "y [km]", "z [km]", "vx [km/s]", "vy [km/s]", "vz [km/s]"]
+
+
+def orbit(count=40, radius=7000.0, step=60.0):
+    """A circular orbit inclined by 50 degrees: times, and states in km and km/s."""
+    t, rate = step * np.arange(count), np.sqrt(398600.4418 / radius**3)
+    c, s, ci, si = np.cos(rate * t), np.sin(rate * t), np.cos(0.87), np.sin(0.87)
+    q = radius * np.stack((c, s * ci, s * si), axis=1)
+    return t, np.hstack((q, radius * rate * np.stack((-s, c * ci, c * si), axis=1)))
+
+
+def csv_of(header, rows):
+    return "\n".join([",".join(header), *(",".join(map(str, row)) for row in rows)]) + "\n"
+
+
+def parquet(path, columns, units=None):
+    pa, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    table = pa.table(columns)
+    for name, unit in (units or {}).items():
+        field = pa.field(name, table.schema.field(name).type, metadata={"unit": unit})
+        table = table.cast(table.schema.set(table.schema.get_field_index(name), field))
+    pq.write_table(table, path)
+    return str(path)
+
+
+def test_parquet_says_the_same_as_csv(tmp_path):
+    t, states = orbit()
+    states[7, 2] = np.nan
+    columns = {"id": ["a"] * 20 + ["b"] * 20, "t [s]": t}
+    columns |= {name: states[:, k] for k, name in enumerate(ORBIT)}
+    (tmp_path / "a.csv").write_text(csv_of(columns, zip(*columns.values(), strict=True)))
+    one, other = (
+        Files("mine", str(tmp_path / "a.csv")),
+        Files("mine", parquet(tmp_path / "a.parquet", columns)),
+    )
+    assert one.space == other.space
+    for a, b in zip(one.read(), other.read(), strict=True):
+        assert torch.equal(a.nan_to_num(-1), b.nan_to_num(-1))
+
+
+def test_parquet_has_units_in_its_fields_and_faults_with_their_place(tmp_path):
+    columns = {"id": [1, 1, 2, 2], "t": [0, 1, 0, 1], "x": [1.0, 2, 3, 4], "vx": [1.0, 2, 3, 4]}
+    path = parquet(tmp_path / "a.parquet", columns, {"t": "min", "x": "km", "vx": "m/s"})
+    files = Files("mine", path)
+    assert files.space.units.velocity == "km/s"
+    assert files.read().times[0].tolist() == [0.0, 60.0]
+    assert files.read().states[1, 1].tolist() == [4.0, 0.004]
+    for change, expected in {
+        "x": ([1.0, 2, np.inf, 4], "row 3, column x: expected a finite number; received inf"),
+        "t": ([0, 1, 0, 0], "row 4, column t: expected each time of 2 once"),
+        "vx": ([[1.0]] * 4, "column vx: expected numbers, texts or times; received list<"),
+    }.items():
+        with pytest.raises(UserError) as caught:
+            Files("mine", parquet(tmp_path / "b.parquet", columns | {change: expected[0]}))
+        assert expected[1] in str(caught.value)
+    (tmp_path / "c.parquet").write_bytes(b"PAR1 and nothing else")
+    with pytest.raises(UserError, match=r"c.parquet: expected a Parquet file; received"):
+        Files("mine", str(tmp_path / "c.parquet"))
+
+
+@pytest.mark.parametrize("clock", ["", " [UTC]", " [TAI]"])
+def test_epochs_are_times(tmp_path, clock):
+    texts = ["2016-12-31T23:59:30", "2016-12-31 23:59:45.5", "2017-001T00:00:30Z"]
+    rows = [(text, k, k) for k, text in enumerate(texts)]
+    (tmp_path / "a.csv").write_text(csv_of([f"t{clock}", "x [km]", "vx [km/s]"], rows))
+    files = Files("mine", str(tmp_path / "a.csv"))
+    leap = 0 if "TAI" in clock else 1
+    assert files.read().times.tolist() == [[0.0, 15.5, 60.0 + leap]]
+    assert files.space.frame == "from 2016-12-31T23:59:30.000"
+    assert files.space.units.time == "s"
+
+
+def test_epochs_of_parquet_and_of_several_files_in_minutes(tmp_path):
+    utc = datetime.timezone.utc  # noqa: UP017
+    for k in (0, 1):
+        at = [datetime.datetime(2024, 1, 1, 1 - k, minute, tzinfo=utc) for minute in (0, 30)]
+        columns = {"t": at, "x [m]": [1.0, 2.0], "vx [m/min]": [1.0, 1.0]}
+        path = parquet(tmp_path / f"{k}.parquet", columns)
+    files = Files("mine", [str(tmp_path / "0.parquet"), path])
+    assert files.space.units.time == "min"
+    assert files.read().times.tolist() == [[60.0, 90.0], [0.0, 30.0]]
+
+
+def test_an_epoch_that_is_none_is_named(tmp_path):
+    for bad in ("2024-02-30T00:00:00", "1.5", "tomorrow"):
+        (tmp_path / "a.csv").write_text(f"t [UTC],x [km]\n2024-02-01T00:00:00,1\n{bad},2\n")
+        with pytest.raises(UserError, match=r"a.csv, row 3, column t: expected (an epoch|a date)"):
+            Files("mine", str(tmp_path / "a.csv"))
+    (tmp_path / "a.csv").write_text("t [EST],x [km]\n2024-02-01T00:00:00,1\n")
+    with pytest.raises(UserError, match=r"column t: expected a clock of epochs, UTC, TAI"):
+        Files("mine", str(tmp_path / "a.csv"))
+
+
+def test_element_sets_are_propagated_to_the_published_states(tmp_path):
+    pytest.importorskip("sgp4")
+    (tmp_path / "a.tle").write_text(VANGUARD)
+    files = Files("orbit", str(tmp_path / "a.tle"), step=21600.0, duration=86400.0)
+    states, times = files.read()
+    assert times.tolist() == [[0.0, 21600.0, 43200.0, 64800.0, 86400.0]]
+    assert files.space.frame == "TEME, EARTH, UTC, from 2000-06-27T18:50:19.733568"
+    published = [7022.46529266, -1400.08296755, 0.03995155, 1.893841015, 6.405893759, 4.534807250]
+    assert states[0, 0].tolist() == pytest.approx(published, abs=2e-8)
+    published = [-7154.03120202, -3783.17682504, -3536.19412294, 4.741887409, -4.151817765, -2.093935425]
+    assert states[0, 1].tolist() == pytest.approx(published, abs=2e-8)  # after 360 minutes
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("4753", "4754", "row 2, column checksum: expected 3; received '4'. The line is damaged"),
+        (" 10.82419157413667", "", "row 3: expected 69 signs; received 51"),
+        ("2 00005", "2 00006", "row 3, column checksum: expected 8"),
+        (
+            "\n2 00005  34.2682 348.7242 1859667 331.7664  19.3264 10.82419157413667",
+            "",
+            "row 2: expected a line 2",
+        ),
+    ],
+)
+def test_a_damaged_element_set_is_named(tmp_path, old, new, expected):
+    assert old in VANGUARD
+    (tmp_path / "a.txt").write_text(VANGUARD.replace(old, new, 1))
+    with pytest.raises(UserError) as caught:
+        Files("orbit", str(tmp_path / "a.txt"), step=60.0, duration=600.0)
+    assert expected in str(caught.value)
+
+
+def test_element_sets_need_a_step_and_a_duration(tmp_path):
+    (tmp_path / "a.tle").write_text(VANGUARD)
+    with pytest.raises(UserError, match=r"system.step, system.duration: expected seconds"):
+        Files("orbit", str(tmp_path / "a.tle"), step=60.0)
+
+
+def test_teme_agrees_with_the_theory_of_1980(tmp_path):
+    """Its precession, nutation and equation of the equinoxes share nothing with 2006/2000A; 0.1'' is 3.4 m."""
+    erfa = pytest.importorskip("erfa")
+    (tmp_path / "a.tle").write_text(VANGUARD)
+    given = Files("orbit", str(tmp_path / "a.tle"), step=1.0, duration=20.0)
+    got = Files("orbit", str(tmp_path / "a.tle"), step=1.0, duration=20.0, frame="EME2000")
+    assert got.space.frame.startswith("EME2000, EARTH, UTC, from 2000-06-27")
+    tt = (2451544.5, 178 + (18 * 3600 + 50 * 60 + 19.733568 + 64.184) / 86400)
+    matrix = erfa.pnm80(*tt).T @ erfa.rz(-erfa.eqeq94(*tt), np.eye(3))
+    before, after = (files.read().states[0, 0].reshape(2, 3).numpy() for files in (given, got))
+    difference = np.linalg.norm(after - before @ matrix.T, axis=1)
+    assert difference[0] < 0.004
+    assert difference[1] < 4e-6
+    assert np.linalg.norm(after - before, axis=1)[0] > 0.5
+
+
+def require_derivatives(states, step):
+    """Velocities are central differences of fourth order of the positions, but for the precession."""
+    q, v = (x.numpy() for x in states.chunk(2, dim=-1))
+    slope = (8 * (q[3:-1] - q[1:-3]) - (q[4:] - q[:-4])) / (12 * step)
+    assert np.abs(slope - v[2:-2]).max() < 1e-7 * np.abs(v).max()
+
+
+def test_a_point_of_the_earth_moves_with_it_and_itrf_is_what_erfa_says(tmp_path):
+    erfa = pytest.importorskip("erfa")
+    place = np.array([4000.0, 3000.0, 4000.0, 0.0, 0.0, 0.0])
+    start = instant("2024-03-01T12:00:00", utc=True)
+    states, times = np.tile(place, (21, 1)), np.arange(21.0)
+    write_oem(tmp_path / "a.oem", [Ephemeris("1", "S", "EARTH", "ITRF2014", "UTC", start, times, states)])
+    got = Files("ground", str(tmp_path / "a.oem"), frame="GCRF").read().states[0]
+    require_derivatives(got, 1.0)
+    utc = (2460370.5, 0.5)
+    tt = erfa.taitt(*erfa.utctai(*utc))
+    assert np.abs(got[0, :3].numpy() - erfa.c2t06a(*tt, *utc, 0.0, 0.0).T @ place[:3]).max() < 1e-6
+    tai = [Ephemeris("1", "S", "EARTH", "ITRF", "TAI", start + 5 * epochs.SECOND, times, states)]
+    write_oem(tmp_path / "b.oem", tai)  # 2024: UTC + 37 s; `instant` counts 5 of them since 2000
+    shifted = Files("ground", str(tmp_path / "b.oem"), frame="GCRF").read().states[0]
+    angle = np.arctan2(*shifted[0, [1, 0]].numpy()) - np.arctan2(*got[0, [1, 0]].numpy())
+    assert angle == pytest.approx(-32 * frames.TURN, rel=1e-3)
+
+
+def test_gcrf_and_eme2000_differ_by_the_bias_of_the_frames(tmp_path):
+    t, states = orbit()
+    start = instant("2024-03-01T12:00:00", utc=True)
+    write_oem(tmp_path / "a.oem", [Ephemeris("1", "S", "EARTH", "EME2000", "UTC", start, t, states)])
+    got = Files("o", str(tmp_path / "a.oem"), frame="GCRF").read().states[0].numpy()
+    arcsec = np.pi / 648000
+    size = np.linalg.norm(got[:, :3] - states[:, :3], axis=1) / 7000.0 / arcsec
+    assert 0.005 < size.max() < 0.03  # offsets of 6.8, 16.6 and 14.6 thousandths of a second of arc
+    assert Files("o", str(tmp_path / "a.oem"), frame="EME2000").read().states[0, 3, 0] == states[3, 0]
+
+
+@pytest.mark.parametrize(
+    ("header", "sidecar", "expected"),
+    [
+        (["t [UTC]", *ORBIT], None, "expected a frame that can be turned into GCRF: GCRF, .* received none"),
+        (["t [UTC]", *ORBIT], "frame: MOD", "received MOD. The key frame of a sidecar says it"),
+        (["t [s]", *ORBIT], "frame: TEME", "column t: expected epochs such as .* received numbers"),
+        (["t [UTC]", "a [m]", "b [m]", "va [m/s]", "vb [m/s]"], "frame: TEME", "expected three lengths"),
+    ],
+)  # fmt: skip
+def test_a_frame_that_cannot_be_turned_is_refused(tmp_path, header, sidecar, expected):
+    texts = ["2024-01-01T00:00:00", "2024-01-01T00:01:00"] if "UTC" in header[0] else [0, 60]
+    (tmp_path / "a.csv").write_text(
+        csv_of(header, [(text, 7000, 0, 0, 0, 7.5, 0)[: len(header)] for text in texts])
+    )
+    if sidecar:
+        (tmp_path / "a.yaml").write_text(sidecar)
+    with pytest.raises(UserError, match=expected):
+        Files("mine", str(tmp_path / "a.csv"), frame="GCRF")
+
+
+def test_the_oem_package_reads_what_is_written_and_is_read_itself(tmp_path):
+    oem = pytest.importorskip("oem")
+    start, (t, states) = instant("2024-03-01T12:00:00", utc=True), orbit()
+    write_oem(
+        tmp_path / "a.oem", [Ephemeris("2024-001A", "MINE", "EARTH", "EME2000", "UTC", start, t, states)]
+    )
+    theirs = oem.OrbitEphemerisMessage.open(tmp_path / "a.oem")
+    require_same(theirs, states)
+    theirs.save_as(tmp_path / "b.oem")
+    theirs.save_as(tmp_path / "b.xml", file_format="xml")
+    for name in ("b.oem", "b.xml"):
+        (ours,) = read_oem(tmp_path / name)
+        require_same(oem.OrbitEphemerisMessage.open(tmp_path / name), ours.states)
+        assert ours.times.tolist() == t.tolist()
+
+
+def require_same(message, states):
+    """What the package has read is within 1e-9 km and km/s of some states."""
+    (segment,) = message.segments
+    found = np.array([[*state.position, *state.velocity] for state in segment.states])
+    assert np.abs(found - states).max() <= 1e-9
+
+
+def test_a_missing_library_is_one_message(tmp_path, monkeypatch):
+    path = Path(parquet(tmp_path / "a.parquet", {"t": [0.0], "x": [1.0]}))
+    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
+    with pytest.raises(
+        UserError, match=r"expected the package pyarrow; received none. pip install 'ahnn\[parquet\]'"
+    ):
+        Files("mine", str(path))
