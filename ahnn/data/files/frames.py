@@ -26,8 +26,8 @@ ROTATING = ("ITRF", "ECEF", "EFG", "GTOD", "GRC", "TDR", "WGS")
 """How the names of frames begin that turn with the Earth."""
 TURN = 7.292115146706979e-5
 """Rate of the Earth's rotation angle in rad/s (IERS Conventions 2010, 5.15)."""
-TO_TT = {"TAI": 32.184, "GPS": 51.184, "TT": 0.0, "TDB": 0.0}
-"""Seconds from a clock to terrestrial time; UTC counts its leap seconds from the 32 of 2000."""
+TO_TT = {"UTC": 42.184, "TAI": 32.184, "GPS": 51.184, "TT": 0.0, "TDB": 0.0}
+"""Seconds from instants of a clock to terrestrial time; those of UTC count all its leap seconds."""
 JULIAN = 2451544.5
 """Julian date of the first day of 2000."""
 
@@ -62,8 +62,8 @@ def turned(content: Content, frame: str, file: str) -> Content:
         )
     if content.epoch is None:
         place._replace(column=content.time).refuse("epochs such as 2024-03-01T12:00:00", "numbers")
-    if content.clock not in ("UTC", *TO_TT):
-        place.refuse(f"epochs of {', '.join(('UTC', *TO_TT))}", content.clock)
+    if content.clock not in TO_TT:
+        place.refuse(f"epochs of {', '.join(TO_TT)}", content.clock)
     rest = content.frame.partition(",")
     tracks = tuple(of_track(track, content, given, frame) for track in content.tracks)
     return content._replace(frame=f"{frame}{rest[1]}{rest[2]}", tracks=tracks)
@@ -83,10 +83,9 @@ def of_track(track: Track, content: Content, given: str, frame: str) -> Track:
 
 def terrestrial(epoch: int, times: Array, clock: str) -> Array:
     """Return Julian dates of terrestrial time, (2, T) whose sum counts, of seconds after an epoch."""
-    offset = 32 + TO_TT["TAI"] if clock == "UTC" else TO_TT[clock]
     seconds, fraction = divmod(epoch, epochs.SECOND)
     days, of_day = divmod(seconds, epochs.DAY)
-    parts = (of_day + fraction / epochs.SECOND + offset + times) / epochs.DAY
+    parts = (of_day + fraction / epochs.SECOND + TO_TT[clock] + times) / epochs.DAY
     return np.stack((np.full_like(parts, JULIAN + days), parts))
 
 

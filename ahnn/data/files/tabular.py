@@ -10,13 +10,11 @@ import numpy as np
 from ahnn.data.files import epochs
 from ahnn.data.files.columns import roles
 from ahnn.data.files.content import Content
+from ahnn.data.files.frames import TO_TT
 from ahnn.data.files.samples import Array, Track, by_id, ordered
 from ahnn.data.files.scales import scales
 from ahnn.data.files.sidecar import Sidecar, with_units
 from ahnn.data.files.table import MISSING, Fault, Header, Note, Place, Sheet, number, refuse
-
-CLOCKS = ("UTC", "TAI", "TT", "GPS", "TDB")
-"""What the unit of epochs says: which clock they are read off."""
 
 
 def of_sheet(sheet: Sheet, sidecar: Sidecar, *, weighed: bool, note: Note = refuse) -> Content:
@@ -83,9 +81,9 @@ def are_epochs(cells: Sequence[str] | Array) -> bool:
 def with_clock(header: Header, time: int, place: Place) -> tuple[Header, str]:
     """Return a header whose times are in seconds, and the clock of its epochs; UTC where none is named."""
     clock = header.units[time] or "UTC"
-    if clock not in CLOCKS:
+    if clock not in TO_TT:
         place._replace(column=header.names[time]).refuse(
-            f"a clock of epochs, {', '.join(CLOCKS)}", repr(clock)
+            f"a clock of epochs, {', '.join(TO_TT)}", repr(clock)
         )
     bare = all(unit is None for k, unit in enumerate(header.units) if k != time)
     units = [None if bare else "s" if k == time else unit for k, unit in enumerate(header.units)]
