@@ -67,7 +67,7 @@ def imports(path):
 
 def part(path):
     inner = path.relative_to(ROOT / "ahnn").parts
-    return inner[0].removesuffix(".py")
+    return "__main__" if inner[-1] == "__main__.py" else inner[0].removesuffix(".py")
 
 
 @pytest.mark.parametrize("path", LIBRARY, ids=name)

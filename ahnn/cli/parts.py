@@ -34,6 +34,8 @@ SENSOR = ("measured", "noise", "every", "gaps", "outliers")
 def build_source(cfg: DictConfig) -> Source:
     """Build where the trajectories come from: a system is simulated, anything else reads by itself."""
     built = build(cfg.system, "system")
+    if isinstance(built, Files):
+        built.check()
     if not isinstance(built, System):
         return built
     options = {name: cfg.data[name] for name in SIMULATION}

@@ -83,7 +83,21 @@ class Files:
             log.warning("%s: frame %s rotates: mass times velocity is no momentum in it", name, first.frame)
         self.trajectories = self._trajectories(contents)
         self.epoch = first.epoch
+        self._contents = contents
         self._sha256 = digest.hexdigest()
+
+    def check(self) -> None:
+        """Refuse data that would spoil a training, unless `unsound` takes them; raises UserError."""
+        from ahnn.data.doctor import diagnosis
+
+        found = [] if self.unsound else diagnosis(self._contents, self.mass, self.gap)
+        faults = [one for one in found if one.level == "fault"]
+        if faults:
+            (_, file, row, column, what, remedy), rest = faults[0], len(faults) - 1
+            more = f", and {rest} more" if rest else ""
+            expected = f"{Place(file, row, column)}: expected sound data; received: {what}{more}. {remedy}"
+            message = f"{expected}. python -m ahnn.data check lists all; system.unsound=true trains anyway"
+            raise UserError(message)
 
     def recipe(self) -> dict[str, Any]:
         """Return the hash of the files, and how they are read."""

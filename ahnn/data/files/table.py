@@ -31,6 +31,10 @@ class Place(NamedTuple):
     row: int = 0
     column: str = ""
 
+    def __str__(self) -> str:
+        row = f", row {self.row}" if self.row else ""
+        return f"{self.file}{row}" + (f", column {self.column}" if self.column else "")
+
     def refuse(self, expected: str, received: str, remedy: str = "") -> NoReturn:
         """Say what is wrong here; raises Fault."""
         raise Fault(self, expected, received, remedy) from None
@@ -46,9 +50,7 @@ class Fault(UserError):
     """
 
     def __init__(self, place: Place, expected: str, received: str, remedy: str = "") -> None:
-        row = f", row {place.row}" if place.row else ""
-        column = f", column {place.column}" if place.column else ""
-        message = f"{place.file}{row}{column}: expected {expected}; received {received}"
+        message = f"{place}: expected {expected}; received {received}"
         super().__init__(f"{message}. {remedy}" if remedy else message)
         self.place, self.expected, self.received, self.remedy = place, expected, received, remedy
 

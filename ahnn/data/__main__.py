@@ -1,0 +1,83 @@
+"""Look data over before anything is learned from them: `python -m ahnn.data check PATH...`.
+
+PATH...        files as system=files reads them, docs/data.md
+figures=DIR    draw them, with what was found, into a folder as PNG and SVG
+mass=M         and gap, frame, step, duration: the keys of system=files
+
+It ends with 2 where something would spoil a training, and with 0 where nothing would.
+"""
+
+from __future__ import annotations
+
+if __name__ == "__main__":  # until `guard` listens, Ctrl-C ends this process without a traceback
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from ahnn.cli.guard import guard
+from ahnn.cli.stops import held
+
+USAGE = "usage: python -m ahnn.data check PATH... [figures=DIR] [mass=M] [gap=10] [frame=GCRF] [key=value]"
+KEYS = ("mass", "gap", "frame", "step", "duration")
+
+
+def check(arguments: list[str]) -> None:
+    """Show all that is wrong with files.
+
+    Raises:
+        UserError: something that would spoil a training, or a mistake in the command.
+    """
+    with held():
+        from ahnn.data.doctor import examine
+        from ahnn.data.files.reading import Reading
+        from ahnn.errors import UserError
+        from ahnn.evaluation.checkup import checkup, draw
+        from ahnn.evaluation.terminal import show
+
+    paths, options = request(arguments)
+    figures = options.pop("figures", None)
+    mass, gap = options.pop("mass", None), options.pop("gap", 10.0)
+    found = examine(paths, Reading(mass is not None, **options), mass, gap)
+    show(checkup(found))
+    if figures is not None:
+        draw(found, Path(figures))
+    if count := len(found.faults):
+        what = "1 fault that would" if count == 1 else f"{count} faults that would"
+        message = f"check: expected sound data; received {what} spoil a training"
+        raise UserError(message)
+
+
+def request(arguments: list[str]) -> tuple[list[Path], dict[str, Any]]:
+    """Return the files and the options of a command line; raises UserError for others."""
+    import yaml
+
+    from ahnn.arguments import check_values, nearest
+    from ahnn.data.files import Files
+    from ahnn.errors import UserError
+
+    pairs = [argument.partition("=") for argument in arguments[1:]]
+    options = {key: yaml.safe_load(value) for key, sign, value in pairs if sign}
+    if unknown := [key for key in options if key not in (*KEYS, "figures")]:
+        message = f"check: unknown key {unknown[0]!r}{nearest(unknown[0], (*KEYS, 'figures'))}"
+        raise UserError(message)
+    paths = [Path(key).expanduser() for key, sign, _ in pairs if not sign]
+    if arguments[:1] != ["check"] or not paths:
+        message = f"{USAGE}; received: {' '.join(arguments) or 'nothing'}"
+        raise UserError(message)
+    check_values("", Files, {key: value for key, value in options.items() if key in KEYS})
+    return paths, options
+
+
+def main() -> None:
+    """Entry point of `python -m ahnn.data`."""
+    arguments = sys.argv[1:]
+    asks = bool({"-h", "--help"} & {*arguments})
+    sys.exit(guard(lambda: sys.stdout.write(f"{__doc__}\n") if asks else check(arguments)))
+
+
+if __name__ == "__main__":
+    main()

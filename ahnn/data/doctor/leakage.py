@@ -1,0 +1,59 @@
+"""Samples that occur in two trajectories: what training sees of one is then a test of nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ahnn.data.doctor.finding import Finding
+from ahnn.data.files.samples import Track
+
+RUN = 4
+"""Samples in a row that have to be the same: single ones may be by chance."""
+
+
+def leakage_findings(tracks: list[Track]) -> list[Finding]:
+    """Return where trajectories, of one file or of several, begin to share samples, number for number.
+
+    Args:
+        tracks: of all files.
+    """
+    keys = [runs(track) for track in tracks]
+    flat = np.concatenate(keys) if keys else np.zeros(0, dtype=np.uint64)
+    owner = np.repeat(np.arange(len(keys)), [len(key) for key in keys])
+    place = np.concatenate([np.arange(len(key)) for key in keys]) if keys else owner
+    order = np.lexsort((owner, flat))
+    flat, owner, place = flat[order], owner[order], place[order]
+    again = np.flatnonzero((flat[1:] == flat[:-1]) & (owner[1:] != owner[:-1]) & (flat[1:] != 0)) + 1
+    firsts: dict[tuple[int, int], tuple[int, int]] = {}
+    for k in again.tolist():
+        pair = int(owner[k - 1]), int(owner[k])
+        firsts[pair] = min(firsts.get(pair, (int(place[k]), 0)), (int(place[k]), int(place[k - 1])))
+    return [finding(tracks[a], tracks[b], *firsts[a, b]) for a, b in firsts]
+
+
+def finding(one: Track, other: Track, at: int, first: int) -> Finding:
+    """Return that a track repeats another."""
+    name = f" of trajectory {one.name}" if one.name else ""
+    what = f"the samples from here on are those from row {one.rows[first]} of {one.file}{name}"
+    return Finding("fault", other.file, int(other.rows[at]), "", what, "Keep one of the two trajectories")
+
+
+def runs(track: Track) -> NDArray[np.uint64]:
+    """Return a key for each run of samples; 0 where they do not change or a number is missing."""
+    values = np.ascontiguousarray(track.values + 0.0)  # so that -0 is 0
+    if len(values) < RUN:
+        return np.zeros(0, dtype=np.uint64)
+    draw = np.random.default_rng(0)
+    bits, odd = values.view(np.uint64), np.uint64(1)
+    key = (bits * (draw.integers(2**63, size=bits.shape[1], dtype=np.uint64) | odd)).sum(1, dtype=np.uint64)
+    key ^= key >> np.uint64(29)
+    factors = draw.integers(2**63, size=RUN, dtype=np.uint64) | odd
+    count = len(values) - RUN + 1
+    found = np.stack([factor * key[k : k + count] for k, factor in enumerate(factors)]).sum(
+        0, dtype=np.uint64
+    )
+    same = np.stack([key[k : k + count] == key[:count] for k in range(RUN)]).all(0)
+    missing = ~np.isfinite(values).all(1)
+    lost = np.stack([missing[k : k + count] for k in range(RUN)]).any(0)
+    return np.where(same | lost, np.uint64(0), found)

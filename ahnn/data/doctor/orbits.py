@@ -1,0 +1,115 @@
+"""Whether an orbit is one of the body that it is said to circle: vis viva and frames, from positions alone.
+
+Of each hypothesis on unit and frame the acceleration is held against mu/r^2; those of other units and frames
+differ by factors, so that at most one of them fits.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from ahnn.data.doctor.finding import Finding
+from ahnn.data.doctor.slopes import slopes
+from ahnn.data.files.content import Content
+from ahnn.data.files.frames import ROTATING, TURN
+from ahnn.data.files.samples import Array, Track
+from ahnn.data.files.units import LENGTH, TIME, unit
+
+MU = {
+    "EARTH": 398600.4418,
+    "SUN": 132712440041.9,
+    "MOON": 4902.800,
+    "MARS": 42828.375,
+    "VENUS": 324858.592,
+    "JUPITER": 126712764.1,
+    "SATURN": 37940584.8,
+}
+"""Gravitational parameters in km^3/s^2 (JPL DE440)."""
+FITS = 0.1
+"""Relative difference of accelerations that perturbations and noise may make."""
+UNCLEAR = 0.15
+"""Doubt of the accelerations beyond which nothing is said."""
+LENGTHS = {
+    1.0: "",
+    1e-3: "positions are 1000 times too large (m as km?)",
+    1e3: "positions are 1000 times too small (km as m?)",
+}
+TIMES = {
+    1.0: "",
+    60.0: "times are 60 times too small (min as s?)",
+    3600.0: "times are 3600 times too small (h as s?)",
+    1 / 60: "times are 60 times too large (s as min?)",
+    1 / 3600: "times are 3600 times too large (s as h?)",
+}
+"""Factors that make an orbit of it, and what they mean."""
+TURNS = {False: "positions are those of an inertial frame", True: "positions turn with the Earth"}
+
+
+def orbit_findings(content: Content, tracks: list[Track]) -> list[Finding]:
+    """Return what is wrong with units or frame of orbits; nothing where they circle no known body.
+
+    Args:
+        content: of the file.
+        tracks: those that are judged.
+    """
+    length, clock = unit(content.units.position), unit(content.units.time)
+    if len(content.positions) != 3 or length.dimension != LENGTH or clock.dimension != TIME:
+        return []
+    body = next((word for word in words(content.frame) if word in MU), None)
+    turning = content.frame.upper().startswith(ROTATING)
+    found: list[tuple[Track, str]] = []
+    for track in tracks:
+        times, positions = clock.size * track.times, length.size / 1000 * track.values[:, :3]
+        said = hypothesis(times, positions, MU[body or "EARTH"], turning=turning)
+        if said:
+            found.append((track, said))
+    remedy = "Correct unit or frame; system.frame turns known frames"
+    place, name = content.positions[0], (body or "Earth").capitalize()
+    if len(found) > 0.9 * len(tracks):
+        found = [(found[0][0]._replace(rows=np.full(1, content.head)), found[0][1])]
+    return [
+        Finding("fault", track.file, int(track.rows[0]), place, f"no orbit of the {name}: {said}", remedy)
+        for track, said in found
+    ]
+
+
+def words(frame: str) -> list[str]:
+    """Return the words of the name of a frame."""
+    return frame.upper().replace(",", " ").split()
+
+
+def hypothesis(times: Array, positions: Array, mu: float, *, turning: bool) -> str:
+    """Return under which mistake positions in km at times in s are an orbit; "" for none, and for no orbit.
+
+    Args:
+        times: (T,).
+        positions: (T, 3).
+        mu: of the body, km^3/s^2.
+        turning: whether the frame is said to rotate with the Earth.
+    """
+    if fits(times, positions, mu, turned=turning):
+        return ""
+    for turned, length, time in itertools.product((turning, not turning), LENGTHS, TIMES):
+        if fits(time * times, length * positions, mu, turned=turned):
+            frame = "" if turned == turning else TURNS[turned]
+            return " and ".join(filter(None, (LENGTHS[length], TIMES[time], frame)))
+    return ""
+
+
+def fits(times: Array, positions: Array, mu: float, *, turned: bool) -> bool:
+    """Return whether positions move under an attraction mu/r^2, `turned` from a frame that rotates."""
+    if turned:
+        c, s = np.cos(TURN * times), np.sin(TURN * times)
+        x, y, z = positions.T
+        positions = np.stack((c * x - s * y, s * x + c * y, z), axis=1)
+    found = slopes(times, positions, 2)
+    if found is None or found.doubt > UNCLEAR:
+        return False
+    here = positions[found.at]
+    radius = np.linalg.norm(here, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        left = np.linalg.norm(found.values + mu * here / radius[:, None] ** 3, axis=1) * radius**2 / mu
+    known = np.isfinite(left)
+    return bool(known.any()) and float(np.median(left[known])) < FITS

@@ -1,0 +1,115 @@
+"""What is missing among samples, what never changes, and angles that jump by a turn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import torch
+
+from ahnn.data.doctor.finding import Finding
+from ahnn.data.files.content import Content
+from ahnn.data.files.samples import Track, filled, stacked
+from ahnn.data.files.table import Fault
+from ahnn.data.files.units import ANGLE, unit
+from ahnn.data.noise_floor import SHARE, noise_floor
+from ahnn.statistics import sampling_interval
+
+EXAMPLES = 64
+"""Trajectories of a file whose noise is looked at."""
+
+
+def sample_findings(content: Content, gap: float) -> Iterator[Finding]:
+    """Yield missing numbers, gaps, constant columns, angles that jump, and noise.
+
+    Args:
+        content: of a file.
+        gap: a step so many times longer than the median is one, where samples lie on no grid.
+    """
+    names = (*content.positions, *content.rates)
+    angles = unit(content.units.position).dimension == ANGLE
+    for track in content.tracks:
+        yield from missing(track, names)
+        yield from gaps(track, content.time, gap)
+        if angles:
+            yield from jumps(track, content.positions)
+    yield from constant(content, names)
+    if angles:
+        yield from too_wide(content)
+    yield from noise(content, names, gap)
+
+
+def missing(track: Track, names: tuple[str, ...]) -> Iterator[Finding]:
+    """Yield each number that is missing."""
+    for k, c in zip(*np.nonzero(np.isnan(track.values)), strict=True):
+        remedy = "Nothing: the sample counts as absent"
+        yield Finding("warning", track.file, int(track.rows[k]), names[c], "a missing number", remedy)
+
+
+def gaps(track: Track, column: str, gap: float) -> Iterator[Finding]:
+    """Yield the samples before which others are missing."""
+    try:
+        rows = filled(track, gap).rows
+    except Fault as fault:
+        yield Finding.of(fault)
+        return
+    there = np.flatnonzero(rows)
+    for k in np.flatnonzero(np.diff(there) > 1):
+        absent = int(there[k + 1] - there[k] - 1)
+        what = f"a gap: {absent} {'sample is' if absent == 1 else 'samples are'} missing before it"
+        remedy = "Nothing: no window crosses it"
+        yield Finding("warning", track.file, int(rows[there[k + 1]]), column, what, remedy)
+
+
+def jumps(track: Track, names: tuple[str, ...]) -> Iterator[Finding]:
+    """Yield angles that jump by about a turn from one sample to the next."""
+    steps = np.abs(np.diff(track.values[:, : len(names)], axis=0))
+    for k, c in zip(*np.nonzero(np.abs(steps - 2 * np.pi) < 1), strict=True):
+        if steps[k, c] > 8 * np.nanmedian(steps[:, c]):
+            row = int(track.rows[k + 1])
+            yield Finding("fault", track.file, row, names[c], "an angle jumps by a turn", "Unwrap the angle")
+
+
+def constant(content: Content, names: tuple[str, ...]) -> Iterator[Finding]:
+    """Yield columns that have one value in the whole file."""
+    values = np.concatenate([track.values for track in content.tracks])
+    if len(values) < 3:
+        return
+    for c, name in enumerate(names):
+        known = values[np.isfinite(values[:, c]), c]
+        if len(known) and known.min() == known.max():
+            what, remedy = f"always {known[0]:g}", "Leave the column out, if nothing moves there"
+            yield Finding("warning", content.tracks[0].file, content.head, name, what, remedy)
+
+
+def too_wide(content: Content) -> Iterator[Finding]:
+    """Yield angles that swing to and fro over more than a turn: degrees, most likely."""
+    for c, name in enumerate(content.positions):
+        for track in content.tracks:
+            angle = track.values[np.isfinite(track.values[:, c]), c]
+            steps = np.diff(angle)
+            to_and_fro = len(steps) > 0 and min(steps.clip(0).sum(), -steps.clip(None, 0).sum()) > 2 * np.pi
+            if to_and_fro:
+                what = f"swings to and fro over {np.ptp(angle):.3g} rad, more than a turn"
+                yield Finding("warning", track.file, content.head, name, what, "Degrees? Then say so: [deg]")
+                break
+
+
+def noise(content: Content, names: tuple[str, ...], gap: float) -> Iterator[Finding]:
+    """Yield the level of the noise of each column that has some, where samples come evenly."""
+    every = max(1, len(content.tracks) // EXAMPLES)
+    try:
+        samples = stacked([filled(track, gap) for track in content.tracks[::every]])
+    except Fault:
+        return
+    if isinstance(sampling_interval(samples), torch.Tensor):
+        return
+    typical = samples.states.diff(dim=1).abs().flatten(0, 1).nanmedian(0).values
+    levels = zip(names, noise_floor(samples).tolist(), typical.tolist(), strict=True)
+    n = len(content.positions)
+    for c, (name, level, step) in enumerate(levels):
+        if level > SHARE * step > 0:
+            units = content.units.position if c < n else content.units.velocity
+            what = f"noise of about {level:.2g}" + ("" if content.momenta and c >= n else f" {units}")
+            remedy = "Say it: data.noise=... recipe=measurements"
+            yield Finding("note", content.tracks[0].file, content.head, name, what, remedy)

@@ -1,0 +1,83 @@
+"""Derivatives of samples and how far they can be trusted, from polynomials through neighbouring samples."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ahnn.data.files.samples import Array
+
+CENTRES = 64
+"""Samples of a trajectory at which derivatives are taken."""
+WIDE = 3.0
+"""A stencil so many times wider than most lies across a gap."""
+
+
+class Slopes(NamedTuple):
+    """Derivatives of samples, and how much stencils of three and of five points differ in them.
+
+    Attributes:
+        at: (K,) numbers of the samples.
+        values, doubts: (K, C).
+    """
+
+    at: Array
+    values: Array
+    doubts: Array
+
+    @property
+    def doubt(self) -> float:
+        """Typical doubt relative to the typical size."""
+        sizes = [np.linalg.norm(part, axis=1) for part in (self.doubts, self.values)]
+        known = np.isfinite(sizes[0])
+        if not known.any():
+            return math.inf
+        doubt, size = (float(np.median(part[known])) for part in sizes)
+        return doubt / size if size > 0 else math.inf
+
+
+def slopes(times: Array, values: Array, order: int) -> Slopes | None:
+    """Return derivatives over the stride that makes three and five points differ least.
+
+    Near neighbours show the noise, far ones the curvature of the motion; where neither is small the doubts
+    say so. None where there are fewer than seven samples.
+
+    Args:
+        times: (T,), increasing.
+        values: (T, C), NaN where a number is missing.
+        order: 1 or 2.
+    """
+    strides = [2**k for k in range(12) if 4 * 2**k + 2 < len(times)]
+    found = [over(times, values, stride, order) for stride in strides]
+    return min(found, key=lambda one: one.doubt, default=None)
+
+
+def over(times: Array, values: Array, stride: int, order: int) -> Slopes:
+    """Return derivatives from samples so many apart."""
+    inner = np.arange(2 * stride, len(times) - 2 * stride)
+    at = inner[:: max(1, len(inner) // CENTRES)]
+    window = at[:, None] + stride * np.arange(-2, 3)
+    offsets = times[window] - times[at, None]
+    width = offsets[:, -1] - offsets[:, 0]
+    at, window, offsets = (part[width <= WIDE * np.median(width)] for part in (at, window, offsets))
+    five = np.einsum("kj,kjc->kc", weights(offsets, order), values[window])
+    three = np.einsum("kj,kjc->kc", weights(offsets[:, 1:4], order), values[window[:, 1:4]])
+    return Slopes(at, five, np.abs(five - three))
+
+
+def weights(offsets: Array, order: int) -> Array:
+    """Return weights (K, P) of a derivative at zero of the polynomials through points at offsets (K, P)."""
+    size = np.abs(offsets).max(axis=1, keepdims=True)
+    powers = (offsets / size)[:, None, :] ** np.arange(offsets.shape[1])[:, None]
+    unit = np.zeros((offsets.shape[1], 1))
+    unit[order] = math.factorial(order)
+    return np.linalg.solve(powers, unit[None])[..., 0] / size**order
+
+
+def roughness(times: Array, values: Array, at: Array) -> Array:
+    """Return how far samples (K, C) are from the cubic through the two before and the two behind them."""
+    window = at[:, None] + np.array([-2, -1, 1, 2])
+    offsets = times[window] - times[at, None]
+    return np.abs(np.einsum("kj,kjc->kc", weights(offsets, 0), values[window]) - values[at])

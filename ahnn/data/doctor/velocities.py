@@ -1,0 +1,131 @@
+"""Whether velocities are the derivatives of their positions: the test of units, of momenta and of frames."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ahnn.data.doctor.finding import Finding, Level
+from ahnn.data.doctor.slopes import Slopes, roughness, slopes
+from ahnn.data.files.content import Content
+from ahnn.data.files.samples import Array, Track
+
+EXACT = 0.03
+"""Relative difference that needs no explanation."""
+DOUBTS = 4.0
+"""Doubts of the derivatives, and of the velocities, that explain a difference."""
+UNCLEAR = 0.1
+"""Doubt beyond which nothing is said."""
+LEAST = 8
+"""Samples of a trajectory that is judged by itself; shorter ones are judged together."""
+FACTORS = {
+    1000.0: "metres under a name in km, or the reverse",
+    60.0: "minutes under a name in s, or the reverse",
+    3600.0: "hours under a name in s, or the reverse",
+    180 / np.pi: "degrees under a name in rad, or the reverse",
+    100.0: "centimetres under a name in m, or the reverse",
+    86400.0: "days under a name in s, or the reverse",
+}
+
+
+class Compared(NamedTuple):
+    """Stated velocities, derivatives of the positions at the same samples, and doubts of both, (K, n)."""
+
+    stated: Array
+    derived: Array
+    doubts: Array
+
+
+def velocity_findings(content: Content, tracks: list[Track], mass: float) -> list[Finding]:
+    """Return what is wrong with the velocities, or with momenta over the mass, of some tracks of a file.
+
+    Args:
+        content: of the file.
+        tracks: those that are judged.
+        mass: factor of momenta.
+    """
+    n = len(content.positions)
+    if len(content.rates) != n:
+        return []
+    scale = 1 / mass if content.momenta else 1.0
+    pairs = [(track, compared(track, n, scale)) for track in tracks]
+    long = [(track, one) for track, one in pairs if one is not None and len(one.stated) >= LEAST]
+    short = [one for _, one in pairs if one is not None and len(one.stated) < LEAST]
+    if short:
+        pooled = Compared(*(np.concatenate(parts) for parts in zip(*short, strict=True)))
+        long.append((tracks[0]._replace(rows=np.zeros(1, dtype=np.int64)), pooled))
+    return [finding for c in range(n) for finding in of_component(content, c, long)]
+
+
+def compared(track: Track, n: int, scale: float) -> Compared | None:
+    """Return stated and derived velocities of a track; None where it is too short."""
+    found: Slopes | None = slopes(track.times, track.values[:, :n], 1)
+    if found is None:
+        return None
+    stated = scale * track.values
+    doubts = found.doubts + roughness(track.times, stated[:, n:], found.at)
+    known = (
+        np.isfinite(found.values).all(1) & np.isfinite(stated[found.at]).all(1) & np.isfinite(doubts).all(1)
+    )
+    return Compared(stated[found.at, n:][known], found.values[known], doubts[known])
+
+
+def of_component(content: Content, c: int, pairs: list[tuple[Track, Compared]]) -> list[Finding]:
+    """Return a finding for each track whose velocity is wrong; a single one where nearly all are."""
+    judged = [(track, ratio) for track, one in pairs if (ratio := misfit(one, c)) is not None]
+    wrong = [(track, ratio) for track, ratio in judged if ratio != 1]
+    if not wrong:
+        return []
+    if len(wrong) > 0.9 * len(judged):
+        typical = float(np.median([ratio for _, ratio in wrong]))
+        return [finding(content, c, wrong[0][0].file, content.head, typical)]
+    return [finding(content, c, track.file, int(track.rows[0]), ratio) for track, ratio in wrong]
+
+
+def misfit(one: Compared, c: int) -> float | None:
+    """Return 1 where a velocity is right, else its ratio to the derivative (0: they are not proportional).
+
+    None where nothing can be said.
+    """
+    stated, derived, doubts = (part[:, c] for part in one)
+    if len(stated) < 2:
+        return None
+    size = max(np.quantile(np.abs(stated), 0.75), np.quantile(np.abs(derived), 0.75))
+    doubt = float(np.median(doubts))
+    if size == 0 or doubt > UNCLEAR * size:
+        return None
+    allowed = max(EXACT * size, DOUBTS * doubt)
+    if np.median(np.abs(stated - derived)) <= allowed:
+        return 1.0
+    ratio = weighted_median(stated, derived)
+    scaled = np.median(np.abs(stated - ratio * derived))
+    return ratio if scaled <= max(EXACT * np.quantile(np.abs(stated), 0.75), DOUBTS * doubt) else 0.0
+
+
+def weighted_median(stated: Array, derived: Array) -> float:
+    """Return the median of the ratios, each as heavy as its derivative is large."""
+    used = derived != 0
+    if not used.any():
+        return 0.0
+    ratios, heavy = stated[used] / derived[used], np.abs(derived[used])
+    order = np.argsort(ratios)
+    total = heavy[order].cumsum()
+    return float(ratios[order][np.searchsorted(total, total[-1] / 2)])
+
+
+def finding(content: Content, c: int, file: str, row: int, ratio: float) -> Finding:
+    """Return what the ratio of a velocity to the derivative of its position means."""
+    name, position, per = content.rates[c], content.positions[c], content.units.time
+    level: Level = "warning" if content.momenta else "fault"
+    kind = f"{name} over the mass" if content.momenta else name
+    if ratio == 0:
+        what = f"{kind} is not the change of {position} per {per}: they are not even proportional"
+        return Finding(level, file, row, name, what, "Give both in one frame, an inertial one")
+    what = f"{kind} is {ratio:.4g} times the change of {position} per {per}"
+    size = abs(ratio) if abs(ratio) > 1 else 1 / abs(ratio)
+    for factor, hint in FACTORS.items():
+        if abs(size / factor - 1) < EXACT and ratio > 0:
+            return Finding(level, file, row, name, what, f"Correct the unit: {hint}")
+    remedy = "A momentum? Name it so and give its mass. Else correct its unit or its frame"
+    return Finding(level, file, row, name, what, remedy)

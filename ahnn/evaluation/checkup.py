@@ -1,0 +1,107 @@
+"""What a doctor of data has found, as a table of 80 columns and as pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.console import Group, RenderableType
+from rich.table import Table
+
+from ahnn.data.doctor import Examined, Finding
+from ahnn.data.doctor.slopes import slopes
+from ahnn.data.files.content import Content
+from ahnn.evaluation import style
+from ahnn.evaluation.sinks.figures import FORMATS, drawn
+from ahnn.files import write_atomically
+from ahnn.progress import track
+
+SHOWN = 5
+"""Findings of a kind that the table lists; the others are counted."""
+CURVES = 6
+"""Trajectories of a file that a picture shows."""
+COLOURS = (style.BLUE, style.VERMILLION, style.GREEN, style.PURPLE, style.ORANGE, style.SKY)
+
+
+def checkup(found: Examined) -> RenderableType:
+    """Return the findings as a table, faults first, and a line that sums them up."""
+    levels = {
+        level: [one for one in found.findings if one.level == level] for level in ("fault", "warning", "note")
+    }
+    counts = ", ".join(f"{len(part)} {level}{'s' * (len(part) != 1)}" for level, part in levels.items())
+    samples = sum(len(part.times) for content in found.contents for part in content.tracks)
+    files = {finding.file for finding in found.findings} | {c.tracks[0].file for c in found.contents}
+    head = f"{len(files)} file{'s' * (len(files) != 1)}, {samples:,} samples: {counts}"
+    if not found.findings:
+        return head
+    table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
+    for name, width in (("", 7), ("file", 12), ("row", 6), ("column", 6), ("what", 24), ("what to do", 20)):
+        table.add_column(name, width=width, overflow="fold", justify="right" if name == "row" else "left")
+    for level, part in levels.items():
+        for cells in shortened(part):
+            table.add_row(level, *cells)
+    return Group(table, "", head)
+
+
+def shortened(findings: list[Finding]) -> Iterator[tuple[str, str, str, str, str]]:
+    """Yield the cells of findings, of those that are alike the first ones and how many more there are."""
+    kinds: dict[tuple[str, str, str], list[Finding]] = {}
+    for one in findings:
+        kinds.setdefault((one.file, one.column, one.remedy), []).append(one)
+    for (file, column, _), alike in kinds.items():
+        name = Path(file).name
+        for one in alike[:SHOWN]:
+            yield name, str(one.row or ""), column, one.what, one.remedy
+        if (more := len(alike) - SHOWN) > 0:
+            yield name, "...", column, f"{more:,} more like these", ""
+
+
+def draw(found: Examined, folder: Path) -> None:
+    """Write a picture of each file into a folder."""
+    for content in track(found.contents, "drawing figures", len(found.contents)):
+        file = content.tracks[0].file
+        figure = picture(content, [one for one in found.findings if one.file == file])
+        for suffix, options in FORMATS.items():
+            write_atomically(folder / f"{Path(file).name}{suffix}", drawn(figure, suffix, options))
+
+
+def picture(content: Content, findings: list[Finding]) -> Figure:
+    """Draw positions with what was found, and velocities as stated beside the change of the positions."""
+    figure = style.canvas(8, 6 if content.rates else 3.2)
+    panels = figure.subplots(2 if content.rates else 1, 1, sharex=True, squeeze=False)[:, 0]
+    n, shown = len(content.positions), content.tracks[:CURVES]
+    for c, name in enumerate(content.positions):
+        for part in shown:
+            look = {"color": COLOURS[c % len(COLOURS)], "lw": 1.0, "marker": ".", "ms": 2}
+            panels[0].plot(part.times, part.values[:, c], **look, label=name)
+            if content.rates:
+                panels[1].plot(
+                    part.times, part.values[:, n + c], **(look | {"marker": ""}), label=content.rates[c]
+                )
+    if content.rates:
+        for part in shown:
+            if (change := slopes(part.times, part.values[:, :n], 1)) is not None:
+                look = {"color": style.BLACK, "ls": "none", "marker": "+", "ms": 4, "zorder": 4}
+                panels[1].plot(part.times[change.at], change.values, **look, label="change of the positions")
+        rate = "momentum" if content.momenta else f"velocity [{content.units.velocity}]"
+        panels[1].set_ylabel(rate)
+    mark(panels[0], shown, findings)
+    panels[0].set_ylabel(f"position [{content.units.position}]")
+    panels[-1].set_xlabel(f"time [{content.units.time}]")
+    for axes in panels:
+        axes.grid(alpha=0.3)
+    few = f", the first {CURVES} of {len(content.tracks)}" if len(content.tracks) > CURVES else ""
+    panels[0].set_title(f"{Path(shown[0].file).name}: {len(findings)} findings{few}")
+    style.legend_below(figure, *panels)
+    return figure
+
+
+def mark(axes: Any, shown: Any, findings: list[Finding]) -> None:
+    """Draw a line at the time of each row that something was found in."""
+    for level, ls in (("fault", "-"), ("warning", ":")):
+        rows = [one.row for one in findings if one.level == level and one.row]
+        for time in np.unique(np.concatenate([part.times[np.isin(part.rows, rows)] for part in shown])):
+            axes.axvline(time, color=style.BLACK, ls=ls, lw=0.8, alpha=0.6, label=level)
