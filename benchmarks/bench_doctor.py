@@ -2,8 +2,8 @@
 
     python benchmarks/bench_doctor.py --cases 1000 --seed 0
 
-Springs, pendulums and orbits (LEO, GEO, Molniya; with J2), exact or noisy, are written as tables, each once as it
-is and once with one mistake in its units or its frame. Any fault or warning counts as flagged.
+Springs, pendulums and orbits (LEO, GEO, Molniya; with J2), exact or noisy, are written as tables, each once
+as it is and once with one mistake in its units or its frame. Any fault or warning counts as flagged.
 """
 
 from __future__ import annotations

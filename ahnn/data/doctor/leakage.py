@@ -50,10 +50,9 @@ def runs(track: Track) -> NDArray[np.uint64]:
     key ^= key >> np.uint64(29)
     factors = draw.integers(2**63, size=RUN, dtype=np.uint64) | odd
     count = len(values) - RUN + 1
-    found = np.stack([factor * key[k : k + count] for k, factor in enumerate(factors)]).sum(
-        0, dtype=np.uint64
-    )
+    products = [factor * key[k : k + count] for k, factor in enumerate(factors)]
+    found = np.stack(products).sum(0, dtype=np.uint64)
     same = np.stack([key[k : k + count] == key[:count] for k in range(RUN)]).all(0)
-    missing = ~np.isfinite(values).all(1)
-    lost = np.stack([missing[k : k + count] for k in range(RUN)]).any(0)
+    missing = np.isnan(values).max(axis=1, keepdims=True)
+    lost = np.concatenate([missing[k : k + count] for k in range(RUN)], axis=1).any(1)
     return np.where(same | lost, np.uint64(0), found)

@@ -7,6 +7,7 @@ differ by factors, so that at most one of them fits.
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 
@@ -27,8 +28,10 @@ MU = {
     "SATURN": 37940584.8,
 }
 """Gravitational parameters in km^3/s^2 (JPL DE440)."""
+EXACT = 0.02
+"""Relative difference of accelerations that needs no explanation: perturbations are smaller."""
 FITS = 0.1
-"""Relative difference of accelerations that perturbations and noise may make."""
+"""Difference up to which another hypothesis explains an orbit, if it is much smaller than the one at hand."""
 UNCLEAR = 0.15
 """Doubt of the accelerations beyond which nothing is said."""
 LENGTHS = {
@@ -89,27 +92,35 @@ def hypothesis(times: Array, positions: Array, mu: float, *, turning: bool) -> s
         mu: of the body, km^3/s^2.
         turning: whether the frame is said to rotate with the Earth.
     """
-    if fits(times, positions, mu, turned=turning):
+    here = misfit(times, positions, mu, turned=turning)
+    if here <= EXACT:
         return ""
     for turned, length, time in itertools.product((turning, not turning), LENGTHS, TIMES):
-        if fits(time * times, length * positions, mu, turned=turned):
+        if misfit(time * times, length * positions, mu, turned=turned) < min(FITS, here / 3):
             frame = "" if turned == turning else TURNS[turned]
             return " and ".join(filter(None, (LENGTHS[length], TIMES[time], frame)))
     return ""
 
 
-def fits(times: Array, positions: Array, mu: float, *, turned: bool) -> bool:
-    """Return whether positions move under an attraction mu/r^2, `turned` from a frame that rotates."""
+def misfit(times: Array, positions: Array, mu: float, *, turned: bool) -> float:
+    """Return how far accelerations are from an attraction mu/r^2, relative; infinite where nobody knows.
+
+    Args:
+        times: (T,), s.
+        positions: (T, 3), km.
+        mu: of the body, km^3/s^2.
+        turned: whether they are turned from a frame that rotates with the Earth first.
+    """
     if turned:
         c, s = np.cos(TURN * times), np.sin(TURN * times)
         x, y, z = positions.T
         positions = np.stack((c * x - s * y, s * x + c * y, z), axis=1)
     found = slopes(times, positions, 2)
     if found is None or found.doubt > UNCLEAR:
-        return False
+        return math.inf
     here = positions[found.at]
     radius = np.linalg.norm(here, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         left = np.linalg.norm(found.values + mu * here / radius[:, None] ** 3, axis=1) * radius**2 / mu
     known = np.isfinite(left)
-    return bool(known.any()) and float(np.median(left[known])) < FITS
+    return float(np.median(left[known])) if known.any() else math.inf

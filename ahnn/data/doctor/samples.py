@@ -87,9 +87,11 @@ def too_wide(content: Content) -> Iterator[Finding]:
     for c, name in enumerate(content.positions):
         for track in content.tracks:
             angle = track.values[np.isfinite(track.values[:, c]), c]
-            steps = np.diff(angle)
-            to_and_fro = len(steps) > 0 and min(steps.clip(0).sum(), -steps.clip(None, 0).sum()) > 2 * np.pi
-            if to_and_fro:
+            if not len(angle):
+                continue
+            fall = (np.maximum.accumulate(angle) - angle).max()
+            rise = (angle - np.minimum.accumulate(angle)).max()
+            if min(fall, rise) > 2 * np.pi:
                 what = f"swings to and fro over {np.ptp(angle):.3g} rad, more than a turn"
                 yield Finding("warning", track.file, content.head, name, what, "Degrees? Then say so: [deg]")
                 break

@@ -6,11 +6,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ahnn.data.files.samples import Array
 
 CENTRES = 64
 """Samples of a trajectory at which derivatives are taken."""
+LEAST = 12
+"""Derivatives that a longer stride has to leave, so that none is chosen by chance."""
 WIDE = 3.0
 """A stencil so many times wider than most lies across a gap."""
 
@@ -23,7 +26,7 @@ class Slopes(NamedTuple):
         values, doubts: (K, C).
     """
 
-    at: Array
+    at: NDArray[np.int64]
     values: Array
     doubts: Array
 
@@ -49,9 +52,11 @@ def slopes(times: Array, values: Array, order: int) -> Slopes | None:
         values: (T, C), NaN where a number is missing.
         order: 1 or 2.
     """
-    strides = [2**k for k in range(12) if 4 * 2**k + 2 < len(times)]
+    if len(times) < 7:
+        return None
+    strides = [1, *(2**k for k in range(1, 12) if 4 * 2**k + LEAST <= len(times))]
     found = [over(times, values, stride, order) for stride in strides]
-    return min(found, key=lambda one: one.doubt, default=None)
+    return min(found, key=lambda one: one.doubt)
 
 
 def over(times: Array, values: Array, stride: int, order: int) -> Slopes:
@@ -61,7 +66,8 @@ def over(times: Array, values: Array, stride: int, order: int) -> Slopes:
     window = at[:, None] + stride * np.arange(-2, 3)
     offsets = times[window] - times[at, None]
     width = offsets[:, -1] - offsets[:, 0]
-    at, window, offsets = (part[width <= WIDE * np.median(width)] for part in (at, window, offsets))
+    near = width <= WIDE * np.median(width)
+    at, window, offsets = at[near], window[near], offsets[near]
     five = np.einsum("kj,kjc->kc", weights(offsets, order), values[window])
     three = np.einsum("kj,kjc->kc", weights(offsets[:, 1:4], order), values[window[:, 1:4]])
     return Slopes(at, five, np.abs(five - three))
@@ -76,7 +82,7 @@ def weights(offsets: Array, order: int) -> Array:
     return np.linalg.solve(powers, unit[None])[..., 0] / size**order
 
 
-def roughness(times: Array, values: Array, at: Array) -> Array:
+def roughness(times: Array, values: Array, at: NDArray[np.int64]) -> Array:
     """Return how far samples (K, C) are from the cubic through the two before and the two behind them."""
     window = at[:, None] + np.array([-2, -1, 1, 2])
     offsets = times[window] - times[at, None]

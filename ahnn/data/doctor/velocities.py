@@ -13,8 +13,11 @@ from ahnn.data.files.samples import Array, Track
 
 EXACT = 0.03
 """Relative difference that needs no explanation."""
-DOUBTS = 4.0
-"""Doubts of the derivatives, and of the velocities, that explain a difference."""
+DOUBTS = 8.0
+"""Doubts of the derivatives, and of the velocities, that explain a difference.
+
+Noise moves a derivative by 3.6 times what it moves the difference between stencils of five and three points.
+"""
 UNCLEAR = 0.1
 """Doubt beyond which nothing is said."""
 LEAST = 8

@@ -70,7 +70,7 @@ def content(
         )
         raise UserError(message)
     model = library("sgp4.api", "sgp4", "orbit", file)
-    times = step * np.arange(int(duration / step + 1e-9) + 1)
+    times = step * np.arange(int(duration / step + 1e-9) + 1, dtype=np.float64)
     tracks, starts = [], []
     for one in sets_of(text, file, note):
         try:

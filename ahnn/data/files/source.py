@@ -63,12 +63,12 @@ class Files:
         require_different(self.paths)
         digest = hashlib.sha256()
         contents = []
-        for path in self.paths:
-            raw, aside = bytes_of(path)
+        for file in self.paths:
+            raw, aside = bytes_of(file)
             digest.update(
                 hashlib.sha256(raw).digest() + (hashlib.sha256(aside).digest() if aside is not None else b"")
             )
-            contents.append(parsed(path, raw, aside, self.reading))
+            contents.append(parsed(file, raw, aside, self.reading))
         contents = since_first(contents)
         first = together(self.paths, contents)
         self.positions_only = not first.rates

@@ -7,7 +7,7 @@ import io
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,7 +116,7 @@ def read_csv(text: str, file: str, note: Note = refuse) -> Sheet:
             whole.append(cells)
         else:
             note(Fault(Place(file, row), f"{width} cells, as in the header", f"{len(cells)}"))
-    columns = list(zip(*whole, strict=True)) if whole else [()] * width
+    columns: list[Any] = list(zip(*whole, strict=True)) if whole else [()] * width
     return Sheet(header, place, np.array(rows, dtype=np.int64), columns)
 
 
