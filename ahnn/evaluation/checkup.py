@@ -41,7 +41,7 @@ def checkup(found: Examined) -> RenderableType:
     for name, width in (("", 7), ("file", 12), ("row", 6), ("column", 6), ("what", 24), ("what to do", 20)):
         table.add_column(name, width=width, overflow="fold", justify="right" if name == "row" else "left")
     for level, part in levels.items():
-        for cells in shortened(part):
+        for cells in shortened(sorted(part, key=lambda one: (one.file, one.row))):
             table.add_row(level, *cells)
     return Group(table, "", head)
 
