@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Collection
 
 import numpy as np
 
@@ -65,7 +66,7 @@ def orbit_findings(content: Content, tracks: list[Track]) -> list[Finding]:
     found: list[tuple[Track, str]] = []
     for track in tracks:
         times, positions = clock.size * track.times, length.size / 1000 * track.values[:, :3]
-        said = hypothesis(times, positions, MU[body or "EARTH"], turning=turning)
+        said = hypothesis(times, positions, body, turning=turning)
         if said:
             found.append((track, said))
     remedy = "Correct unit or frame; system.frame turns known frames"
@@ -83,32 +84,33 @@ def words(frame: str) -> list[str]:
     return frame.upper().replace(",", " ").split()
 
 
-def hypothesis(times: Array, positions: Array, mu: float, *, turning: bool) -> str:
+def hypothesis(times: Array, positions: Array, body: str | None, *, turning: bool) -> str:
     """Return under which mistake positions in km at times in s are an orbit; "" for none, and for no orbit.
 
     Args:
         times: (T,).
         positions: (T, 3).
-        mu: of the body, km^3/s^2.
+        body: that they circle; None takes any, and mistakes are those of orbits of the Earth.
         turning: whether the frame is said to rotate with the Earth.
     """
-    here = misfit(times, positions, mu, turned=turning)
+    here = misfit(times, positions, [MU[body]] if body else MU.values(), turned=turning)
     if here <= EXACT:
         return ""
     for turned, length, time in itertools.product((turning, not turning), LENGTHS, TIMES):
-        if misfit(time * times, length * positions, mu, turned=turned) < min(FITS, here / 3):
+        left = misfit(time * times, length * positions, [MU[body or "EARTH"]], turned=turned)
+        if left < min(FITS, here / 3):
             frame = "" if turned == turning else TURNS[turned]
             return " and ".join(filter(None, (LENGTHS[length], TIMES[time], frame)))
     return ""
 
 
-def misfit(times: Array, positions: Array, mu: float, *, turned: bool) -> float:
+def misfit(times: Array, positions: Array, bodies: Collection[float], *, turned: bool) -> float:
     """Return how far accelerations are from an attraction mu/r^2, relative; infinite where nobody knows.
 
     Args:
         times: (T,), s.
         positions: (T, 3), km.
-        mu: of the body, km^3/s^2.
+        bodies: their mu in km^3/s^2, of which the best counts.
         turned: whether they are turned from a frame that rotates with the Earth first.
     """
     if turned:
@@ -119,8 +121,10 @@ def misfit(times: Array, positions: Array, mu: float, *, turned: bool) -> float:
     if found is None or found.doubt > UNCLEAR:
         return math.inf
     here = positions[found.at]
-    radius = np.linalg.norm(here, axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        left = np.linalg.norm(found.values + mu * here / radius[:, None] ** 3, axis=1) * radius**2 / mu
-    known = np.isfinite(left)
-    return float(np.median(left[known])) if known.any() else math.inf
+    radius = np.linalg.norm(here, axis=1, keepdims=True)
+    known = np.isfinite(found.values).all(1) & (radius[:, 0] > 0)
+    here, radius, acceleration = here[known], radius[known], found.values[known]
+    if not len(here):
+        return math.inf
+    left = [np.linalg.norm(acceleration * radius**2 / mu + here / radius, axis=1) for mu in bodies]
+    return min(float(np.median(one)) for one in left)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import math
 from pathlib import Path
 
 import numpy as np
@@ -72,15 +71,17 @@ def test_derivatives_of_polynomials_are_exact_at_any_times(order):
 
 def test_an_orbit_of_another_body_and_no_orbit_pass():
     t = np.linspace(0, 5000, 60)
-    for mu, radius in ((orbits.MU["MARS"], 4000.0), (orbits.MU["EARTH"], 8000.0)):
-        rate = math.sqrt(mu / radius**3)
-        q = radius * np.stack((np.cos(rate * t), np.sin(rate * t), 0 * t), axis=1)
-        assert orbits.misfit(t, q, mu, turned=False) < 1e-3
-        assert orbits.hypothesis(t, q, mu, turning=False) == ""
+    for name, mu in orbits.MU.items():
+        rate = 2e-3 / 3  # about half a revolution
+        q = (mu / rate**2) ** (1 / 3) * np.stack((np.cos(rate * t), np.sin(rate * t), 0 * t), axis=1)
+        assert orbits.misfit(t, q, [mu], turned=False) < 1e-3
+        assert orbits.hypothesis(t, q, name, turning=False) == ""
+        assert orbits.hypothesis(t, q, None, turning=False) == ""
+        assert "m as km" in orbits.hypothesis(t, 1000 * q, name, turning=False)
     spring = np.stack([np.cos(1e-3 * t + phase) for phase in (0, 1, 2)], axis=1)
-    assert orbits.hypothesis(t, spring, orbits.MU["EARTH"], turning=False) == ""
-    still = np.tile([42164.0, 0.0, 0.0], (60, 1))
-    assert "turn with the Earth" in orbits.hypothesis(17 * t, still, TURN**2 * 42164.0**3, turning=False)
+    assert orbits.hypothesis(t, spring, None, turning=False) == ""
+    still = np.tile([(orbits.MU["EARTH"] / TURN**2) ** (1 / 3), 0.0, 0.0], (60, 1))
+    assert "turn with the Earth" in orbits.hypothesis(17 * t, still, "EARTH", turning=False)
 
 
 def angles(tmp_path, values, name="a.csv"):
@@ -136,6 +137,14 @@ def test_the_command_shows_draws_and_ends_with_2(mislabelled, tmp_path, capsys):
     assert {path.name for path in (tmp_path / "seen").iterdir()} == {"swings.csv.png", "swings.csv.svg"}
     assert call("ahnn.data.__main__", "check", str(ROOT / "tests" / "fixtures" / "swings.csv")) == 0
     assert capsys.readouterr().out == "1 file, 120 samples: 0 faults, 0 warnings, 0 notes\n"
+
+
+def test_the_document_shows_what_the_command_prints(capsys, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    assert call("ahnn.data.__main__", "check", "tests/fixtures/spoiled.csv") == 2
+    shown = capsys.readouterr()
+    lines = [line.rstrip() for line in (shown.out + shown.err).splitlines()]
+    assert "\n".join(lines) in (ROOT / "docs" / "data.md").read_text()
 
 
 @pytest.mark.parametrize(
