@@ -37,14 +37,17 @@ def check(arguments: list[str]) -> None:
         from ahnn.errors import UserError
         from ahnn.evaluation.checkup import checkup, draw
         from ahnn.evaluation.terminal import show
+        from ahnn.files import require_writable
 
     paths, options = request(arguments)
-    figures = options.pop("figures", None)
+    figures = Path(str(options.pop("figures"))) if "figures" in options else None
+    if figures is not None:
+        require_writable(figures)
     mass, gap = options.pop("mass", None), options.pop("gap", 10.0)
     found = examine(paths, Reading(mass is not None, **options), mass, gap)
     show(checkup(found))
     if figures is not None:
-        draw(found, Path(figures))
+        draw(found, figures)
     if count := len(found.faults):
         what = "1 fault that would" if count == 1 else f"{count} faults that would"
         message = f"check: expected sound data; received {what} spoil a training"
@@ -53,18 +56,17 @@ def check(arguments: list[str]) -> None:
 
 def request(arguments: list[str]) -> tuple[list[Path], dict[str, Any]]:
     """Return the files and the options of a command line; raises UserError for others."""
-    import yaml
-
     from ahnn.arguments import check_values, nearest
+    from ahnn.cli import commandline
     from ahnn.data.files import Files
     from ahnn.errors import UserError
 
-    pairs = [argument.partition("=") for argument in arguments[1:]]
-    options = {key: yaml.safe_load(value) for key, sign, value in pairs if sign}
+    given = [commandline.parse(argument) for argument in arguments[1:] if "=" in argument]
+    options = {override.key_or_group: override.value() for override in given}
     if unknown := [key for key in options if key not in (*KEYS, "figures")]:
         message = f"check: unknown key {unknown[0]!r}{nearest(unknown[0], (*KEYS, 'figures'))}"
         raise UserError(message)
-    paths = [Path(key).expanduser() for key, sign, _ in pairs if not sign]
+    paths = [Path(argument).expanduser() for argument in arguments[1:] if "=" not in argument]
     if arguments[:1] != ["check"] or not paths:
         message = f"{USAGE}; received: {' '.join(arguments) or 'nothing'}"
         raise UserError(message)

@@ -61,11 +61,13 @@ def shortened(findings: list[Finding]) -> Iterator[tuple[str, str, str, str, str
 
 def draw(found: Examined, folder: Path) -> None:
     """Write a picture of each file into a folder."""
-    for content in track(found.contents, "drawing figures", len(found.contents)):
-        file = content.tracks[0].file
-        figure = picture(content, [one for one in found.findings if one.file == file])
+    files = [content.tracks[0].file for content in found.contents]
+    names = [Path(file).name for file in files]
+    for k, content in enumerate(track(found.contents, "drawing figures", len(files))):
+        figure = picture(content, [one for one in found.findings if one.file == files[k]])
+        name = names[k] if names.count(names[k]) == 1 else f"{k + 1}_{names[k]}"
         for suffix, options in FORMATS.items():
-            write_atomically(folder / f"{Path(file).name}{suffix}", drawn(figure, suffix, options))
+            write_atomically(folder / f"{name}{suffix}", drawn(figure, suffix, options))
 
 
 def picture(content: Content, findings: list[Finding]) -> Figure:

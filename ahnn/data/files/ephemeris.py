@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ahnn.data.files import epochs
 from ahnn.data.files.content import Content
 from ahnn.data.files.samples import Array, Track, ordered
-from ahnn.data.files.table import Note, Place, number, refuse
+from ahnn.data.files.table import Fault, Note, Place, number, refuse
 from ahnn.types import Units
 
 COMPONENTS = ("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")
@@ -75,20 +75,32 @@ class Block:
     matrices: list[tuple[int, str, str, list[str]]] = field(default_factory=list)
 
 
-def ephemeris(block: Block) -> Ephemeris:
+def ephemeris(block: Block, note: Note = refuse) -> Ephemeris:
     """Return the numbers of a block.
 
+    Args:
+        block: a segment as text.
+        note: of a state that is no epoch and numbers, which is then left out.
+
     Raises:
-        UserError: names the line of what is missing or wrong.
+        UserError: names the line of what is missing, or what `note` raises.
     """
     for key in REQUIRED:
         if not block.meta.get(key):
             block.place._replace(column=key).refuse("a value in the metadata of a segment", "none")
-    if not block.vectors:
-        block.place.refuse("a state in each segment", "none")
     file, utc = block.place.file, block.meta["TIME_SYSTEM"].upper() == "UTC"
-    moments = [moment(cells[0], Place(file, row, "EPOCH"), utc=utc) for row, cells in block.vectors]
-    states = [values(cells[1:7], COMPONENTS, Place(file, row)) for row, cells in block.vectors]
+    rows, moments, states = [], [], []
+    for row, cells in block.vectors:
+        try:
+            epoch = moment(cells[0], Place(file, row, "EPOCH"), utc=utc)
+            states.append(values(cells[1:7], COMPONENTS, Place(file, row)))
+        except Fault as fault:
+            note(fault)
+        else:
+            rows.append(row)
+            moments.append(epoch)
+    if not rows:
+        block.place.refuse("a state in each segment", "none")
     return Ephemeris(
         object_id=block.meta["OBJECT_ID"],
         object_name=block.meta.get("OBJECT_NAME", ""),
@@ -99,7 +111,7 @@ def ephemeris(block: Block) -> Ephemeris:
         times=np.array([(m - moments[0]) / epochs.SECOND for m in moments]),
         states=np.array(states),
         covariances=tuple(covariance(block, k, moments[0], utc=utc) for k in range(len(block.matrices))),
-        rows=np.array([row for row, _ in block.vectors], dtype=np.int64),
+        rows=np.array(rows, dtype=np.int64),
     )
 
 
@@ -138,12 +150,12 @@ def content(blocks: list[Block], *, weighed: bool, note: Note = refuse) -> Conte
     Args:
         blocks: the segments.
         weighed: whether a mass is stated.
-        note: of each time that does not increase.
+        note: of each state that is none, and each time that does not increase.
 
     Raises:
         UserError: segments that differ in centre, frame or time system, or what `note` raises.
     """
-    found = [ephemeris(block) for block in blocks]
+    found = [ephemeris(block, note) for block in blocks]
     for name in ("frame", "center", "time_system"):
         first = getattr(found[0], name)
         for block, other in zip(blocks, found, strict=True):

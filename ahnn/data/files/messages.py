@@ -8,14 +8,15 @@ from pathlib import Path
 from ahnn.data.files import oem, oem_xml
 from ahnn.data.files.ephemeris import Block, Ephemeris, ephemeris
 from ahnn.data.files.raw import content_of, decoded
+from ahnn.data.files.table import Note, refuse
 from ahnn.files import write_atomically
 
 SUFFIXES = (".oem", ".xml")
 
 
-def blocks_of(text: str, file: str) -> list[Block]:
+def blocks_of(text: str, file: str, note: Note = refuse) -> list[Block]:
     """Return the segments of a message in XML, if it begins like that, or in keyword = value notation."""
-    return (oem_xml if text.lstrip().startswith("<") else oem).blocks_of(text, file)
+    return oem_xml.blocks_of(text, file) if text.lstrip().startswith("<") else oem.blocks_of(text, file, note)
 
 
 def read_oem(path: str | Path) -> list[Ephemeris]:

@@ -8,16 +8,21 @@ import numpy as np
 
 from ahnn.data.files import epochs
 from ahnn.data.files.ephemeris import Block, Covariance, Ephemeris
-from ahnn.data.files.table import Place
+from ahnn.data.files.table import Fault, Note, Place, refuse
 
 VERSION = "CCSDS_OEM_VERS"
 
 
-def blocks_of(text: str, file: str) -> list[Block]:
+def blocks_of(text: str, file: str, note: Note = refuse) -> list[Block]:
     """Return the segments of a message as text.
 
+    Args:
+        text: of the message.
+        file: its name.
+        note: of a state of too few numbers, which is then left out.
+
     Raises:
-        UserError: names the line of what does not belong there.
+        UserError: names the line of what does not belong there, or what `note` raises.
     """
     lines = [(row, line.strip()) for row, line in enumerate(text.splitlines(), 1)]
     used = [(row, line) for row, line in lines if line and not line.startswith("COMMENT")]
@@ -39,7 +44,7 @@ def blocks_of(text: str, file: str) -> list[Block]:
             if state == "meta":
                 blocks[-1].meta[key] = value
         elif state == "data":
-            add_vector(blocks[-1], line, place)
+            add_vector(blocks[-1], line, place, note)
         else:
             add_covariance(blocks[-1], line, place)
     if state != "data":
@@ -63,12 +68,14 @@ def pair(line: str, place: Place) -> tuple[str, str]:
     return key, value
 
 
-def add_vector(block: Block, line: str, place: Place) -> None:
-    """Add a state to a block; accelerations behind it are left out. Raises UserError for fewer numbers."""
+def add_vector(block: Block, line: str, place: Place, note: Note) -> None:
+    """Add a state to a block, or note that it has too few numbers; accelerations behind it are left out."""
     cells = line.split()
-    if len(cells) not in (7, 10):
-        place.refuse("an epoch, three positions and three velocities", f"{len(cells)} values")
-    block.vectors.append((place.row, cells))
+    if len(cells) in (7, 10):
+        block.vectors.append((place.row, cells))
+    else:
+        expected = "an epoch, three positions and three velocities"
+        note(Fault(place, expected, f"{len(cells)} values"))
 
 
 def add_covariance(block: Block, line: str, place: Place) -> None:

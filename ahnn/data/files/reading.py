@@ -61,7 +61,7 @@ def parsed(path: Path, raw: bytes, aside: bytes | None, reading: Reading, note: 
     if suffix == parquet.SUFFIX:
         found = of_sheet(parquet.read_parquet(raw, file), said, weighed=reading.weighed, note=note)
     elif suffix in messages.SUFFIXES:
-        blocks = messages.blocks_of(decoded(raw, path), file)
+        blocks = messages.blocks_of(decoded(raw, path), file, note)
         found = ephemeris.content(blocks, weighed=reading.weighed, note=note)
     elif elements.are_elements(text := decoded(raw, path), suffix):
         given = (reading.step, reading.duration)

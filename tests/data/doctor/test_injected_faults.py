@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ahnn.data.doctor import examine
+from ahnn.data.files import Ephemeris, instant, write_oem
 from ahnn.data.files.reading import Reading
 
 HEADER = ["id", "t [s]", "x [m]", "y [m]", "vx [m/s]", "vy [m/s]"]
@@ -113,6 +114,21 @@ def test_a_single_trajectory_in_other_units_is_named_by_its_first_row(tmp_path):
     (found,) = examine([tmp_path / "a.csv"], Reading()).findings
     assert (found.level, found.row, found.column) == ("fault", SAMPLES + 2, "vy")
     assert "0.001 times the change of y per s" in found.what
+
+
+def test_all_faults_of_a_message_are_found_in_one_pass(tmp_path):
+    path, start = tmp_path / "a.oem", instant("2017-01-01T01:00:00", utc=True)
+    states = np.outer(np.ones(9), np.arange(6.0))
+    write_oem(path, [Ephemeris("1", "S", "EARTH", "EME2000", "UTC", start, np.arange(9.0), states)])
+    lines = path.read_text().splitlines()
+    states = [k for k, line in enumerate(lines) if line.startswith("2017-01-01T01")][2:8:2]
+    lines[states[0]] += " 1.0"
+    lines[states[1]] = lines[states[1]].replace("01-01", "01-32")
+    cells = lines[states[2]].split()
+    lines[states[2]] = " ".join((*cells[:5], "fast", *cells[6:]))
+    path.write_text("\n".join(lines) + "\n")
+    found = [(one.row, one.column) for one in examine([path], Reading()).faults]
+    assert found == [(states[0] + 1, ""), (states[1] + 1, "EPOCH"), (states[2] + 1, "Y_DOT")]
 
 
 @pytest.mark.parametrize("shift", [0, 7])

@@ -203,6 +203,23 @@ def test_gcrf_and_eme2000_differ_by_the_bias_of_the_frames(tmp_path):
     assert Files("o", str(tmp_path / "a.oem"), frame="EME2000").read().states[0, 3, 0] == states[3, 0]
 
 
+def test_what_is_left_out_costs_what_the_document_says():
+    erfa, arcsec = pytest.importorskip("erfa"), np.pi / 648000
+    exact, document = (
+        erfa.c2t06a(2460370.5, 0.3, 2460370.5, 0.3, 0, 0),
+        Path(__file__).parents[3] / "docs" / "data.md",
+    )
+    for words, (ut1, x, y) in {
+        "UT1 - UTC of 0.1 s": (0.1, 0.0, 0.0),
+        "UT1 - UTC of 0.9 s, the most there may be": (0.9, 0.0, 0.0),
+        "polar motion of 0.3 and 0.5 seconds of arc": (0.0, 0.3, 0.5),
+    }.items():
+        other = erfa.c2t06a(2460370.5, 0.3, 2460370.5, 0.3 + ut1 / 86400, x * arcsec, y * arcsec)
+        largest = np.linalg.norm(other - exact, ord=2)  # over all directions
+        costs = [f"{1e3 * largest * radius:,.0f} m" for radius in (6900.0, 42164.0)]
+        assert f"| {words} | {' | '.join(costs)} |" in document.read_text()
+
+
 @pytest.mark.parametrize(
     ("header", "sidecar", "expected"),
     [
