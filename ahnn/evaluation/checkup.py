@@ -23,7 +23,12 @@ SHOWN = 5
 """Findings of a kind that the table lists; the others are counted."""
 CURVES = 6
 """Trajectories of a file that a picture shows."""
-COLOURS = (style.BLUE, style.VERMILLION, style.GREEN, style.PURPLE, style.ORANGE, style.SKY)
+LOOKS = tuple(
+    {"color": color, "ls": ls, "lw": 1.0}
+    for ls in ("-", "--")
+    for color in (style.BLUE, style.VERMILLION, style.GREEN)
+)
+"""Of the components."""
 
 
 def checkup(found: Examined) -> RenderableType:
@@ -77,15 +82,14 @@ def picture(content: Content, findings: list[Finding]) -> Figure:
     n, shown = len(content.positions), content.tracks[:CURVES]
     for c, name in enumerate(content.positions):
         for part in shown:
-            look = {"color": COLOURS[c % len(COLOURS)], "lw": 1.0, "marker": ".", "ms": 2}
-            panels[0].plot(part.times, part.values[:, c], **look, label=name)
+            look: dict[str, Any] = LOOKS[c % len(LOOKS)]
+            panels[0].plot(part.times, part.values[:, c], **look, marker=".", ms=3, label=name)
             if content.rates:
-                panels[1].plot(
-                    part.times, part.values[:, n + c], **(look | {"marker": ""}), label=content.rates[c]
-                )
+                panels[1].plot(part.times, part.values[:, n + c], **look, label=content.rates[c])
     if content.rates:
         for part in shown:
-            if (change := slopes(part.times, part.values[:, :n], 1)) is not None:
+            change = None if content.momenta else slopes(part.times, part.values[:, :n], 1)
+            if change is not None:
                 look = {"color": style.BLACK, "ls": "none", "marker": "+", "ms": 4, "zorder": 4}
                 panels[1].plot(part.times[change.at], change.values, **look, label="change of the positions")
         rate = "momentum" if content.momenta else f"velocity [{content.units.velocity}]"

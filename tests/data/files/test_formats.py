@@ -8,10 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from entry import SMALL, call
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from ahnn.data import Files
-from ahnn.data.files import Ephemeris, instant, read_oem, write_oem
+from ahnn.data.doctor import examine
+from ahnn.data.files import Ephemeris, frames, instant, read_oem, write_oem
+from ahnn.data.files.reading import Reading
 from ahnn.errors import UserError
+from ahnn.evaluation import load_results
+from ahnn.runs import load
 
 VANGUARD = """VANGUARD 1
 1 00005U 58002B   00179.78495062  .00000023  00000-0  28098-4 0  4753
@@ -149,6 +156,52 @@ def test_element_sets_need_a_step_and_a_duration(tmp_path):
     (tmp_path / "a.tle").write_text(VANGUARD)
     with pytest.raises(UserError, match=r"system.step, system.duration: expected seconds"):
         Files("orbit", str(tmp_path / "a.tle"), step=60.0)
+
+
+def test_faults_of_element_sets_leave_the_others(tmp_path):
+    pytest.importorskip("sgp4")
+    other = VANGUARD.replace("4753", "4759", 1)
+    path = tmp_path / "a.txt"
+    path.write_text(f"{VANGUARD}{other}2 00005 alone\n{VANGUARD}")
+    found = examine([path], Reading(step=60.0, duration=600.0))
+    assert [(one.row, one.column) for one in found.faults[:3]] == [(5, "checksum"), (7, ""), (7, "")]
+    assert [track.rows[0] for track in found.contents[0].tracks] == [2, 9]
+    assert found.faults[-1].row == 9  # the same set twice: its samples leak
+
+
+def test_frames_that_clash_are_refused_unless_they_are_turned(tmp_path):
+    pytest.importorskip("sgp4")
+    (tmp_path / "a.tle").write_text(VANGUARD)
+    start, (t, states) = instant("2000-06-27T18:00:00", utc=True), orbit()
+    write_oem(tmp_path / "b.oem", [Ephemeris("1", "S", "EARTH", "EME2000", "UTC", start, t, states)])
+    paths, sets = [str(tmp_path / "a.tle"), str(tmp_path / "b.oem")], {"step": 60.0, "duration": 600.0}
+    with pytest.raises(UserError, match=r"b.oem: expected frame TEME, EARTH.*received EME2000, EARTH"):
+        Files("both", paths, **sets)
+    both = Files("both", paths, frame="EME2000", **sets)
+    assert both.space.frame.startswith("EME2000, EARTH, UTC, from 2000-06-27T18:00:00")
+    assert both.recipe() != Files("both", paths, frame="GCRF", **sets).recipe()
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(-(10**9), 10**9), st.sampled_from(["TEME", "ITRF", "EME2000"]))
+def test_turns_are_rotations_and_go_together(seconds, frame):
+    pytest.importorskip("erfa")
+    tt = frames.terrestrial(seconds * 10**12, np.array([0.0, 5000.0]), "UTC")
+    one, other = (frames.rotations(tt, frame, into) for into in frames.INERTIAL)
+    assert np.abs(one @ one.transpose(0, 2, 1) - np.eye(3)).max() < 1e-12
+    assert np.abs(frames.rotations(tt, "GCRF", "EME2000") @ one - other).max() < 1e-12
+
+
+def test_the_frame_is_kept_in_the_results_of_a_training(tmp_path):
+    pytest.importorskip("erfa")
+    (tmp_path / "a.tle").write_text(VANGUARD)
+    files = [f"system.path={tmp_path}/a.tle", "system.step=60", "system.duration=20000", "system.cut=30"]
+    small = [word for word in SMALL if not word.startswith(("system.", "data.trajectories", "trainer.max"))]
+    run = tmp_path / "run"
+    command = ["system=files", *files, "system.frame=GCRF", f"run={run}", "window=1", "trainer.max_epochs=1"]
+    assert call("ahnn.train", *command, *small) == 0
+    assert load_results(run).space.frame == "GCRF, EARTH, UTC, from 2000-06-27T18:50:19.733568"
+    assert load(run).space.frame == load_results(run).space.frame
 
 
 def test_teme_agrees_with_the_theory_of_1980(tmp_path):
