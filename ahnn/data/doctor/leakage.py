@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 from ahnn.data.doctor.finding import Finding
 from ahnn.data.files.samples import Track
 
-RUN = 4
-"""Samples in a row that have to be the same: single ones may be by chance."""
+RUN = 8
+"""Samples in a row that have to be the same, or whole trajectories that are shorter: few may be by chance."""
+LEAST = 3
+"""Samples of a trajectory that is compared at all."""
 
 
 def leakage_findings(tracks: list[Track]) -> list[Finding]:
@@ -27,8 +29,8 @@ def leakage_findings(tracks: list[Track]) -> list[Finding]:
     again = np.flatnonzero((flat[1:] == flat[:-1]) & (owner[1:] != owner[:-1]) & (flat[1:] != 0)) + 1
     firsts: dict[tuple[int, int], tuple[int, int]] = {}
     for k in again.tolist():
-        pair = int(owner[k - 1]), int(owner[k])
-        firsts[pair] = min(firsts.get(pair, (int(place[k]), 0)), (int(place[k]), int(place[k - 1])))
+        pair, here = (int(owner[k - 1]), int(owner[k])), (int(place[k]), int(place[k - 1]))
+        firsts[pair] = min(firsts.get(pair, here), here)
     return [finding(tracks[a], tracks[b], *firsts[a, b]) for a, b in firsts]
 
 
@@ -42,17 +44,18 @@ def finding(one: Track, other: Track, at: int, first: int) -> Finding:
 def runs(track: Track) -> NDArray[np.uint64]:
     """Return a key for each run of samples; 0 where they do not change or a number is missing."""
     values = np.ascontiguousarray(track.values + 0.0)  # so that -0 is 0
-    if len(values) < RUN:
+    if len(values) < LEAST:
         return np.zeros(0, dtype=np.uint64)
+    length = min(RUN, len(values))
     draw = np.random.default_rng(0)
     bits, odd = values.view(np.uint64), np.uint64(1)
     key = (bits * (draw.integers(2**63, size=bits.shape[1], dtype=np.uint64) | odd)).sum(1, dtype=np.uint64)
     key ^= key >> np.uint64(29)
-    factors = draw.integers(2**63, size=RUN, dtype=np.uint64) | odd
-    count = len(values) - RUN + 1
+    factors = draw.integers(2**63, size=RUN, dtype=np.uint64)[:length] | odd
+    count = len(values) - length + 1
     products = [factor * key[k : k + count] for k, factor in enumerate(factors)]
     found = np.stack(products).sum(0, dtype=np.uint64)
-    same = np.stack([key[k : k + count] == key[:count] for k in range(RUN)]).all(0)
+    same = np.stack([key[k : k + count] == key[:count] for k in range(length)]).all(0)
     missing = np.isnan(values).max(axis=1, keepdims=True)
-    lost = np.concatenate([missing[k : k + count] for k in range(RUN)], axis=1).any(1)
+    lost = np.concatenate([missing[k : k + count] for k in range(length)], axis=1).any(1)
     return np.where(same | lost, np.uint64(0), found)

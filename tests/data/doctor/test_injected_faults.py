@@ -131,10 +131,10 @@ def test_all_faults_of_a_message_are_found_in_one_pass(tmp_path):
     assert found == [(states[0] + 1, ""), (states[1] + 1, "EPOCH"), (states[2] + 1, "Y_DOT")]
 
 
-@pytest.mark.parametrize("shift", [0, 7])
-def test_samples_in_two_trajectories_leak(tmp_path, shift):
+@pytest.mark.parametrize(("shift", "count"), [(0, 20), (7, 20), (11, 8)])
+def test_samples_in_two_trajectories_leak(tmp_path, shift, count):
     (tmp_path / "a.csv").write_text(text(swings()))
-    copied = [["c", f"{0.05 * k:.2f}", *row[2:]] for k, row in enumerate(swings()[shift : shift + 20])]
+    copied = [["c", f"{0.05 * k:.2f}", *row[2:]] for k, row in enumerate(swings()[shift : shift + count])]
     (tmp_path / "b.csv").write_text(text(copied))
     found = [
         one
