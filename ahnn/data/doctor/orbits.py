@@ -93,11 +93,12 @@ def hypothesis(times: Array, positions: Array, body: str | None, *, turning: boo
         body: that they circle; None takes any, and mistakes are those of orbits of the Earth.
         turning: whether the frame is said to rotate with the Earth.
     """
-    here = misfit(times, positions, [MU[body]] if body else MU.values(), turned=turning)
-    if here <= EXACT:
+    mu = [MU[body or "EARTH"]]
+    here = misfit(times, positions, mu, turned=turning)
+    if here <= EXACT or (body is None and misfit(times, positions, MU.values(), turned=turning) <= EXACT):
         return ""
     for turned, length, time in itertools.product((turning, not turning), LENGTHS, TIMES):
-        left = misfit(time * times, length * positions, [MU[body or "EARTH"]], turned=turned)
+        left = misfit(time * times, length * positions, mu, turned=turned)
         if left < min(FITS, here / 3):
             frame = "" if turned == turning else TURNS[turned]
             return " and ".join(filter(None, (LENGTHS[length], TIMES[time], frame)))
