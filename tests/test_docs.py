@@ -31,7 +31,14 @@ DOCUMENTS = [
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINE = re.compile(r"^\s*((?:python|make|pip|tensorboard|optuna-dashboard|createdb) [^\n]*)", re.MULTILINE)
 INLINE = re.compile(r"`(python -m ahnn\.[^`]*|python (?:benchmarks|tests)/[^`]*)`")
-FILL = {"W": "5", "SEED": "7", "NAME": "molniya_mechanical", "DIR": "runs/mine", "FILE": "mine.csv"}
+FILL = {
+    "W": "5",
+    "SEED": "7",
+    "NAME": "molniya_mechanical",
+    "DIR": "runs/mine",
+    "FILE": "mine.csv",
+    "GCRF": "GCRF",
+}
 """What stands for a word in capitals, in commands that are only composed."""
 
 NOT_RUN = {
