@@ -12,7 +12,7 @@ from ahnn.data.files.content import Content
 from ahnn.data.files.samples import Track, filled, stacked
 from ahnn.data.files.table import Fault
 from ahnn.data.files.units import ANGLE, unit
-from ahnn.data.noise_floor import SHARE, noise_floor
+from ahnn.data.noise_floor import ORDERS, SHARE, noise_floor
 from ahnn.statistics import sampling_interval
 
 EXAMPLES = 64
@@ -104,7 +104,7 @@ def noise(content: Content, names: tuple[str, ...], gap: float) -> Iterator[Find
         samples = stacked([filled(track, gap) for track in content.tracks[::every]])
     except Fault:
         return
-    if isinstance(sampling_interval(samples), torch.Tensor):
+    if samples.states.shape[1] <= ORDERS[-1] or isinstance(sampling_interval(samples), torch.Tensor):
         return
     typical = samples.states.diff(dim=1).abs().flatten(0, 1).nanmedian(0).values
     levels = zip(names, noise_floor(samples).tolist(), typical.tolist(), strict=True)

@@ -33,9 +33,9 @@ class Reading(NamedTuple):
 
 def bytes_of(path: Path) -> tuple[bytes, bytes | None]:
     """Return what is in a file and, if it is a table that has one, in its sidecar; raises UserError."""
-    aside = sidecar.beside(path)
+    raw, aside = content_of(path), sidecar.beside(path)
     beside = path.suffix.lower() in TABLES and aside.is_file()
-    return content_of(path), content_of(aside) if beside else None
+    return raw, content_of(aside) if beside else None
 
 
 def parsed(path: Path, raw: bytes, aside: bytes | None, reading: Reading, note: Note = refuse) -> Content:

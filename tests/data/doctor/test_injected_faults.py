@@ -73,6 +73,29 @@ def test_each_of_ten_injected_faults_is_found_where_it_is(kind, tmp_path):
         assert ("warning" if warned else "fault") in levels
 
 
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.csv", b""),
+        ("a.csv", bytes(range(256))),
+        ("a.parquet", bytes(range(256))),
+        ("a.csv", b"t,x\n"),
+        ("a.csv", b"t,x\n,1\n"),
+        ("a.oem", b"CCSDS_OEM_VERS = 2.0\n"),
+        ("a.xml", b"<oem>"),
+        ("a.csv", b"id,t,x\n" + b"a,0,1\n" * 3),
+    ],
+)
+def test_what_is_no_data_at_all_is_a_fault(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
+    assert examine([tmp_path / name], Reading()).faults
+
+
+def test_a_single_sample_is_no_fault(tmp_path):
+    (tmp_path / "a.csv").write_text("t,x\n0,1\n")
+    assert examine([tmp_path / "a.csv"], Reading()).findings == []
+
+
 def test_sound_files_have_no_findings(tmp_path):
     (tmp_path / "a.csv").write_text(text(swings()))
     assert examine([tmp_path / "a.csv"], Reading()).findings == []
