@@ -71,8 +71,8 @@ def draw(found: Examined, folder: Path) -> None:
     for k, content in enumerate(track(found.contents, "drawing figures", len(files))):
         figure = picture(content, [one for one in found.findings if one.file == files[k]])
         name = names[k] if names.count(names[k]) == 1 else f"{k + 1}_{names[k]}"
-        for suffix, options in FORMATS.items():
-            write_atomically(folder / f"{name}{suffix}", drawn(figure, suffix, options))
+        for suffix in FORMATS:
+            write_atomically(folder / f"{name}{suffix}", drawn(figure, suffix))
 
 
 def picture(content: Content, findings: list[Finding]) -> Figure:

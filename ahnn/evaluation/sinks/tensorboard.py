@@ -41,7 +41,7 @@ class TensorBoardSink:
 
 def image(name: str, png: bytes) -> Any:
     """Return the summary that TensorBoard shows as a picture, of the content of a PNG file."""
-    from tensorboard.compat.proto.summary_pb2 import Summary  # slow to import, and not for `ahnn.load`
+    from tensorboard.compat.proto.summary_pb2 import Summary  # pyright: ignore[reportAttributeAccessIssue]
 
     width, height = struct.unpack(">II", png[16:24])  # of its header
     shown = Summary.Image(encoded_image_string=png, width=width, height=height, colorspace=4)  # RGBA
