@@ -75,7 +75,8 @@ class NetworkEnergy(nn.Module):
 
     def gradient(self, q: Tensor) -> Tensor:
         """Return the gradient with respect to q, shape (..., n)."""
-        return self.unit * self.inputs.pullback(q, self.network.gradient(self.inputs(q)))
+        z, pullback = self.inputs.linearised(q)
+        return self.unit * pullback(self.network.gradient(z))
 
     def seen(self, q: Tensor) -> Tensor:
         """Return the inputs of the network, shape (..., F)."""

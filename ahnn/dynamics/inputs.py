@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal
 
 import torch
 from torch import Tensor, nn
+from torch.linalg import vector_norm
 
 from ahnn.arguments import checked
 from ahnn.dynamics.scaling import Affine, Kind
@@ -13,6 +15,9 @@ from ahnn.errors import UserError
 from ahnn.statistics import Statistics
 
 InputName = Literal["cartesian", "isotropic"]
+
+Pullback = Callable[[Tensor], Tensor]
+"""From the gradient with respect to the inputs of a network to the one with respect to the coordinates."""
 
 
 class Isotropic(nn.Module):
@@ -54,16 +59,24 @@ class Isotropic(nn.Module):
 
     def forward(self, q: Tensor) -> Tensor:
         """Return (q / r, s), shape (..., n + 1), at the positions q, shape (..., n)."""
-        r = q.norm(dim=-1, keepdim=True)
-        return torch.cat((q / r, (r.log() - self.middle) / self.spread), dim=-1)
+        return self.linearised(q)[0]
 
     def pullback(self, q: Tensor, gradient: Tensor) -> Tensor:
         """Return the gradient with respect to q, shape (..., n), from the one with respect to z."""
-        inverse = q.norm(dim=-1, keepdim=True).reciprocal()
+        return self.linearised(q)[1](gradient)
+
+    def linearised(self, q: Tensor) -> tuple[Tensor, Pullback]:
+        """Return z at q and the way back of gradients from there, which share what is costly."""
+        r = vector_norm(q, dim=-1, keepdim=True)
+        inverse = r.reciprocal()
         direction = q * inverse
-        g = gradient[..., :-1]
-        radial = gradient[..., -1:] / self.spread - (direction * g).sum(-1, keepdim=True)
-        return (g + radial * direction) * inverse
+
+        def pullback(gradient: Tensor) -> Tensor:
+            g, along = gradient.split((self.size - 1, 1), dim=-1)
+            radial = along / self.spread - (direction * g).sum(-1, keepdim=True)
+            return (g + radial * direction) * inverse
+
+        return torch.cat((direction, (r.log() - self.middle) / self.spread), dim=-1), pullback
 
 
 class Cartesian(nn.Module):
@@ -93,6 +106,10 @@ class Cartesian(nn.Module):
         """Return the gradient with respect to the physical components, shape (..., n)."""
         del q
         return self.affine.pullback(gradient)
+
+    def linearised(self, q: Tensor) -> tuple[Tensor, Pullback]:
+        """Return z at q and the way back of gradients, which is the same everywhere."""
+        return self.affine(q), self.affine.pullback
 
 
 InputMap = Cartesian | Isotropic

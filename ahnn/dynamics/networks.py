@@ -92,13 +92,14 @@ class Perceptron(nn.Module):
     def gradient(self, z: Tensor) -> Tensor:
         """Return the gradient of the single output with respect to z, shape (..., inputs)."""
         slopes = []
-        for layer in self.hidden:
-            z, slope = self.activation.value_and_slope(layer(z))
+        parts = [(layer.weight, layer.bias) for layer in self.hidden]
+        for weight, bias in parts:
+            z, slope = self.activation.value_and_slope(F.linear(z, weight, bias))
             slopes.append(slope)
         g = self.output.weight[0] * slopes[-1]
-        for layer, slope in zip(self.hidden[:0:-1], slopes[-2::-1], strict=True):
-            g = (g @ layer.weight) * slope
-        return g @ self.hidden[0].weight
+        for (weight, _), slope in zip(parts[:0:-1], slopes[-2::-1], strict=True):
+            g = (g @ weight) * slope
+        return g @ parts[0][0]
 
 
 def make_network(inputs: int, outputs: int, options: dict[str, Any]) -> Perceptron:

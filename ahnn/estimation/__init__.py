@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ahnn.estimation.belief import Belief, Status
 from ahnn.estimation.consistency import band, coverage, independent_count, nees
-from ahnn.estimation.covariances import initial_belief
+from ahnn.estimation.covariances import Covariance, Factor, initial_belief
 from ahnn.estimation.gate import Gate
 from ahnn.estimation.recursive import Innovation, Recursive
 from ahnn.estimation.saving import load_state, save_state
@@ -13,6 +13,8 @@ from ahnn.estimation.state import FilterState
 
 __all__ = [
     "Belief",
+    "Covariance",
+    "Factor",
     "FilterState",
     "Gate",
     "Innovation",

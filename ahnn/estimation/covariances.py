@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -11,6 +13,20 @@ from ahnn.numbers import Numbers, as_float64
 
 TOLERANCE = 1e-10
 """Asymmetry, and negative eigenvalue, that counts as rounding in a matrix scaled to unit diagonal."""
+
+
+class Factor(NamedTuple):
+    """A covariance that is known by its lower factor, in place of a matrix: nothing is left to check.
+
+    Attributes:
+        chol: (D, D) or (B, D, D) float64, covariance = chol cholᵀ.
+    """
+
+    chol: Tensor
+
+
+Covariance = Numbers | Factor
+"""A covariance as a user gives it, or one that was checked and factored before."""
 
 
 def initial_belief(mean: Numbers, covariance: Numbers) -> Belief:
@@ -38,13 +54,13 @@ def initial_belief(mean: Numbers, covariance: Numbers) -> Belief:
     return Belief(mean, chol.to(mean.device).expand(batch, size, size))
 
 
-def covariance_factor(matrix: Numbers, name: str, *, batch: int, size: int, definite: bool) -> Tensor:
+def covariance_factor(matrix: Covariance, name: str, *, batch: int, size: int, definite: bool) -> Tensor:
     """Return the lower factor, (D, D) or (B, D, D), of a covariance matrix given by a user.
 
     Gradients flow through it where the components that vary have a positive definite covariance.
 
     Args:
-        matrix: (D, D) or (B, D, D).
+        matrix: (D, D) or (B, D, D), or its factor, which is returned as it is.
         name: what the matrix is called in messages.
         batch: B.
         size: D.
@@ -54,11 +70,14 @@ def covariance_factor(matrix: Numbers, name: str, *, batch: int, size: int, defi
         ValueError: no numbers, wrong shape, not finite, not symmetric, indefinite, or singular where that is
             refused.
     """
-    matrix = as_float64(matrix, name)
+    factored = isinstance(matrix, Factor)
+    matrix = matrix.chol if isinstance(matrix, Factor) else as_float64(matrix, name)
     shape = tuple(matrix.shape)
     if shape not in {(size, size), (batch, size, size)}:
         message = f"{name}: expected shape ({size}, {size}) or ({batch}, {size}, {size}); received {shape}"
         raise ValueError(message)
+    if factored:
+        return matrix
     stacked = matrix.reshape(-1, size, size)
     scale = _check_entries(stacked.detach(), name)
     # A component of zero variance has a zero row in the factor; gradients of the others flow past it.

@@ -41,6 +41,7 @@ def check_gate(gate: Gate | None, who: str) -> None:
         raise ValueError(message)
 
 
+@cache
 def thresholds(gate: Gate, width: int, device: torch.device | None = None) -> Tensor:
     """Return the largest NIS that is taken, (M + 1,), by the number of components that are there.
 
@@ -50,7 +51,8 @@ def thresholds(gate: Gate, width: int, device: torch.device | None = None) -> Te
         device: of the result.
     """
     values = [0.0, *(_quantile(gate.probability, n) for n in range(1, width + 1))]
-    return torch.tensor(values, dtype=torch.float64, device=device)
+    with torch.inference_mode(mode=False):  # it is kept, and must serve gradients too
+        return torch.tensor(values, dtype=torch.float64, device=device)
 
 
 @cache

@@ -7,6 +7,7 @@ from typing import NamedTuple, Protocol, TypeVar
 from torch import Tensor
 
 from ahnn.estimation.belief import Belief
+from ahnn.estimation.covariances import Covariance
 from ahnn.measurements.base import Measurement
 from ahnn.numbers import Numbers
 from ahnn.types import Flow
@@ -19,6 +20,8 @@ class Innovation(NamedTuple):
 
     Attributes:
         residual: (B, M) measurement less prediction, NaN where a component is missing.
+        deviation: (B, M) standard deviations of the residuals under the prediction and R, of those that are
+            there.
         nis: (B,) normalised innovation squared of the components that are there, of rejected rows too; NaN
             where nothing is there.
         measured: (B,) int64, components that are there.
@@ -27,6 +30,7 @@ class Innovation(NamedTuple):
     """
 
     residual: Tensor
+    deviation: Tensor
     nis: Tensor
     measured: Tensor
     rejected: Tensor
@@ -43,12 +47,12 @@ class Recursive(Protocol[State]):
         """Return the state of a belief that holds at a time."""
         ...
 
-    def predict(self, state: State, flow: Flow, dt: float, process_noise: Numbers) -> State:
+    def predict(self, state: State, flow: Flow, dt: float, process_noise: Covariance) -> State:
         """Return the state after a step dt of the flow, with covariance Q of that step added."""
         ...
 
     def update(
-        self, state: State, y: Numbers, measurement: Measurement, measurement_noise: Numbers
+        self, state: State, y: Numbers, measurement: Measurement, measurement_noise: Covariance
     ) -> tuple[State, Innovation]:
         """Return the state given a row y (B, M) measured at the state's time with covariance R.
 

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from ahnn.errors import UserError
 from ahnn.estimation.belief import Belief
-from ahnn.estimation.covariances import covariance_factor
+from ahnn.estimation.covariances import Covariance, covariance_factor
 from ahnn.estimation.gate import Gate, thresholds
 from ahnn.estimation.state import FilterState
 from ahnn.measurements.base import Measurement
@@ -73,7 +73,7 @@ def check_form(form: Form) -> None:
 
 
 def checked_sensor(
-    measurement: Measurement, noise: Numbers, belief: Belief, form: Form, gate: Gate | None
+    measurement: Measurement, noise: Covariance, belief: Belief, form: Form, gate: Gate | None
 ) -> Sensor:
     """Return a measurement model with the factor of its noise R, (M, M) or (B, M, M).
 
@@ -137,6 +137,21 @@ def checked_time(time: float, name: str) -> float:
     return time
 
 
+def checked_step(dt: Numbers) -> float:
+    """Return the length of one step.
+
+    Raises:
+        ValueError: not one number, or not finite and positive.
+    """
+    if isinstance(dt, float) and 0.0 < dt < math.inf:
+        return dt
+    steps = checked_steps(dt)
+    if steps.ndim > 0:
+        message = f"dt: expected one number; received {described(dt)}"
+        raise ValueError(message)
+    return float(steps)
+
+
 def checked_steps(dt: Numbers) -> Tensor:
     """Return step lengths as float64.
 
@@ -175,7 +190,7 @@ def process_factor(process_noise: ProcessNoise, belief: Belief) -> Callable[[flo
     """
     batch, size = belief.mean.shape
 
-    def factor(matrix: Numbers) -> Tensor:
+    def factor(matrix: Covariance) -> Tensor:
         chol = covariance_factor(matrix, "Q", batch=batch, size=size, definite=False)
         return chol.to(belief.mean.device).expand(batch, size, size)
 

@@ -10,11 +10,12 @@ import torch
 from torch import Tensor
 
 from ahnn.estimation.belief import Belief
+from ahnn.estimation.covariances import Covariance
 from ahnn.estimation.gate import Gate, check_gate
 from ahnn.estimation.recursive import Innovation
 from ahnn.estimation.state import FilterState, initial_state
 from ahnn.measurements.base import Measurement
-from ahnn.numbers import Numbers, described
+from ahnn.numbers import Numbers
 from ahnn.types import Flow
 from ahnn_plugins.ukf import kernel
 from ahnn_plugins.ukf.checks import (
@@ -23,7 +24,7 @@ from ahnn_plugins.ukf.checks import (
     check_state,
     checked_rows,
     checked_sensor,
-    checked_steps,
+    checked_step,
     checked_time,
     process_factor,
 )
@@ -85,18 +86,14 @@ class UnscentedKalmanFilter:
             state: before the step.
             flow: any function (x (N, D), dt) -> (N, D); called once, with N = B (2 D + 1).
             dt: length of the step, positive.
-            process_noise: Q of the step, (D, D) or (B, D, D), or a function of its length.
+            process_noise: Q of the step, (D, D) or (B, D, D), its `Factor`, or a function of its length.
 
         Raises:
             ValueError: no state, a step that is not positive, a Q that is no covariance, or a flow that
                 returns another shape or complex numbers.
         """
         check_state(state)
-        steps = checked_steps(dt)
-        if steps.ndim > 0:
-            message = f"dt: expected one number; received {described(dt)}"
-            raise ValueError(message)
-        length = float(steps)
+        length = checked_step(dt)
         chol_q = process_factor(process_noise, state.belief)(length)
         after, _ = kernel.predict(
             state, flow, length, state.time + length, chol_q, self._weights(state), self.form
@@ -104,7 +101,7 @@ class UnscentedKalmanFilter:
         return after
 
     def update(
-        self, state: FilterState, y: Numbers, measurement: Measurement, measurement_noise: Numbers
+        self, state: FilterState, y: Numbers, measurement: Measurement, measurement_noise: Covariance
     ) -> tuple[FilterState, Innovation]:
         """Return the state given a row that was measured at its time, and what the row told.
 
@@ -115,7 +112,7 @@ class UnscentedKalmanFilter:
             state: before the update.
             y: (B, M), NaN where a component is missing.
             measurement: the model of the measurement.
-            measurement_noise: R, (M, M) or (B, M, M); it may differ from row to row.
+            measurement_noise: R, (M, M) or (B, M, M), or its `Factor`; it may differ from row to row.
 
         Raises:
             ValueError: no state, a row of another shape or infinite, an R that is no covariance, or a model
@@ -151,17 +148,15 @@ def _told(
     """Return what a row told; NaN for members that failed at it or before."""
     present = ~torch.isnan(y)
     there = present & after.alive[:, None]
-    return Innovation(
-        residual=torch.where(there, updated.innovation, torch.nan),
-        nis=torch.where(there.any(-1), updated.nis, torch.nan),
-        measured=present.sum(-1),
-        rejected=rejected,
-        log_likelihood=after.log_likelihood - before.log_likelihood,
-    )
+    parts = updated.innovation, updated.deviation, updated.nis
+    if not bool(there.all()):
+        some = there.any(-1)
+        parts = (torch.where(w, part, torch.nan) for w, part in zip((there, there, some), parts, strict=True))
+    return Innovation(*parts, present.sum(-1), rejected, after.log_likelihood - before.log_likelihood)
 
 
 def _nothing(y: Tensor) -> Innovation:
     """Return what a row of NaN tells."""
     nothing = torch.zeros(len(y), dtype=torch.int64, device=y.device)
     zeros = nothing.to(y.dtype)
-    return Innovation(y, zeros + torch.nan, nothing, nothing.to(torch.bool), zeros)
+    return Innovation(y, y, zeros + torch.nan, nothing, nothing.to(torch.bool), zeros)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 
 from ahnn.estimation.belief import Belief
+from ahnn.estimation.covariances import Covariance
 from ahnn.estimation.gate import Gate, check_gate
 from ahnn.estimation.state import FilterState, initial_state
 from ahnn.measurements.base import Measurement
@@ -37,7 +38,7 @@ def unscented_filter(
     measurements: Numbers,
     measurement: Measurement,
     process_noise: ProcessNoise,
-    measurement_noise: Numbers,
+    measurement_noise: Covariance,
     dt: Numbers,
     *,
     parameters: UnscentedParameters | None = None,

@@ -133,8 +133,10 @@ def _decide(
 ) -> tuple[FilterState, Tensor]:
     """Take or refuse the update, member by member; return also which rows the gate rejected, (B,) bool."""
     has_row = present.any(-1)
-    finite = torch.isfinite(updated.belief.chol.square().sum((-2, -1)))
-    finite = finite & torch.isfinite(updated.belief.mean).all(-1) & torch.isfinite(updated.nis)
+    mean, chol = updated.belief
+    # A sum of squares is finite where all of its terms are.
+    sizes = chol.square().sum((-2, -1)) + mean.square().sum(-1) + updated.nis
+    finite = torch.isfinite(sizes)
     if bool((has_row & (updated.singular | ~finite)).any()):
         state = fail(state, has_row & updated.singular, Status.COLLAPSED)
         state = fail(state, has_row & ~finite, Status.NOT_FINITE)

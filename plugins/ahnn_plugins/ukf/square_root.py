@@ -53,13 +53,18 @@ def update(
     """
     size = y.shape[-1]
     present = ~torch.isnan(y)
-    column = present.unsqueeze(1)
-    outer = torch.where(column, residual(images[:, 1:], images[:, :1]), 0.0)
+    column, complete = present.unsqueeze(1), bool(present.all())
+    outer = residual(images[:, 1:], images[:, :1])
+    if not complete:
+        outer = torch.where(column, outer, 0.0)
     shift = weights.outer * outer.sum(1, keepdim=True)
     y_pred = images[:, 0] + shift[:, 0]
     # What is missing is filled in: a residual may mix components, and NaN would spoil its gradient.
-    innovation = torch.where(present, residual(torch.where(present, y, y_pred), y_pred), 0.0)
-    noise = torch.cat((torch.where(column, chol_r.mT, 0.0), torch.diag_embed((~present).to(y.dtype))), dim=1)
+    innovation = residual(y if complete else torch.where(present, y, y_pred), y_pred)
+    noise = chol_r.mT
+    if not complete:
+        innovation, noise = torch.where(present, innovation, 0.0), torch.where(column, noise, 0.0)
+    noise = torch.cat((noise, torch.diag_embed((~present).to(y.dtype))), dim=1)
     joint, repaired = joint_factor(outer, shift, prior.chol, weights, noise)
     chol_y, cross, chol = joint[:, :size, :size], joint[:, size:, :size], joint[:, size:, size:]
     diagonal = torch.diagonal(chol_y, dim1=-2, dim2=-1)
@@ -71,7 +76,8 @@ def update(
     count = present.sum(-1).to(nis.dtype)
     log_likelihood = -0.5 * (nis + count * math.log(2.0 * math.pi)) - diagonal.log().sum(-1)
     repairs = None if repaired is None else repaired.to(torch.int64)
-    return Updated(Belief(mean, chol), innovation, nis, log_likelihood, singular, repairs)
+    deviation = torch.linalg.vector_norm(chol_y, dim=-1)
+    return Updated(Belief(mean, chol), innovation, deviation, nis, log_likelihood, singular, repairs)
 
 
 def joint_factor(

@@ -63,7 +63,8 @@ def update(
     lost = (torch.diagonal(chol, dim1=-2, dim2=-1) == 0.0).any(-1)
     singular = (diagonal == 0.0).any(-1) | lost
     repairs = repaired_x.to(torch.int64) + repaired_y
-    return Updated(Belief(mean, chol), innovation, nis, log_likelihood, singular, repairs)
+    deviation = torch.linalg.vector_norm(chol_y, dim=-1)
+    return Updated(Belief(mean, chol), innovation, deviation, nis, log_likelihood, singular, repairs)
 
 
 def _centred(outer: Tensor, centre: Tensor, weights: Weights) -> tuple[Tensor, Tensor]:

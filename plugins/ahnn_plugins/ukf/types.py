@@ -8,8 +8,8 @@ from typing import NamedTuple, Protocol
 from torch import Tensor
 
 from ahnn.estimation.belief import Belief
+from ahnn.estimation.covariances import Covariance
 from ahnn.estimation.state import FilterState
-from ahnn.numbers import Numbers
 
 
 class UnscentedParameters(NamedTuple):
@@ -68,6 +68,7 @@ class Updated(NamedTuple):
     Attributes:
         belief: the posterior.
         innovation: (B, M), zero where the component is missing.
+        deviation: (B, M) its standard deviations, one where the component is missing.
         nis: (B,) normalised innovation squared of the components that are there.
         log_likelihood: (B,) log density of those components under the prediction.
         singular: (B,) bool, the innovation covariance cannot be inverted, or the posterior has a variance
@@ -77,6 +78,7 @@ class Updated(NamedTuple):
 
     belief: Belief
     innovation: Tensor
+    deviation: Tensor
     nis: Tensor
     log_likelihood: Tensor
     singular: Tensor
@@ -208,5 +210,5 @@ class SmootherResult(NamedTuple):
         return self.chols @ self.chols.mT
 
 
-ProcessNoise = Numbers | Callable[[float], Numbers]
+ProcessNoise = Covariance | Callable[[float], Covariance]
 """Covariance Q of one step, (D, D) or (B, D, D), or a function of the length of the step that returns it."""
