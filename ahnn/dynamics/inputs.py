@@ -72,7 +72,7 @@ class Isotropic(nn.Module):
         direction = q * inverse
 
         def pullback(gradient: Tensor) -> Tensor:
-            g, along = gradient.split((self.size - 1, 1), dim=-1)
+            g, along = gradient.split_with_sizes((self.size - 1, 1), -1)
             radial = along / self.spread - (direction * g).sum(-1, keepdim=True)
             return (g + radial * direction) * inverse
 

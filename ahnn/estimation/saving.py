@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import torch
@@ -18,12 +19,18 @@ FORMAT = "ahnn filter state 1"
 """Raise the number when the meaning of a stored tensor changes."""
 
 
-def save_state(state: FilterState, path: Path | str) -> None:
-    """Write a state; the file appears whole or not at all. Gradients are not kept."""
+def save_state(state: FilterState, path: Path | str, notes: Mapping[str, str] | None = None) -> None:
+    """Write a state; the file appears whole or not at all. Gradients are not kept.
+
+    Args:
+        state: what is written.
+        path: of the file.
+        notes: texts that are kept beside it, for `load_notes`.
+    """
     parts = _named(detached(state))
     orders = {name: _order(part) for name, part in parts.items()}
     content = {name: part.permute(orders[name]).contiguous().clone() for name, part in parts.items()}
-    write_atomically(Path(path), save(content, {"format": FORMAT, "orders": json.dumps(orders)}))
+    write_atomically(Path(path), save(content, {**(notes or {}), "format": FORMAT, "orders": json.dumps(orders)}))
 
 
 def load_state(path: Path | str, device: torch.device | str = "cpu") -> FilterState:
@@ -48,6 +55,13 @@ def load_state(path: Path | str, device: torch.device | str = "cpu") -> FilterSt
     except (SafetensorError, KeyError, TypeError, ValueError) as error:
         message = f"path: expected a file written by save_state; received {path} ({error})"
         raise ValueError(message) from error
+
+
+def load_notes(path: Path | str) -> dict[str, str]:
+    """Return the texts beside a state that `load_state` reads."""
+    with safe_open(path, framework="pt") as file:
+        metadata = file.metadata()
+    return {name: text for name, text in metadata.items() if name not in ("format", "orders")}
 
 
 def _named(state: FilterState) -> dict[str, Tensor]:

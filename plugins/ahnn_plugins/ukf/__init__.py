@@ -14,6 +14,7 @@ from ahnn_plugins.ukf.filter import unscented_filter
 from ahnn_plugins.ukf.force_error import ForceError
 from ahnn_plugins.ukf.iterated import Iterated, iterated_smoother
 from ahnn_plugins.ukf.likelihood import Learned, learned_noise
+from ahnn_plugins.ukf.online import online_process
 from ahnn_plugins.ukf.smoother import unscented_smoother
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
 from ahnn_plugins.ukf.standard import STANDARD
@@ -34,6 +35,7 @@ __all__ = [
     "batch_least_squares",
     "iterated_smoother",
     "learned_noise",
+    "online_process",
     "unscented_filter",
     "unscented_smoother",
 ]

@@ -1,0 +1,203 @@
+"""The filter online, as a class of three methods: update, save, load."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from ahnn.arguments import Count, Finite, Positive, Within, checked
+from ahnn.assimilation.process import Process, Sensor, plain
+from ahnn.assimilation.reading import Reading
+from ahnn.assimilation.window import Entry, Window
+from ahnn.errors import UserError
+from ahnn.estimation import Belief, Innovation, Status, load_notes, load_state, save_state
+
+FURTHEST = 10_000
+"""Steps of the flow that a reading may lie ahead, where nothing else is asked for."""
+
+Outcome = Literal["taken", "rejected", "predicted", "repeated", "late", "ahead"]
+"""What became of a reading: it counted, the gate refused it, it was empty, it was there already, it came too
+late, or it lies too far ahead. The last three leave the estimate as it was."""
+
+
+class Estimate(NamedTuple):
+    """What is believed after a reading.
+
+    Attributes:
+        outcome: of the reading.
+        time: at which the estimate holds: that of the newest reading.
+        mean: (D,).
+        covariance: (D, D).
+        innovation: what the reading told; None where it left the estimate as it was.
+        replayed: readings that came before it and are later than it.
+    """
+
+    outcome: Outcome
+    time: float
+    mean: Tensor
+    covariance: Tensor
+    innovation: Innovation | None
+    replayed: int = 0
+
+
+class Diverged(RuntimeError):
+    """The filter has lost what it follows; the message says by what."""
+
+
+class Assimilation:
+    """A filter that takes readings as they come, and can be saved and gone on with at any of them.
+
+    Args:
+        process: the estimator and its process model.
+        sensors: by name; a reading without name is of the only one.
+        start: belief about the state, of one member.
+        time: at which it holds.
+        window: readings that come late by up to this are put in their place and later ones replayed.
+        lines: most readings that are kept for that.
+        gap: a reading that lies further ahead is refused; None is 10,000 steps of the flow.
+
+    Raises:
+        UserError: a value beyond its limits, or a start of several members.
+    """
+
+    @checked
+    def __init__(
+        self,
+        process: Process,
+        sensors: Mapping[str, Sensor],
+        start: Belief,
+        *,
+        time: Finite = 0.0,
+        window: Annotated[float, Within(0)] = 0.0,
+        lines: Count = 1000,
+        gap: Positive | None = None,
+    ) -> None:
+        if len(start.mean) != 1:
+            message = f"start: expected a belief about one state; received {tuple(start.mean.shape)}"
+            raise UserError(message)
+        self.process, self.sensors, self.span, self.lines = process, dict(sensors), window, lines
+        self.gap = FURTHEST * process.max_step if gap is None else gap
+        self.size = start.mean.shape[-1]
+        with torch.inference_mode():
+            self._models = {name: process.seen(sensor.measurement) for name, sensor in self.sensors.items()}
+            self._factors = {
+                name: sensor.factor(None) for name, sensor in self.sensors.items() if sensor.deviations
+            }
+            self.window = Window(process.estimator.start(process.lifted(start), time), float(time))
+
+    @torch.inference_mode()
+    def update(self, reading: Reading) -> Estimate:
+        """Return the estimate after a reading, which is merged in its place if it comes late.
+
+        Raises:
+            UserError: a sensor that there is none of, or another number of values than it has.
+            Diverged: the filter has lost what it follows; the state from before the reading is kept.
+        """
+        reading = self._named(reading)
+        now = self.window.time
+        if reading.time > now + self.gap:
+            return self._estimate("ahead")
+        if reading.time < max(now - self.span, self.window.since):
+            return self._estimate("late")
+        if self.window.holds(reading):
+            return self._estimate("repeated")
+        after = self.window.before(reading.time)
+        later = self.window.entries[len(after.entries) :]
+        place = len(after.entries)
+        for one in (reading, *(entry.reading for entry in later)):
+            after = self._added(after, one)
+        innovation = after.entries[place].innovation
+        self.window = after.kept(self.span, self.lines)
+        outcome = "rejected" if bool(innovation.rejected) else "predicted" if reading.is_empty else "taken"
+        return self._estimate(outcome, innovation, len(later))
+
+    def save(self, path: str | Path, notes: Mapping[str, str] | None = None) -> None:
+        """Write all that is needed to go on; the file appears whole or not at all.
+
+        Args:
+            path: of the file.
+            notes: texts that are kept beside the state.
+        """
+        window = self.window
+        readings = json.dumps([entry.reading for entry in window.entries])
+        own = {"since": repr(window.since), "readings": readings, "of": self.identity}
+        save_state(window.anchor, path, {**(notes or {}), **own})
+
+    @torch.inference_mode()
+    def load(self, path: str | Path) -> dict[str, str]:
+        """Go on where `save` was called, and return the notes that were kept there.
+
+        Raises:
+            UserError: no such file, a damaged one, or one of another process, sensors or window.
+        """
+        try:
+            state, notes = load_state(path), load_notes(path)
+            since, readings = float(notes["since"]), json.loads(notes["readings"])
+            window = Window(state, since)
+            if notes["of"] == self.identity:
+                for time, values, sensor, sd in readings:
+                    reading = Reading(time, tuple(values), sensor, None if sd is None else tuple(sd))
+                    window = self._added(window, reading)
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            message = f"state: expected a file written by save; received {path} ({error})"
+            raise UserError(message) from error
+        if notes["of"] != self.identity:
+            message = (
+                f"state: expected one of this model, process noise, sensors and window; received {path} of "
+                "others. Go on with the same command, or remove it and its output to begin again"
+            )
+            raise UserError(message)
+        self.window = window
+        return notes
+
+    @property
+    def identity(self) -> str:
+        """What determines the estimates besides start and readings, in 32 hexadecimal digits."""
+        sensors = {name: [plain(one.measurement), one.deviations] for name, one in self.sensors.items()}
+        numbers = self.span, self.lines, self.gap, self.process.max_step
+        content = json.dumps([self.process.about, sensors, numbers], sort_keys=True)
+        return hashlib.blake2b(content.encode(), digest_size=16).hexdigest()
+
+    def _named(self, reading: Reading) -> Reading:
+        """Return the reading under the name of its sensor."""
+        if not reading.sensor and len(self.sensors) == 1:
+            reading = reading._replace(sensor=next(iter(self.sensors)))
+        sensor = self.sensors.get(reading.sensor)
+        if sensor is None:
+            message = f"sensor: expected one of {', '.join(self.sensors)}; received {reading.sensor!r}"
+            raise UserError(message)
+        if len(reading.values) != len(sensor.columns) or not math.isfinite(reading.time):
+            message = f"reading: expected a time and {', '.join(sensor.columns)}; received {reading}"
+            raise UserError(message)
+        if reading.deviations is None and sensor.deviations is None:
+            message = f"sd: expected standard deviations of {reading.sensor}; received none"
+            raise UserError(message)
+        return reading
+
+    def _added(self, window: Window, reading: Reading) -> Window:
+        """Return the window with a reading at its end."""
+        sensor, process = self.sensors[reading.sensor], self.process
+        state = process.advanced(window.state, window.time, reading.time)
+        factor = self._factors[reading.sensor] if reading.deviations is None else sensor.factor(reading.deviations)
+        y = torch.tensor([reading.values], dtype=torch.float64)
+        state, innovation = process.estimator.update(state, y, self._models[reading.sensor], factor)
+        if status := int(state.status):
+            message = (
+                f"expected a filter that follows its measurements; it is {Status(status).name} at time "
+                f"{reading.time:g}, by sensor {reading.sensor}"
+            )
+            raise Diverged(message)
+        entry = Entry(reading.time, reading, state, innovation)
+        return window._replace(entries=(*window.entries, entry))
+
+    def _estimate(self, outcome: Outcome, innovation: Innovation | None = None, replayed: int = 0) -> Estimate:
+        mean, chol = self.window.state.belief
+        chol = chol[0, : self.size, : self.size]
+        return Estimate(outcome, self.window.time, mean[0, : self.size], chol @ chol.T, innovation, replayed)

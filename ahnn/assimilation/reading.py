@@ -1,0 +1,170 @@
+"""From a line of text to what an instrument said."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import re
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from ahnn.arguments import nearest
+from ahnn.assimilation.process import Sensor
+from ahnn.errors import UserError
+
+TIME, SENSOR, SD = ("time", "t"), "sensor", "sd_"
+"""Names of columns: of the time, of the sensor, and what stands before the name of a standard deviation."""
+MISSING = frozenset(("", "nan", "na", "null", "none"))
+HEAD = re.compile(r"\s*\"?(?P<name>[^\"\[]+?)\s*(\[(?P<unit>[^\]]*)\])?\s*\"?\s*")
+
+
+class BadLine(ValueError):
+    """A line that is no measurement: what was expected, and what was received."""
+
+
+class Reading(NamedTuple):
+    """What an instrument said.
+
+    Attributes:
+        time: in the unit of the space.
+        values: M numbers, NaN where one is missing.
+        sensor: its name; "" where there is one sensor.
+        deviations: M standard deviations; None takes those of the sensor.
+    """
+
+    time: float
+    values: tuple[float, ...]
+    sensor: str = ""
+    deviations: tuple[float, ...] | None = None
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing was measured."""
+        return all(map(math.isnan, self.values))
+
+
+class Layout:
+    """How the lines of a stream are read: JSON objects, or cells under the names of a header.
+
+    Args:
+        first: the first line.
+        sensors: by name.
+
+    Raises:
+        UserError: a header without time, or with a column that no sensor has or that is in another unit.
+    """
+
+    def __init__(self, first: str, sensors: Mapping[str, Sensor]) -> None:
+        self.sensors = sensors
+        self.only = next(iter(sensors)) if len(sensors) == 1 else None
+        known = {name for sensor in sensors.values() for name in sensor.columns}
+        self.known = {*TIME, SENSOR, *known, *(SD + name for name in known)}
+        self.names: list[str] | None = None
+        if not first.lstrip().startswith("{"):
+            self.delimiter = max(",;\t", key=first.count)
+            self.names = [self._name(cell) for cell in first.strip().split(self.delimiter)]
+            if len({*self.names}) < len(self.names) or not {*TIME} & {*self.names}:
+                message = f"measurements: expected a header with time and {self._expected()}; received {first.strip()!r}"
+                raise UserError(message)
+
+    def reading(self, text: str) -> Reading:
+        """Return what a line says.
+
+        Raises:
+            BadLine: it is no measurement.
+        """
+        row = self._cells(text) if self.names else self._object(text)
+        name = row.get(SENSOR) or self.only
+        if name not in self.sensors:
+            message = f"sensor: expected one of {', '.join(self.sensors)}; received {row.get(SENSOR)!r}"
+            raise BadLine(message)
+        sensor = self.sensors[name]
+        time = number(row.get("time", row.get("t")), "time")
+        if math.isnan(time):
+            message = "time: expected a number; received none"
+            raise BadLine(message)
+        values = tuple([number(row.get(column), column) for column in sensor.columns])
+        return Reading(time, values, name, self._deviations(row, sensor, values))
+
+    def _cells(self, text: str) -> dict[str, Any]:
+        assert self.names is not None
+        cells = text.split(self.delimiter)
+        if '"' in text:
+            cells = next(csv.reader([text], delimiter=self.delimiter))
+        if len(cells) != len(self.names):
+            message = f"expected {len(self.names)} cells; received {len(cells)}"
+            raise BadLine(message)
+        return dict(zip(self.names, map(str.strip, cells), strict=True))
+
+    def _object(self, text: str) -> dict[str, Any]:
+        try:
+            row = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            message = f"expected a JSON object; received: {error}"
+            raise BadLine(message) from error
+        if not isinstance(row, dict):
+            message = f"expected a JSON object; received {text[:40]!r}"
+            raise BadLine(message)
+        if unknown := row.keys() - self.known:
+            message = f"expected time and {self._expected()}; received {sorted(unknown)[0]!r}"
+            raise BadLine(message)
+        return row
+
+    def _deviations(
+        self, row: dict[str, Any], sensor: Sensor, values: tuple[float, ...]
+    ) -> tuple[float, ...] | None:
+        """Return the standard deviations of a row; None where it brings none and the sensor's hold."""
+        given = [number(row.get(SD + name), SD + name) for name in sensor.columns]
+        if sensor.deviations is not None and all(map(math.isnan, given)):
+            return None
+        own = sensor.deviations or (math.nan,) * len(given)
+        chosen = [other if math.isnan(sd) else sd for sd, other in zip(given, own, strict=True)]
+        for k, (name, value) in enumerate(zip(sensor.columns, values, strict=True)):
+            if math.isnan(value) and math.isnan(chosen[k]):
+                chosen[k] = 1.0  # of what was not measured
+            if not chosen[k] > 0.0:
+                message = f"{SD}{name}: expected a number > 0; received {row.get(SD + name)!r}"
+                raise BadLine(message)
+        return tuple(chosen)
+
+    def _name(self, cell: str) -> str:
+        """Return the name in a cell of the header; raises UserError for one that is not known."""
+        found = HEAD.fullmatch(cell)
+        name = found["name"] if found else cell.strip()
+        if name not in self.known:
+            message = f"measurements: column {name!r} is of no sensor{nearest(name, sorted(self.known))}"
+            raise UserError(message)
+        if found and found["unit"] is not None and name not in (*TIME, SENSOR):
+            self._check_unit(name.removeprefix(SD), found["unit"])
+        return name
+
+    def _check_unit(self, name: str, unit: str) -> None:
+        for sensor in self.sensors.values():
+            units = dict(zip(sensor.columns, sensor.measurement.units, strict=True))
+            if units.get(name, unit) != unit:
+                message = f"measurements: expected {name} in {units[name]}; received {unit}. Convert it"
+                raise UserError(message)
+
+    def _expected(self) -> str:
+        return ", ".join(dict.fromkeys(name for one in self.sensors.values() for name in one.columns))
+
+
+def number(cell: Any, name: str) -> float:
+    """Return the number in a cell, NaN where it is missing.
+
+    Raises:
+        BadLine: something else, or infinity.
+    """
+    if cell is None or (isinstance(cell, str) and cell.lower() in MISSING):
+        return math.nan
+    try:
+        if isinstance(cell, bool) or (isinstance(cell, str) and "_" in cell):
+            raise ValueError  # noqa: TRY301 - Python reads both as numbers
+        value = float(cell)
+    except (TypeError, ValueError, OverflowError):
+        value = math.inf
+    if math.isinf(value):
+        message = f"{name}: expected a finite number; received {str(cell)[:40]!r}"
+        raise BadLine(message)
+    return value

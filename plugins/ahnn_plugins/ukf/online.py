@@ -1,0 +1,71 @@
+"""The filter with a learned flow as an online process: Q of a step of any length, with or without memory.
+
+What is fitted belongs to one sampling interval h of the training data. Over a step dt it is taken as white
+noise of the same rate, Q dt / h; a force error with memory has a law for any step.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ahnn.assimilation import Process
+from ahnn.estimation.covariances import Factor, covariance_factor
+from ahnn.numbers import Numbers
+from ahnn.types import Flow
+from ahnn_plugins.ukf.estimator import UnscentedKalmanFilter
+from ahnn_plugins.ukf.force_error import ForceError
+
+LENGTHS = 1000
+"""Lengths of steps whose factors are kept."""
+
+
+def online_process(
+    estimator: UnscentedKalmanFilter,
+    flow: Flow,
+    interval: float,
+    process_noise: Numbers,
+    force_error: ForceError | None = None,
+    about: dict[str, Any] | None = None,
+) -> Process:
+    """Return the online process of a filter.
+
+    Args:
+        estimator: with its sigma points, form and gate.
+        flow: the process model, for steps of up to `interval`.
+        interval: h, the longest step, and the one that `process_noise` is of.
+        process_noise: Q of one step of h, (D, D).
+        force_error: a relative error of the force with memory, besides Q.
+        about: plain values that say what the flow is; a saved state is of no other.
+
+    Raises:
+        ValueError: Q is no covariance.
+    """
+    q = torch.as_tensor(process_noise, dtype=torch.float64)
+    chol = covariance_factor(q, "process_noise", batch=1, size=q.shape[-1], definite=False)
+    known = {
+        **(about or {}),
+        "parameters": [float(value) for value in estimator.parameters],
+        "form": estimator.form.name,
+        "gate": estimator.gate,
+        "process_noise": q.tolist(),
+        "force_error": None if force_error is None else [float(part) for part in force_error],
+    }
+    if force_error is None:
+        noise = lru_cache(LENGTHS)(lambda dt: Factor(math.sqrt(dt / interval) * chol))
+        return Process(estimator, flow, noise, interval, about=known)
+    error = force_error
+    noise = lru_cache(LENGTHS)(lambda dt: _augmented(math.sqrt(dt / interval) * chol, error, dt))
+    lifted, seen = error.belief, error.measurement
+    return Process(estimator, error.flow(flow), noise, interval, lifted, seen, known)
+
+
+def _augmented(chol: Tensor, error: ForceError, dt: float) -> Factor:
+    """Return the factor of Q of augmented states over a step dt, from that of the state alone."""
+    dof = len(chol) // 2
+    own = error.process_noise(torch.zeros_like(chol), dt)[2 * dof :, 2 * dof :].sqrt()
+    return Factor(torch.block_diag(chol, own))
