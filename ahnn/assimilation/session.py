@@ -1,0 +1,150 @@
+"""A stream assimilated line by line, so that a kill at any moment loses nothing and counts nothing twice.
+
+The state is saved every so many lines, with the number of lines that it holds and the length of the output at
+that moment. Whoever goes on cuts the output back to that length and takes the lines behind that number again:
+the same numbers come out, bit for bit.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections import Counter
+from collections.abc import Callable, Iterator
+from itertools import chain
+from pathlib import Path
+
+from ahnn.assimilation.lines import Lines
+from ahnn.assimilation.online import Assimilation, Diverged, Estimate
+from ahnn.assimilation.reading import BadLine, Layout, Reading
+from ahnn.assimilation.rows import Output, Rows, require_new
+from ahnn.errors import TrainingError, UserError
+
+log = logging.getLogger("ahnn")
+
+Watcher = Callable[[int, Reading, Estimate, Counter[str]], None]
+"""Told of every line that was a measurement: its number, what it said, the estimate, and the counts so far."""
+
+WORDS = {
+    "late": "comes later than the window allows, at time {now:g}: not counted",
+    "repeated": "was counted before: not counted again",
+    "ahead": "lies further ahead than a gap may be, from time {now:g}: not counted",
+}
+
+
+class Session:
+    """A stream, a filter, and where estimates go.
+
+    Args:
+        assimilation: the filter.
+        lines: the stream.
+        rows: how estimates are written.
+        output: path of the file they are written to, `-` for standard output.
+        state: path of the state; None saves none.
+        every: lines between two saved states.
+
+    Raises:
+        UserError: an output that is there without its state, or a state that does not fit.
+    """
+
+    def __init__(
+        self, assimilation: Assimilation, lines: Lines, rows: Rows, output: str, state: Path | None, every: int
+    ) -> None:
+        self.filter, self.lines, self.rows = assimilation, lines, rows
+        self.state, self.every = state, every
+        self.counts: Counter[str] = Counter()
+        self.layout: Layout | None = None
+        self.header, self.counted, self.path = "", 0, output
+        self.output: Output | None = None
+        self._again: Iterator[str] = iter(())
+        if state is not None and state.exists():
+            self.output = Output(output, self._resume(assimilation.load(state)))
+        else:
+            require_new(output)
+
+    def run(self, watch: Watcher | None = None) -> None:
+        """Assimilate all lines that come.
+
+        Raises:
+            UserError: a header that names what is not there.
+            TrainingError: the filter has diverged; the message names the line.
+        """
+        for text in chain(self._again, self.lines):
+            if text and not text.startswith("#"):
+                self._line(text, watch)
+            self.counted = self.lines.number
+            if self.counted % self.every == 0 and self.layout is not None:
+                self._save()
+        if self.layout is None:
+            message = "measurements: expected a header or JSON objects; received no line"
+            raise UserError(message)
+        self._save()
+
+    def _begin(self, text: str) -> None:
+        """Take the first line, and begin the output once it is known to be good."""
+        self.layout = Layout(text, self.filter.sensors)
+        if self.output is None:
+            self._save()
+            self.output = Output(self.path, None)
+        self.header = text
+        if not self.output.size:
+            self.output.write(self.rows.header())
+
+    def _line(self, text: str, watch: Watcher | None) -> None:
+        number = self.lines.number
+        if self.layout is None:
+            self._begin(text)
+        assert self.layout is not None
+        assert self.output is not None
+        if self.layout.names and text == self.header:  # it comes again where tables are joined
+            return
+        try:
+            reading = self.layout.reading(text)
+        except BadLine as error:
+            self.counts["bad"] += 1
+            log.info("line %d: %s; skipped", number, error)
+            return
+        try:
+            estimate = self.filter.update(reading)
+        except Diverged as error:
+            message = f"line {number}: {error}. Begin again with another start, or a wider gate or process noise"
+            raise TrainingError(message) from error
+        self.counts[estimate.outcome] += 1
+        if estimate.innovation is None:
+            word = WORDS[estimate.outcome].format(now=estimate.time)
+            log.info("line %d: time %g of sensor %s %s", number, reading.time, reading.sensor, word)
+        else:
+            self.output.write(self.rows.row(number, reading.sensor, estimate))
+            if estimate.outcome == "rejected":
+                nis, dof = float(estimate.innovation.nis), int(estimate.innovation.measured)
+                told = number, reading.time, reading.sensor, nis, dof
+                log.info("line %d: time %g of sensor %s rejected, NIS %.3g of %d numbers", *told)
+        if watch is not None:
+            watch(number, reading, estimate, self.counts)
+
+    def _save(self) -> None:
+        if self.state is None:
+            return
+        size = 0
+        if self.output is not None:
+            self.output.sync()
+            size = self.output.size
+        notes = {"lines": self.counted, "digest": self.lines.digest, "size": size, "header": self.header}
+        self.filter.save(self.state, {"stream": json.dumps({**notes, "counts": self.counts})})
+        self.lines.saved()
+
+    def _resume(self, notes: dict[str, str]) -> int:
+        """Take the lines that are not in the state again, and return the length of the output then."""
+        try:
+            stream = json.loads(notes["stream"])
+            number, digest, size = int(stream["lines"]), str(stream["digest"]), int(stream["size"])
+            self.header, self.counts = stream["header"], Counter(stream["counts"])
+        except (KeyError, ValueError, TypeError) as error:
+            message = f"state: expected one of a stream; received {self.state} ({error})"
+            raise UserError(message) from error
+        if self.header:
+            self.layout = Layout(self.header, self.filter.sensors)
+        self.counted = number
+        self._again = self.lines.resumed(number, digest)
+        log.info("going on behind line %d", number)
+        return size

@@ -1,0 +1,109 @@
+"""A live view of an assimilation on a terminal, drawn again in place; a line now and then elsewhere."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, deque
+from types import TracebackType
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from ahnn.assimilation.online import Estimate
+from ahnn.assimilation.reading import Reading
+from ahnn.estimation.consistency import band
+from ahnn.types import Space
+
+LAST = 100
+"""Readings whose mean NIS is shown."""
+OFTEN, SELDOM = 0.2, 5.0
+"""Seconds between two drawings on a terminal, and between two lines elsewhere."""
+
+
+class View:
+    """State, 3-sigma, last innovations, NIS and counts, on standard error: rows may go to standard output.
+
+    Args:
+        space: what the numbers mean.
+        console: where to draw; None is standard error.
+    """
+
+    def __init__(self, space: Space, console: Console | None = None) -> None:
+        self.space, self.console = space, console or Console(stderr=True)
+        self.live = Live(console=self.console, auto_refresh=False) if self.console.is_terminal else None
+        self.recent: deque[tuple[float, int]] = deque(maxlen=LAST)
+        self.drawn = float("-inf")
+        self.last: tuple[int, Reading, Estimate, Counter[str]] | None = None
+
+    def __enter__(self) -> View:
+        if self.live is not None:
+            self.live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self.last is not None:
+            self._draw(*self.last)
+        if self.live is not None:
+            self.live.stop()
+
+    def __call__(self, line: int, reading: Reading, estimate: Estimate, counts: Counter[str]) -> None:
+        """Show an estimate, unless the last one was shown a moment ago."""
+        told = estimate.innovation
+        if told is not None and int(told.measured):
+            self.recent.append((float(told.nis), int(told.measured)))
+        self.last = line, reading, estimate, counts
+        now = time.monotonic()
+        if now - self.drawn >= (SELDOM if self.live is None else OFTEN):
+            self.drawn = now
+            self._draw(*self.last)
+
+    def _draw(self, line: int, reading: Reading, estimate: Estimate, counts: Counter[str]) -> None:
+        if self.live is not None:
+            self.live.update(self.table(line, reading, estimate, counts), refresh=True)
+            return
+        values = zip(self.space.components, estimate.mean.tolist(), self._deviations(estimate), strict=True)
+        state = "  ".join(f"{name} {value:.6g} ± {3 * sd:.2g}" for name, value, sd in values)
+        text = f"line {line}, time {estimate.time:g}: {state}; {self.consistency()}; {said(counts)}"
+        self.console.print(text, highlight=False, markup=False, soft_wrap=True)
+
+    def table(self, line: int, reading: Reading, estimate: Estimate, counts: Counter[str]) -> Table:
+        """Return what is shown on a terminal."""
+        units = self.space.units
+        table = Table(title=f"{self.space.name}: line {line}, time {estimate.time:g} {units.time}")
+        for head in ("", "estimate", "3 sigma", "unit"):
+            table.add_column(head, justify="right")
+        momentum = units.velocity if self.space.inertia == 1.0 else f"{units.velocity} · mass"
+        names, dof = self.space.components, self.space.dof
+        for k, (name, value, sd) in enumerate(
+            zip(names, estimate.mean.tolist(), self._deviations(estimate), strict=True)
+        ):
+            table.add_row(name, f"{value:.8g}", f"{3 * sd:.3g}", units.position if k < dof else momentum)
+        table.caption = "\n".join((f"{reading.sensor}: {told(estimate)}", self.consistency(), said(counts)))
+        return table
+
+    def consistency(self) -> str:
+        """Return the mean NIS of the last readings beside its 95 % band."""
+        if not self.recent:
+            return "no innovation yet"
+        mean, degrees = (sum(values) / len(self.recent) for values in zip(*self.recent, strict=True))
+        low, high = band(degrees, len(self.recent))
+        return f"NIS {mean:.3g} of the last {len(self.recent)}, 95 % band {low:.3g} to {high:.3g}"
+
+    def _deviations(self, estimate: Estimate) -> list[float]:
+        return estimate.covariance.diagonal().clamp(min=0.0).sqrt().tolist()
+
+
+def told(estimate: Estimate) -> str:
+    """Return the innovations of a reading in their standard deviations."""
+    if estimate.innovation is None or not int(estimate.innovation.measured):
+        return estimate.outcome
+    ratio = (estimate.innovation.residual / estimate.innovation.deviation)[0].tolist()
+    return f"{estimate.outcome}, innovation [sigma] " + " ".join(f"{value:+.2f}" for value in ratio)
+
+
+def said(counts: Counter[str]) -> str:
+    """Return how many lines became what."""
+    return ", ".join(f"{count:,} {word}" for word, count in sorted(counts.items())) or "no line yet"
