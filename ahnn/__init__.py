@@ -15,6 +15,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from ahnn.assimilation import Assimilation
     from ahnn.errors import TrainingError, UserError
     from ahnn.fitting import fit
     from ahnn.runs import Run, load
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 
 HOMES = {
+    "Assimilation": "assimilation",
     "Run": "runs",
     "Space": "types",
     "TrainingError": "errors",
@@ -35,6 +37,7 @@ HOMES = {
 """The module of each public name: none is imported before it is used."""
 
 __all__ = [
+    "Assimilation",
     "Run",
     "Space",
     "TrainingError",

@@ -42,10 +42,11 @@ MAY_IMPORT = {
     "evaluation": GROUND | {"dynamics", "systems", "data", "estimation", "shooting", "uncertainty"},
     "graphs": GROUND | {"dynamics", "evaluation", "runs"},
     "prediction": GROUND | {"dynamics", "data", "evaluation", "shooting", "uncertainty"},
+    "assimilation": GROUND | {"data", "estimation", "evaluation"},
     "pretrained": OPEN | {"checkpoints"},
     "runs": GROUND | {"dynamics", "pretrained", "evaluation", "prediction", "uncertainty"},
 }
-ENTRIES = {"train", "evaluate", "predict", "export", "fitting", "cli", "__init__", "__main__"}
+ENTRIES = {"train", "evaluate", "predict", "export", "assimilate", "fitting", "cli", "__init__", "__main__"}
 """The doors of the house: they may import every room, and no room imports them."""
 
 

@@ -62,6 +62,19 @@ def held() -> Iterator[None]:
 
 
 @contextlib.contextmanager
+def ended(how_to_go_on: str) -> Iterator[None]:
+    """Say how to go on where a signal ends work that keeps its state; "" leaves the message as it is."""
+    try:
+        yield
+    except (KeyboardInterrupt, Stopped) as stop:
+        number = _signal_of(stop)
+        if number is None or not how_to_go_on:
+            raise
+        word = "Ctrl-C" if number == signal.SIGINT else number.name
+        raise Stopped(number, f"stopped by {word}; {how_to_go_on}") from None
+
+
+@contextlib.contextmanager
 def interruptible(trainer: Trainer, how_to_go_on: Callable[[], str]) -> Iterator[None]:
     """Turn what ends a fit or an evaluation early into one message.
 

@@ -13,8 +13,10 @@ from ahnn.arguments import Positive, Within, check_arguments, checked
 from ahnn.errors import UserError
 from ahnn.estimation.scenario import Problem, Setting
 from ahnn.evaluation import Case
+from ahnn.types import Space
 from ahnn.uncertainty import growth
 from ahnn_plugins.ukf.assimilation import Filter
+from ahnn_plugins.ukf.force_error import ForceError
 from ahnn_plugins.ukf.force_error_fit import fitted_force_error
 from ahnn_plugins.ukf.process_noise import fitted_process_noise
 
@@ -49,6 +51,23 @@ def noise_option(
         check_arguments("process_noise", ForceOptions, given)
         return ForceOptions(**given)
     return ForceOptions() if given == "force_error" else given
+
+
+def given_noise(option: NoiseOption, space: Space) -> tuple[Tensor, ForceError | None] | None:
+    """Return Q of one step and the force error where an option says all of them; None where data must."""
+    nothing = torch.zeros(2 * space.dof, 2 * space.dof, dtype=torch.float64)
+    if isinstance(option, ForceOptions):
+        if option.size is None or option.memory is None:
+            return None
+        return nothing, ForceError(option.size, option.memory, space.inertia)
+    return None if isinstance(option, str) else (given_covariance(option, space), None)
+
+
+def given_covariance(deviations: tuple[float, float], space: Space) -> Tensor:
+    """Return Q, (D, D), of standard deviations of positions and velocities."""
+    position, velocity = deviations
+    blocks = torch.tensor([position, velocity * space.inertia], dtype=torch.float64)
+    return torch.diag(blocks.repeat_interleave(space.dof) ** 2)
 
 
 def with_process_noise(
@@ -86,9 +105,7 @@ def with_process_noise(
         q = fitted.covariance
         about = {"from": "fitted", "scale": fitted.scale, "nees_of_scales": list(fitted.nees)}
     else:
-        position, velocity = option
-        blocks = torch.tensor([position, velocity * case.space.inertia], dtype=torch.float64)
-        q = torch.diag(blocks.repeat_interleave(case.space.dof) ** 2)
+        q = given_covariance(option, case.space)
         about = {"from": "given"}
     return plain._replace(process_noise=q), {**about, "step_sd": q.diagonal().sqrt().tolist()}
 

@@ -6,12 +6,14 @@ noise of the same rate, Q dt / h; a force error with memory has a law for any st
 
 from __future__ import annotations
 
+import hashlib
 import math
 from functools import lru_cache
 from typing import Any
 
 import torch
-from torch import Tensor
+from safetensors.torch import save
+from torch import Tensor, nn
 
 from ahnn.assimilation import Process
 from ahnn.estimation.covariances import Factor, covariance_factor
@@ -62,6 +64,14 @@ def online_process(
     noise = lru_cache(LENGTHS)(lambda dt: _augmented(math.sqrt(dt / interval) * chol, error, dt))
     lifted, seen = error.belief, error.measurement
     return Process(estimator, error.flow(flow), noise, interval, lifted, seen, known)
+
+
+def weights_hash(flow: Flow) -> str:
+    """Return the hash of the weights of a flow, "" of one that has none."""
+    if not isinstance(flow, nn.Module):
+        return ""
+    parts = {name: part.contiguous() for name, part in flow.state_dict().items()}
+    return hashlib.blake2b(save(parts), digest_size=16).hexdigest()
 
 
 def _augmented(chol: Tensor, error: ForceError, dt: float) -> Factor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Annotated, Any, Literal, cast, final
 
@@ -9,6 +10,7 @@ import torch
 from torch import Tensor
 
 from ahnn.arguments import Count, Finite, Positive, Within, check_arguments, checked
+from ahnn.assimilation import Process
 from ahnn.errors import UserError
 from ahnn.estimation.gate import Gate
 from ahnn.estimation.scenario import Problem, Setting, perturbed_arcs, simulated
@@ -19,16 +21,20 @@ from ahnn.measurements import Measurement
 from ahnn.rollouts import rollout
 from ahnn.systems import System
 from ahnn.systems.truth import exact_flow
-from ahnn.types import Space
+from ahnn.types import Flow, Space
 from ahnn_plugins.ukf.assimilation import Filter, assimilate, assimilate_all, shown
+from ahnn_plugins.ukf.estimator import UnscentedKalmanFilter
 from ahnn_plugins.ukf.figures import ukf_figures
+from ahnn_plugins.ukf.force_error import ForceError
 from ahnn_plugins.ukf.noise_options import (
     Deviation,
     ForceOptions,
     NoiseOption,
+    given_noise,
     noise_option,
     with_process_noise,
 )
+from ahnn_plugins.ukf.online import online_process, weights_hash
 from ahnn_plugins.ukf.outcome import Outcome, filtered, fitted, iterated, numbers, rows, smoothed
 from ahnn_plugins.ukf.regression import regression_weights
 from ahnn_plugins.ukf.series import moving_averages
@@ -167,6 +173,29 @@ class UKFEvaluation:
             entry[who.start] = numbers(outcome, case) | moving_averages(outcome, case)
         findings.arrays, findings.figures = ukf_figures(case, setting, outcomes, without)
         return findings
+
+    def online(self, flow: Flow, interval: float, space: Space, case: Callable[[], Case]) -> Process:
+        """Return the filter as an online process, its process noise as it is configured.
+
+        Args:
+            flow: the process model.
+            interval: sampling interval of the training data.
+            space: what the numbers mean.
+            case: gives the data that a process noise is fitted to; called only for that.
+        """
+        estimator = UnscentedKalmanFilter(self.parameters, self.form, self.gate)
+        noise = given_noise(self.process_noise, space)
+        if noise is None:
+            noise = self._fitted(case())
+        return online_process(estimator, flow, interval, *noise, {"space": space.name, "flow": weights_hash(flow)})
+
+    @torch.no_grad()
+    def _fitted(self, case: Case) -> tuple[Tensor, ForceError | None]:
+        """Return Q of one step and the force error, fitted to validation data."""
+        shortest = int(case.validation.present.sum(-1).min()) - 1
+        setting = self._setting(_known(case.truth, case.space), shortest)
+        (_, model), *_ = self._filters(case, setting, Findings())
+        return model.process_noise, model.force_error
 
     def _outcomes(
         self, who: Who, chosen: Filter, case: Case, setting: Setting, problem: Problem

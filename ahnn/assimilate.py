@@ -1,0 +1,134 @@
+"""Assimilate measurements online: `python -m ahnn.assimilate run=DIR measurements=FILE|- start=[..]|FILE`.
+
+run=DIR             a run folder; or pretrained=NAME, a model that comes with the package; ckpt=best
+measurements=FILE   CSV with a header (time, sensor, numbers, sd_NAME), or JSON lines; - is standard input
+start=[X,...]       the state at time=0, or FILE: YAML or JSON (mean, sd or covariance), or an ephemeris message
+start_sd=[..]       its standard deviations, [position,velocity] or one for each component
+output=FILE         estimate and covariance after each line, CSV or JSON lines; standard output without it
+state=FILE          saved every 1000 lines (every=N); the same command goes on with it after any stop
+window=SECONDS      late measurements are merged by replay; lines=N are kept for that at most
+measurement=NAME    what is measured; several sensors: +measurement@sensors.NAME=OPTION sensors.NAME.model.KEY=..
+plugins=NAME        the filter; plugins.ukf.gate=0.9999 refuses outliers, plugins.ukf.process_noise=[..] gives Q
+watch=true          a live view of state, 3 sigma, innovations and NIS on standard error; or --watch
+figures=FOLDER      innovations, consistency and deviations at the end
+oem=FILE            an orbit ephemeris message with covariances at the end; object= epoch= frame= center=
+--trust             build whatever the folder's config.yaml names; only if you know who wrote it
+"""
+
+from __future__ import annotations
+
+if __name__ == "__main__":  # until `guard` listens, Ctrl-C ends this process without a traceback
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+import logging
+import sys
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ahnn.cli.guard import guard
+from ahnn.cli.stops import ended, held
+
+if TYPE_CHECKING:
+    from ahnn.cli.stream import Options
+    from ahnn.types import Space
+
+log = logging.getLogger("ahnn")
+
+USAGE = "usage: python -m ahnn.assimilate run=DIR | pretrained=NAME measurements=FILE|- start=[..]|FILE [key=value]"
+
+
+def assimilate(arguments: list[str]) -> None:
+    """Assimilate a stream with the weights of a run.
+
+    Raises:
+        UserError: no such run or file, or options that do not go together.
+        TrainingError: the filter has diverged.
+    """
+    with held():
+        import torch
+
+        from ahnn.assimilation import Assimilation
+        from ahnn.assimilation.lines import Lines
+        from ahnn.assimilation.rows import Rows
+        from ahnn.assimilation.session import Session
+        from ahnn.assimilation.start import start_of
+        from ahnn.assimilation.view import View, said
+        from ahnn.cli import stream
+        from ahnn.cli.again import run_config
+        from ahnn.cli.parts import build_sensor, build_source
+        from ahnn.cli.settings import check_again
+        from ahnn.data import SplitData
+        from ahnn.evaluation.prepare import make_case
+        from ahnn.runs import load
+
+    logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
+    log.setLevel(logging.INFO)
+    options, nodes, request = stream.asked(arguments, USAGE)
+    run = load(request.source, request.ckpt)
+    cfg = run_config(run.folder, request)
+    check_again(cfg)
+    torch.set_num_threads(cfg.threads)
+    source = cache(lambda: build_source(cfg))
+    sensors = stream.build_sensors(nodes, cfg, run, lambda: source().truth)
+    deviations = options.start_sd
+    if deviations is None and not isinstance(options.start, str) and (truth := source().truth) is not None:
+        deviations = truth.deviations().tolist()
+    start = start_of(options.start, deviations, run.space)
+    file = _opened(options.measurements)
+
+    def case():
+        splits = SplitData(source(), list(cfg.data.split), build_sensor(cfg, source()))
+        return make_case(run.dynamics, splits, label=cfg.label, seed=cfg.evaluation.seed, folder=run.folder)
+
+    process = stream.build_process(cfg, run, case)
+    limits = {"window": options.window, "lines": options.lines, "gap": options.gap}
+    filtering = Assimilation(process, sensors, start, time=options.time, **limits)
+    state = None if options.state is None else Path(options.state)
+    journal = Path(f"{state}.lines") if state is not None and options.measurements == "-" else None
+    rows = Rows(run.space.components, sensors, stream.kind_of(options))
+    session = Session(filtering, Lines(file, journal), rows, options.output, state, options.every)
+    with ended("" if state is None else "the same command goes on where it was"):
+        if options.watch:
+            with View(run.space) as view:
+                session.run(view)
+        else:
+            session.run()
+    log.info("%s lines: %s", f"{session.counted:,}", said(session.counts))
+    _pictures(options, run.space)
+
+
+def _opened(path: str):
+    """Return a stream of bytes; raises an OSError that names the file."""
+    return sys.stdin.buffer if path == "-" else open(path, "rb")  # noqa: SIM115 - as long as the process
+
+
+def _pictures(options: Options, space: Space) -> None:
+    """Make figures and message of the output, if they are asked for."""
+    if not (options.figures or options.oem):
+        return
+    from ahnn.assimilation.figures import figures_of
+    from ahnn.assimilation.record import read_record, write_ephemeris
+
+    record = read_record(Path(options.output), space.components)
+    if options.figures:
+        folder = Path(options.figures)
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, figure in figures_of(record, space).items():
+            figure.savefig(folder / f"{name}.png", dpi=120)
+    if options.oem:
+        names = ("object", "epoch", "frame", "center", "time_system")
+        write_ephemeris(Path(options.oem), record, space, {name: getattr(options, name) for name in names})
+
+
+def main() -> None:
+    """Entry point of `python -m ahnn.assimilate` and `ahnn-assimilate`."""
+    arguments = sys.argv[1:]
+    asks = bool({"-h", "--help"} & {*arguments})
+    sys.exit(guard(lambda: sys.stdout.write(f"{__doc__}\n") if asks else assimilate(arguments)))
+
+
+if __name__ == "__main__":
+    main()
