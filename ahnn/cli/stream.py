@@ -9,10 +9,10 @@ from typing import Annotated, Any, Literal
 
 from omegaconf import DictConfig, OmegaConf
 
-from ahnn.arguments import Count, Finite, Positive, Within, check_arguments
+from ahnn.arguments import Count, Finite, Positive, Within, check_arguments, nearest
 from ahnn.assimilation import Process, Sensor
 from ahnn.cli import commandline
-from ahnn.cli.again import Request
+from ahnn.cli.again import GROUPS, KEYS, NODES, OWN, Request
 from ahnn.cli.build import blaming, build, build_all, plain_config
 from ahnn.cli.trust import read_plain
 from ahnn.errors import UserError
@@ -61,6 +61,10 @@ def asked(arguments: list[str], usage: str) -> tuple[Options, DictConfig, Reques
     loader = commandline.config_loader()
     own = commandline.compose(loader, "assimilate", [])
     mine = [text for text in given if _key(text) in own]
+    known = {*own, *OWN, *GROUPS, *NODES, *KEYS} - {"hydra"}
+    if unknown := [key for text in given if "=" in text and (key := _key(text)) not in known]:
+        message = f"unknown key {unknown[0]!r}{nearest(unknown[0], sorted(known))}"
+        raise UserError(message)
     request = Request.of([text for text in given if text not in mine], usage)
     cfg = commandline.compose(loader, "assimilate", mine)
     OmegaConf.set_struct(cfg, False)
@@ -89,8 +93,8 @@ def build_sensors(nodes: DictConfig, cfg: DictConfig, run: Run, truth: Callable[
         UserError: no model, or standard deviations that do not fit.
     """
     made = {}
-    for name, node in (nodes or OmegaConf.create({"sensor": cfg.measurement})).items():
-        who, named = f"sensors.{name}", node.get("model")
+    for name, node in (nodes or OmegaConf.create({"": cfg.measurement})).items():
+        who, named = f"sensors.{name}" if name else "measurement", node.get("model")
         with blaming(who):
             model = reading(named, run.space) if isinstance(named, str) else build(named, f"{who}.model")
             if getattr(model, "mass", run.space.inertia) != run.space.inertia:
@@ -98,7 +102,8 @@ def build_sensors(nodes: DictConfig, cfg: DictConfig, run: Run, truth: Callable[
                 raise ValueError(message)
             sd = OmegaConf.to_container(OmegaConf.create({"sd": node.get("sd")}))["sd"]  # pyright: ignore
             known = truth() if sd is None and named == "position" else None
-            made[str(name)] = Sensor.of(model, sd if known is None else known.noise.measurement, run.space)
+            called = str(name) or (named if isinstance(named, str) else type(model).__name__)
+            made[called] = Sensor.of(model, sd if known is None else known.noise.measurement, run.space)
     return made
 
 
