@@ -24,15 +24,8 @@ class ExplicitRungeKutta(Integrator):
         h = column(dt)
         slopes = [field(x)]
         for row in self.tableau.a:
-            slopes.append(field(_moved(x, h, row, slopes)))
+            slopes.append(field(x + h * _combine(row, slopes)))
         return h * _combine(self.tableau.b, slopes)
-
-
-def _moved(x: Tensor, h: TimeStep, weights: tuple[float, ...], slopes: list[Tensor]) -> Tensor:
-    """Return x + h sum_i weights_i slopes_i; one operation where a number h meets a single slope."""
-    if not isinstance(h, Tensor) and not any(weights[:-1]):
-        return x.add(slopes[-1], alpha=h * weights[-1])
-    return x + h * _combine(weights, slopes)
 
 
 def _combine(weights: tuple[float, ...], slopes: list[Tensor]) -> Tensor:

@@ -16,6 +16,7 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from ahnn.assimilation import Process
+from ahnn.dynamics.recorded import recorded
 from ahnn.estimation.covariances import Factor, covariance_factor
 from ahnn.numbers import Numbers
 from ahnn.types import Flow
@@ -59,11 +60,11 @@ def online_process(
     }
     if force_error is None:
         noise = lru_cache(LENGTHS)(lambda dt: Factor(math.sqrt(dt / interval) * chol))
-        return Process(estimator, flow, noise, interval, about=known)
+        return Process(estimator, recorded(flow), noise, interval, about=known)
     error = force_error
     noise = lru_cache(LENGTHS)(lambda dt: _augmented(math.sqrt(dt / interval) * chol, error, dt))
     lifted, seen = error.belief, error.measurement
-    return Process(estimator, error.flow(flow), noise, interval, lifted, seen, known)
+    return Process(estimator, error.flow(recorded(flow)), noise, interval, lifted, seen, known)
 
 
 def weights_hash(flow: Flow) -> str:
