@@ -26,12 +26,13 @@ import logging
 import sys
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
 from ahnn.cli.guard import guard
 from ahnn.cli.stops import ended, held
 
 if TYPE_CHECKING:
+    from ahnn.assimilation.journal import Journal
     from ahnn.cli.stream import Options
     from ahnn.types import Space
 
@@ -77,7 +78,6 @@ def assimilate(arguments: list[str]) -> None:
     if deviations is None and not isinstance(options.start, str) and (truth := source().truth) is not None:
         deviations = truth.deviations().tolist()
     start = start_of(options.start, deviations, run.space)
-    file = _opened(options.measurements)
 
     def case():
         splits = SplitData(source(), list(cfg.data.split), build_sensor(cfg, source()))
@@ -87,9 +87,10 @@ def assimilate(arguments: list[str]) -> None:
     limits = {"window": options.window, "lines": options.lines, "gap": options.gap}
     filtering = Assimilation(process, sensors, start, time=options.time, **limits)
     state = None if options.state is None else Path(options.state)
-    journal = Path(f"{state}.lines") if state is not None and options.measurements == "-" else None
     rows = Rows(run.space.components, sensors, stream.kind_of(options))
-    session = Session(filtering, Lines(file, journal), rows, options.output, state, options.every)
+    session = Session(
+        filtering, Lines(_opened(options.measurements, state)), rows, options.output, state, options.every
+    )
     with ended("" if state is None else "the same command goes on where it was"):
         if options.watch:
             with View(run.space) as view:
@@ -100,9 +101,14 @@ def assimilate(arguments: list[str]) -> None:
     _pictures(options, run.space)
 
 
-def _opened(path: str):
-    """Return a stream of bytes; raises an OSError that names the file."""
-    return sys.stdin.buffer if path == "-" else open(path, "rb")  # noqa: SIM115 - as long as the process
+def _opened(path: str, state: Path | None) -> BinaryIO | Journal:
+    """Return a stream of bytes, standard input with a journal beside its state."""
+    from ahnn.assimilation.journal import Journal
+
+    if path != "-":
+        return open(path, "rb")
+    pipe = cast(Any, sys.stdin.buffer)
+    return pipe if state is None else Journal(pipe.raw, Path(f"{state}.lines"))
 
 
 def _pictures(options: Options, space: Space) -> None:

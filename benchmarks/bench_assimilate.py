@@ -101,8 +101,19 @@ def stream(run: ahnn.Run, folder: Path, lines: int) -> dict[str, Any]:
 def command(folder: Path, name: str) -> list[str]:
     """Return the command that assimilates the table `kills.csv`."""
     return [
-        *(sys.executable, "-m", "ahnn.assimilate", f"pretrained={MODEL}", f"start={START}", "start_sd=[1,0.01]"),
-        *(f"measurements={folder / 'kills.csv'}", f"measurement.sd={SD}", f"plugins.ukf.process_noise={[*NOISE]}"),
+        *(
+            sys.executable,
+            "-m",
+            "ahnn.assimilate",
+            f"pretrained={MODEL}",
+            f"start={START}",
+            "start_sd=[1,0.01]",
+        ),
+        *(
+            f"measurements={folder / 'kills.csv'}",
+            f"measurement.sd={SD}",
+            f"plugins.ukf.process_noise={[*NOISE]}",
+        ),
         *(f"output={folder / name}.out", f"state={folder / name}.state", "every=500"),
     ]
 
@@ -145,7 +156,9 @@ def beside_batch(run: ahnn.Run, path: Path, count: int = 500) -> dict[str, Any]:
 
 def main() -> None:
     """Print figures beside bars."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--lines", type=int, default=100_000)
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--kill-lines", type=int, default=10_000)

@@ -185,7 +185,9 @@ class Assimilation:
         """Return the window with a reading at its end."""
         sensor, process = self.sensors[reading.sensor], self.process
         state = process.advanced(window.state, window.time, reading.time)
-        factor = self._factors[reading.sensor] if reading.deviations is None else sensor.factor(reading.deviations)
+        factor = (
+            self._factors[reading.sensor] if reading.deviations is None else sensor.factor(reading.deviations)
+        )
         y = torch.tensor([reading.values], dtype=torch.float64)
         state, innovation = process.estimator.update(state, y, self._models[reading.sensor], factor)
         if status := int(state.status):
@@ -197,7 +199,9 @@ class Assimilation:
         entry = Entry(reading.time, reading, state, innovation)
         return window._replace(entries=(*window.entries, entry))
 
-    def _estimate(self, outcome: Outcome, innovation: Innovation | None = None, replayed: int = 0) -> Estimate:
+    def _estimate(
+        self, outcome: Outcome, innovation: Innovation | None = None, replayed: int = 0
+    ) -> Estimate:
         mean, chol = self.window.state.belief
         chol = chol[0, : self.size, : self.size]
         return Estimate(outcome, self.window.time, mean[0, : self.size], chol @ chol.T, innovation, replayed)

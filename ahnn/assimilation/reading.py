@@ -76,7 +76,7 @@ class Layout:
         """
         row = self._cells(text) if self.names else self._object(text)
         name = row.get(SENSOR) or self.only
-        if name not in self.sensors:
+        if not isinstance(name, str) or name not in self.sensors:
             message = f"sensor: expected one of {', '.join(self.sensors)}; received {row.get(SENSOR)!r}"
             raise BadLine(message)
         sensor = self.sensors[name]

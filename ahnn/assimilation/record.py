@@ -62,7 +62,10 @@ def read_record(path: Path, components: tuple[str, ...], most: int = MOST) -> Re
         raise UserError(message)
     kept[float(row["time"])] = row
     rows = [kept[time] for time in sorted(kept)]
-    size, measured = len(components), tuple(n.removeprefix(INNOVATION) for n in row if n.startswith(INNOVATION))
+    size, measured = (
+        len(components),
+        tuple(n.removeprefix(INNOVATION) for n in row if n.startswith(INNOVATION)),
+    )
 
     def columns(names: list[str]) -> Array:
         return np.array([[_number(row[name]) for name in names] for row in rows])
@@ -103,7 +106,9 @@ def write_ephemeris(path: Path, record: Record, space: Space, about: dict[str, s
         UserError: a space that is no orbit, or an epoch that is none.
     """
     if len(space.components) != 6 or space.units[:3] != ("s", "km", "km/s"):
-        message = f"oem: expected an orbit in s, km and km/s; received {space.name} in {', '.join(space.units[:3])}"
+        message = (
+            f"oem: expected an orbit in s, km and km/s; received {space.name} in {', '.join(space.units[:3])}"
+        )
         raise UserError(message)
     utc = about["time_system"].upper() == "UTC"
     try:

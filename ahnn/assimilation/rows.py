@@ -8,7 +8,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, BinaryIO, Literal
 
@@ -68,7 +68,7 @@ class Rows:
 
 
 def _cell(value: Any) -> str:
-    return "" if value != value else str(value)  # noqa: PLR0124 - NaN alone differs from itself
+    return "" if value != value else str(value)
 
 
 class Output:
@@ -94,6 +94,11 @@ class Output:
         self.file.flush()
         self.size += len(content)
 
+    def close(self) -> None:
+        """Close a file; standard output stays open."""
+        if self.file is not sys.stdout.buffer:
+            self.file.close()
+
     def sync(self) -> None:
         """Wait until the rows are on the disk."""
         with contextlib.suppress(OSError):  # a pipe has none
@@ -103,7 +108,9 @@ class Output:
 def require_new(path: str) -> None:
     """Refuse to begin where something is already; raises UserError."""
     if path != "-" and Path(path).exists():
-        message = f"output: expected a new file; received {path}, which is there. Name another one or remove it"
+        message = (
+            f"output: expected a new file; received {path}, which is there. Name another one or remove it"
+        )
         raise UserError(message)
 
 
@@ -115,17 +122,14 @@ def _opened(path: Path, size: int | None) -> BinaryIO:
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
+        file.close()
         message = f"output: expected a file of its own; received {path}, which another process writes"
         raise UserError(message) from error
     length = file.seek(0, os.SEEK_END)
     if length < (size or 0):
+        file.close()
         message = f"output: expected {path} as it was left, {size} bytes; received {length}. Begin again"
         raise UserError(message)
     file.truncate(size or 0)
     file.seek(size or 0)
     return file
-
-
-def names_of(first: str) -> Iterable[str]:
-    """Return the names in the first line of an output."""
-    return json.loads(first) if first.startswith("{") else first.strip().split(",")

@@ -10,8 +10,7 @@ from __future__ import annotations
 import json
 import logging
 from collections import Counter
-from collections.abc import Callable, Iterator
-from itertools import chain
+from collections.abc import Callable
 from pathlib import Path
 
 from ahnn.assimilation.lines import Lines
@@ -48,19 +47,26 @@ class Session:
     """
 
     def __init__(
-        self, assimilation: Assimilation, lines: Lines, rows: Rows, output: str, state: Path | None, every: int
+        self,
+        assimilation: Assimilation,
+        lines: Lines,
+        rows: Rows,
+        output: str,
+        state: Path | None,
+        every: int,
     ) -> None:
         self.filter, self.lines, self.rows = assimilation, lines, rows
         self.state, self.every = state, every
         self.counts: Counter[str] = Counter()
         self.layout: Layout | None = None
-        self.header, self.counted, self.path = "", 0, output
+        self.header, self.path = "", output
+        self._count()
         self.output: Output | None = None
-        self._again: Iterator[str] = iter(())
         if state is not None and state.exists():
             self.output = Output(output, self._resume(assimilation.load(state)))
         else:
             require_new(output)
+            lines.begin()
 
     def run(self, watch: Watcher | None = None) -> None:
         """Assimilate all lines that come.
@@ -69,10 +75,22 @@ class Session:
             UserError: a header that names what is not there.
             TrainingError: the filter has diverged; the message names the line.
         """
-        for text in chain(self._again, self.lines):
+        try:
+            self._run(watch)
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """Give back the files; what was not saved is taken again by who goes on."""
+        self.lines.close(discard=self.output is None)
+        if self.output is not None:
+            self.output.close()
+
+    def _run(self, watch: Watcher | None) -> None:
+        for text in self.lines:
             if text and not text.startswith("#"):
                 self._line(text, watch)
-            self.counted = self.lines.number
+            self._count()
             if self.counted % self.every == 0 and self.layout is not None:
                 self._save()
         if self.layout is None:
@@ -107,7 +125,9 @@ class Session:
         try:
             estimate = self.filter.update(reading)
         except Diverged as error:
-            message = f"line {number}: {error}. Begin again with another start, or a wider gate or process noise"
+            message = (
+                f"line {number}: {error}. Begin again with another start, or a wider gate or process noise"
+            )
             raise TrainingError(message) from error
         self.counts[estimate.outcome] += 1
         if estimate.innovation is None:
@@ -129,22 +149,28 @@ class Session:
         if self.output is not None:
             self.output.sync()
             size = self.output.size
-        notes = {"lines": self.counted, "digest": self.lines.digest, "size": size, "header": self.header}
-        self.filter.save(self.state, {"stream": json.dumps({**notes, "counts": self.counts})})
-        self.lines.saved()
+        notes = {"lines": self.counted, "place": self.place, "digest": self.digest, "size": size}
+        stream = json.dumps({**notes, "header": self.header, "counts": self.counts})
+        self.filter.save(self.state, {"stream": stream})
+        self.lines.saved(self.place)
+
+    def _count(self) -> None:
+        """All lines so far are counted, which the next state will say."""
+        self.counted, self.place, self.digest = self.lines.number, self.lines.place, self.lines.digest
 
     def _resume(self, notes: dict[str, str]) -> int:
         """Take the lines that are not in the state again, and return the length of the output then."""
         try:
             stream = json.loads(notes["stream"])
-            number, digest, size = int(stream["lines"]), str(stream["digest"]), int(stream["size"])
+            number, place, size = (int(stream[key]) for key in ("lines", "place", "size"))
+            digest = str(stream["digest"])
             self.header, self.counts = stream["header"], Counter(stream["counts"])
         except (KeyError, ValueError, TypeError) as error:
             message = f"state: expected one of a stream; received {self.state} ({error})"
             raise UserError(message) from error
         if self.header:
             self.layout = Layout(self.header, self.filter.sensors)
-        self.counted = number
-        self._again = self.lines.resumed(number, digest)
+        self.lines.resume(number, place, digest)
+        self._count()
         log.info("going on behind line %d", number)
         return size

@@ -53,7 +53,9 @@ def _diagonal(sd: Any, space: Space) -> torch.Tensor:
             return torch.diag(values.square())
     except (TypeError, ValueError, RuntimeError):
         pass
-    message = f"start_sd: expected {size} numbers > 0, or one for positions and one for velocities; received {sd}"
+    message = (
+        f"start_sd: expected {size} numbers > 0, or one for positions and one for velocities; received {sd}"
+    )
     raise UserError(message)
 
 

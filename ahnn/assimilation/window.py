@@ -10,7 +10,6 @@ from typing import NamedTuple
 from ahnn.assimilation.reading import Reading
 from ahnn.estimation import FilterState, Innovation
 
-
 TIME = attrgetter("time")
 
 

@@ -86,7 +86,9 @@ def _key(text: str) -> str:
     return (key.partition("@")[2] or key).partition(".")[0]
 
 
-def build_sensors(nodes: DictConfig, cfg: DictConfig, run: Run, truth: Callable[[], System | None]) -> dict[str, Sensor]:
+def build_sensors(
+    nodes: DictConfig, cfg: DictConfig, run: Run, truth: Callable[[], System | None]
+) -> dict[str, Sensor]:
     """Build the sensors of a stream; the one of the run's group `measurement` where none are named.
 
     Raises:
@@ -98,7 +100,9 @@ def build_sensors(nodes: DictConfig, cfg: DictConfig, run: Run, truth: Callable[
         with blaming(who):
             model = reading(named, run.space) if isinstance(named, str) else build(named, f"{who}.model")
             if getattr(model, "mass", run.space.inertia) != run.space.inertia:
-                message = f"expected mass={run.space.inertia:g}, that of the run; received mass={model.mass:g}"
+                message = (
+                    f"expected mass={run.space.inertia:g}, that of the run; received mass={model.mass:g}"
+                )
                 raise ValueError(message)
             sd = OmegaConf.to_container(OmegaConf.create({"sd": node.get("sd")}))["sd"]  # pyright: ignore
             known = truth() if sd is None and named == "position" else None

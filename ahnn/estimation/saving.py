@@ -30,7 +30,9 @@ def save_state(state: FilterState, path: Path | str, notes: Mapping[str, str] | 
     parts = _named(detached(state))
     orders = {name: _order(part) for name, part in parts.items()}
     content = {name: part.permute(orders[name]).contiguous().clone() for name, part in parts.items()}
-    write_atomically(Path(path), save(content, {**(notes or {}), "format": FORMAT, "orders": json.dumps(orders)}))
+    write_atomically(
+        Path(path), save(content, {**(notes or {}), "format": FORMAT, "orders": json.dumps(orders)})
+    )
 
 
 def load_state(path: Path | str, device: torch.device | str = "cpu") -> FilterState:

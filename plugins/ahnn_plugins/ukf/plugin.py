@@ -187,7 +187,9 @@ class UKFEvaluation:
         noise = given_noise(self.process_noise, space)
         if noise is None:
             noise = self._fitted(case())
-        return online_process(estimator, flow, interval, *noise, {"space": space.name, "flow": weights_hash(flow)})
+        return online_process(
+            estimator, flow, interval, *noise, {"space": space.name, "flow": weights_hash(flow)}
+        )
 
     @torch.no_grad()
     def _fitted(self, case: Case) -> tuple[Tensor, ForceError | None]:

@@ -1,0 +1,90 @@
+"""A pipe of which nothing is lost: what was read from it is kept, until a state holds it."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import BinaryIO
+
+from ahnn.errors import UserError
+from ahnn.files import write_atomically
+
+
+class Journal(io.RawIOBase):
+    """Bytes of a pipe, which comes no second time, written to a file before they are used.
+
+    The file begins with the place in the stream of the byte behind its first line.
+
+    Args:
+        pipe: what is read.
+        path: of the file.
+    """
+
+    def __init__(self, pipe: BinaryIO, path: Path) -> None:
+        super().__init__()
+        self.pipe, self.path = pipe, path
+        self._base, self._kept, self._ahead = 0, bytearray(), b""
+        self._file: BinaryIO | None = None
+
+    def begin(self) -> None:
+        """Begin with an empty journal.
+
+        Raises:
+            UserError: one is there, of a state that is not.
+        """
+        if self.path.exists():
+            message = f"state: expected the state of the journal {self.path}; received none. Remove it to begin again"
+            raise UserError(message)
+        self.saved(0)
+
+    def resume(self, place: int) -> None:
+        """Go on behind a place in the stream: first with what the journal holds from there on.
+
+        Raises:
+            UserError: the journal is missing or damaged.
+        """
+        try:
+            head, _, content = self.path.read_bytes().partition(b"\n")
+            self._base = int(head)
+        except (OSError, ValueError) as error:
+            message = (
+                f"state: expected its journal {self.path}; received {error}. Begin again with another state"
+            )
+            raise UserError(message) from error
+        self._kept = bytearray(content)
+        self._ahead = bytes(content[place - self._base :])
+        self._file = self.path.open("ab")
+
+    def readable(self) -> bool:
+        """Return that it can be read."""
+        return True
+
+    def readinto(self, buffer: memoryview) -> int:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Read what the journal has ahead, or what the pipe has now."""
+        if self._ahead:
+            content, self._ahead = self._ahead[: len(buffer)], self._ahead[len(buffer) :]
+        else:
+            content = self.pipe.read(len(buffer)) or b""
+            self._kept += content
+            assert self._file is not None
+            self._file.write(content)
+            self._file.flush()
+        buffer[: len(content)] = content
+        return len(content)
+
+    def saved(self, place: int) -> None:
+        """A state holds the stream up to a place: keep what was read beyond it."""
+        del self._kept[: place - self._base]
+        self._base = place
+        write_atomically(self.path, b"%d\n%b" % (place, self._kept))
+        self._close()
+        self._file = self.path.open("ab")
+
+    def close(self) -> None:
+        """Close the file; the pipe stays open."""
+        self._close()
+        super().close()
+
+    def _close(self) -> None:
+        if self._file is not None:
+            self._file.close()
