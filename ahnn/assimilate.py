@@ -1,14 +1,14 @@
 """Assimilate measurements online: `python -m ahnn.assimilate run=DIR measurements=FILE|- start=[..]|FILE`.
 
 run=DIR             a run folder; or pretrained=NAME, a model that comes with the package; ckpt=best
-measurements=FILE   CSV with a header (time, sensor, numbers, sd_NAME), or JSON lines; - is standard input
-start=[X,...]       the state at time=0, or FILE: YAML or JSON (mean, sd or covariance), or an ephemeris message
+measurements=FILE   CSV with a header (time, sensor, numbers, sd_NAME) or JSON lines; - is standard input
+start=[X,...]       the state at time=0, or FILE: YAML or JSON (mean, sd or covariance), or an ephemeris
 start_sd=[..]       its standard deviations, [position,velocity] or one for each component
-output=FILE         estimate and covariance after each line, CSV or JSON lines; standard output without it
+output=FILE         estimate and covariance after each line, CSV or JSON lines; else standard output
 state=FILE          saved every 1000 lines (every=N); the same command goes on with it after any stop
 window=SECONDS      late measurements are merged by replay; lines=N are kept for that at most
-measurement=NAME    what is measured; several sensors: +measurement@sensors.NAME=OPTION sensors.NAME.model.KEY=..
-plugins=NAME        the filter; plugins.ukf.gate=0.9999 refuses outliers, plugins.ukf.process_noise=[..] gives Q
+measurement=NAME    what is measured; of several sensors: +measurement@sensors.NAME=OPTION for each
+plugins=NAME        the filter; plugins.ukf.gate=0.9999 refuses outliers, plugins.ukf.process_noise is Q
 watch=true          a live view of state, 3 sigma, innovations and NIS on standard error; or --watch
 figures=FOLDER      innovations, consistency and deviations at the end
 oem=FILE            an orbit ephemeris message with covariances at the end; object= epoch= frame= center=
@@ -34,11 +34,12 @@ from ahnn.cli.stops import ended, held
 if TYPE_CHECKING:
     from ahnn.assimilation.journal import Journal
     from ahnn.cli.stream import Options
+    from ahnn.evaluation import Case
     from ahnn.types import Space
 
 log = logging.getLogger("ahnn")
 
-USAGE = "usage: python -m ahnn.assimilate run=DIR | pretrained=NAME measurements=FILE|- start=[..]|FILE [key=value]"
+USAGE = "usage: python -m ahnn.assimilate run=DIR | pretrained=NAME measurements=FILE|- start=FILE|[..]"
 
 
 def assimilate(arguments: list[str]) -> None:
@@ -53,7 +54,7 @@ def assimilate(arguments: list[str]) -> None:
 
         from ahnn.assimilation import Assimilation
         from ahnn.assimilation.lines import Lines
-        from ahnn.assimilation.rows import Rows
+        from ahnn.assimilation.rows import Rows, require_new
         from ahnn.assimilation.session import Session
         from ahnn.assimilation.start import start_of
         from ahnn.assimilation.view import View, said
@@ -77,20 +78,21 @@ def assimilate(arguments: list[str]) -> None:
     deviations = options.start_sd
     if deviations is None and not isinstance(options.start, str) and (truth := source().truth) is not None:
         deviations = truth.deviations().tolist()
+    state = None if options.state is None else Path(options.state)
+    if state is None or not state.exists():
+        require_new(options.output)
+    lines = Lines(_opened(options.measurements, state))
     start = start_of(options.start, deviations, run.space)
 
-    def case():
+    def case() -> Case:
         splits = SplitData(source(), list(cfg.data.split), build_sensor(cfg, source()))
         return make_case(run.dynamics, splits, label=cfg.label, seed=cfg.evaluation.seed, folder=run.folder)
 
     process = stream.build_process(cfg, run, case)
     limits = {"window": options.window, "lines": options.lines, "gap": options.gap}
     filtering = Assimilation(process, sensors, start, time=options.time, **limits)
-    state = None if options.state is None else Path(options.state)
     rows = Rows(run.space.components, sensors, stream.kind_of(options))
-    session = Session(
-        filtering, Lines(_opened(options.measurements, state)), rows, options.output, state, options.every
-    )
+    session = Session(filtering, lines, rows, options.output, state, options.every)
     with ended("" if state is None else "the same command goes on where it was"):
         if options.watch:
             with View(run.space) as view:

@@ -1,4 +1,4 @@
-"""Pictures of an assimilation: innovations over time with their bands, consistency, and the size of the beliefs."""
+"""Pictures of an assimilation: innovations in their bands, consistency, and the size of the beliefs."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ class Journal(io.RawIOBase):
             UserError: one is there, of a state that is not.
         """
         if self.path.exists():
-            message = f"state: expected the state of the journal {self.path}; received none. Remove it to begin again"
+            message = f"state: expected the state of the journal {self.path}; received none. Remove it"
             raise UserError(message)
         self.saved(0)
 

@@ -18,8 +18,8 @@ LONGEST = 1 << 20
 class Lines:
     """The lines of a stream.
 
-    A file is read again from its beginning after a restart, and must be the same up to where it was read. What
-    came through a pipe comes no second time: a journal keeps it.
+    A file is read again from its beginning after a restart, and must be the same up to where it was read.
+    What came through a pipe comes no second time: a journal keeps it.
 
     Args:
         stream: a file opened for bytes, a pipe whose state is not saved, or the journal of one.

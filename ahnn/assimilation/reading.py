@@ -65,7 +65,8 @@ class Layout:
             self.delimiter = max(",;\t", key=first.count)
             self.names = [self._name(cell) for cell in first.strip().split(self.delimiter)]
             if len({*self.names}) < len(self.names) or not {*TIME} & {*self.names}:
-                message = f"measurements: expected a header with time and {self._expected()}; received {first.strip()!r}"
+                expected = f"a header with time and {self._expected()}, each once"
+                message = f"measurements: expected {expected}; received {first.strip()!r}"
                 raise UserError(message)
 
     def reading(self, text: str) -> Reading:

@@ -1,4 +1,4 @@
-"""What an assimilation wrote, read again: so many rows as a picture or an ephemeris takes, whatever its length."""
+"""What an assimilation wrote, read again: as many rows as a picture or an ephemeris takes."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from ahnn.errors import TrainingError, UserError
 log = logging.getLogger("ahnn")
 
 Watcher = Callable[[int, Reading, Estimate, Counter[str]], None]
-"""Told of every line that was a measurement: its number, what it said, the estimate, and the counts so far."""
+"""Told of every line that was a measurement: its number, what it said, the estimate, the counts so far."""
 
 WORDS = {
     "late": "comes later than the window allows, at time {now:g}: not counted",

@@ -1,4 +1,4 @@
-"""Where an assimilation begins: a belief from values, from a plain file, or from an orbit ephemeris message."""
+"""Where an assimilation begins: a belief from values, a plain file, or an orbit ephemeris message."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def start_of(given: str | list[float] | None, deviations: Deviations, space: Spa
     """Return the belief that an assimilation starts from.
 
     Args:
-        given: the mean, or the path of a file that holds it: `mean` with `sd` or `covariance` in YAML or JSON, or
-            an orbit ephemeris message, whose last state and covariance count.
+        given: the mean, or the path of a file that holds it: `mean` with `sd` or `covariance` in YAML or
+            JSON, or an orbit ephemeris message, whose last state and covariance count.
         deviations: standard deviations where nothing else says them: 2n, or one for positions and one for
             velocities.
         space: what the numbers of a state mean.
@@ -75,6 +75,7 @@ def _read(path: Path, space: Space) -> dict[str, Any]:
         raise UserError(message) from error
     unknown = content.keys() - {"mean", "sd", "covariance"} if isinstance(content, dict) else {"no keys"}
     if unknown or "mean" not in content:
-        message = f"start: expected mean and sd or covariance in {path}; received {', '.join(sorted(unknown)) or 'no mean'}"
+        received = ", ".join(sorted(unknown)) or "no mean"
+        message = f"start: expected mean and sd or covariance in {path}; received {received}"
         raise UserError(message)
     return content

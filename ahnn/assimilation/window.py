@@ -1,4 +1,4 @@
-"""Readings that came last, so that one which comes late is put in its place and the later ones are replayed."""
+"""Readings that came last: one that comes late is put in its place, and the later ones are replayed."""
 
 from __future__ import annotations
 

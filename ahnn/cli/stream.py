@@ -1,4 +1,4 @@
-"""What an assimilation is told: options of conf/assimilate.yaml, and what is built from them and from the run."""
+"""What an assimilation is told: options of conf/assimilate.yaml, and what is built from them and the run."""
 
 from __future__ import annotations
 
@@ -120,7 +120,8 @@ def build_process(cfg: DictConfig, run: Run, case: Callable[[], Case]) -> Proces
     plugins = build_all(cfg.plugins, "plugins", EvaluationPlugin)
     online = {name: plugin for name, plugin in plugins.items() if hasattr(plugin, "online")}
     if len(online) != 1:
-        message = f"plugins: expected one that filters online, such as {FILTER}; received {', '.join(plugins) or 'none'}"
+        received = ", ".join(plugins) or "none"
+        message = f"plugins: expected one that filters online, such as {FILTER}; received {received}"
         raise UserError(message)
     ((name, plugin),) = online.items()
     with blaming(f"plugins.{name}"):

@@ -26,8 +26,8 @@ SETTLED = 3
 def recorded(flow: Flow) -> Flow:
     """Return a flow with the same values, bit for bit, for one step length at a time and without gradients.
 
-    Dynamics whose operations depend on the numbers, and functions of which nothing is known, come back as they
-    are.
+    Dynamics whose operations depend on the numbers, and functions of which nothing is known, come back as
+    they are.
     """
     integrated = isinstance(flow, HamiltonianDynamics | NeuralODE)
     fixed = integrated and isinstance(flow.integrator, ExplicitRungeKutta | SymmetricComposition)
