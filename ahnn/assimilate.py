@@ -24,7 +24,7 @@ if __name__ == "__main__":  # until `guard` listens, Ctrl-C ends this process wi
 
 import logging
 import sys
-from functools import cache
+from contextlib import closing, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
@@ -34,7 +34,6 @@ from ahnn.cli.stops import ended, held
 if TYPE_CHECKING:
     from ahnn.assimilation.journal import Journal
     from ahnn.cli.stream import Options
-    from ahnn.evaluation import Case
     from ahnn.types import Space
 
 log = logging.getLogger("ahnn")
@@ -52,18 +51,13 @@ def assimilate(arguments: list[str]) -> None:
     with held():
         import torch
 
-        from ahnn.assimilation import Assimilation
         from ahnn.assimilation.lines import Lines
         from ahnn.assimilation.rows import Rows, require_new
         from ahnn.assimilation.session import Session
-        from ahnn.assimilation.start import start_of
         from ahnn.assimilation.view import View, said
         from ahnn.cli import stream
         from ahnn.cli.again import run_config
-        from ahnn.cli.parts import build_sensor, build_source
         from ahnn.cli.settings import check_again
-        from ahnn.data import SplitData
-        from ahnn.evaluation.prepare import make_case
         from ahnn.runs import load
 
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
@@ -73,32 +67,16 @@ def assimilate(arguments: list[str]) -> None:
     cfg = run_config(run.folder, request)
     check_again(cfg)
     torch.set_num_threads(cfg.threads)
-    source = cache(lambda: build_source(cfg))
-    sensors = stream.build_sensors(nodes, cfg, run, lambda: source().truth)
-    deviations = options.start_sd
-    if deviations is None and not isinstance(options.start, str) and (truth := source().truth) is not None:
-        deviations = truth.deviations().tolist()
     state = None if options.state is None else Path(options.state)
     if state is None or not state.exists():
         require_new(options.output)
-    lines = Lines(_opened(options.measurements, state))
-    start = start_of(options.start, deviations, run.space)
-
-    def case() -> Case:
-        splits = SplitData(source(), list(cfg.data.split), build_sensor(cfg, source()))
-        return make_case(run.dynamics, splits, label=cfg.label, seed=cfg.evaluation.seed, folder=run.folder)
-
-    process = stream.build_process(cfg, run, case)
-    limits = {"window": options.window, "lines": options.lines, "gap": options.gap}
-    filtering = Assimilation(process, sensors, start, time=options.time, **limits)
-    rows = Rows(run.space.components, sensors, stream.kind_of(options))
-    session = Session(filtering, lines, rows, options.output, state, options.every)
-    with ended("" if state is None else "the same command goes on where it was"):
-        if options.watch:
-            with View(run.space) as view:
-                session.run(view)
-        else:
-            session.run()
+    with closing(Lines(_opened(options.measurements, state))) as lines:
+        filtering = stream.build_assimilation(options, nodes, cfg, run)
+        rows = Rows(run.space.components, filtering.sensors, stream.kind_of(options))
+        session = Session(filtering, lines, rows, options.output, state, options.every)
+        view = View(run.space) if options.watch else None
+        with ended("" if state is None else "the same command goes on where it was"), view or nullcontext():
+            session.run(view)
     log.info("%s lines: %s", f"{session.counted:,}", said(session.counts))
     _pictures(options, run.space)
 

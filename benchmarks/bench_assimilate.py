@@ -1,8 +1,8 @@
 """The filter online: lines a second, latency, memory, kills and restarts, and the batch filter beside it.
 
 Position fixes every 10 s of a Molniya orbit, noise 0.1 km, through the shipped mechanical model (2x32
-network), on one thread. Throughput, latency and memory are of one process that reads a file and writes estimates with
-covariances, its state saved every 1,000 lines. The kills are SIGKILL to `python -m ahnn.assimilate`.
+network), on one thread. Throughput, latency and memory are of one process that reads a file and writes
+estimates with covariances, its state saved every 1,000 lines. The kills are SIGKILL to the command.
 
     python benchmarks/bench_assimilate.py [--lines 100000] [--kills 20] [--kill-lines 10000] [--seed 0]
 """

@@ -35,15 +35,14 @@ def innovations(record: Record, space: Space) -> Figure:
         axes.fill_between(t, -wide, wide, color=style.BAND, alpha=0.5, lw=0, label="±3σ")
         axes.axhline(0, color=style.BLACK, lw=0.6)
         taken = ~refused[there]
-        axes.plot(
-            t[taken], value[taken], color=style.VERMILLION, marker=".", ms=3, ls="none", label="innovation"
-        )
-        axes.plot(t[~taken], value[~taken], color=style.BLACK, marker="x", ms=5, ls="none", label="rejected")
-        axes.set_ylabel(name)
-        limit = (
-            max(2.0 * float(np.median(wide)), float(np.abs(value[taken]).max(initial=0.0))) if len(t) else 1.0
-        )
-        axes.set_ylim(-1.1 * limit, 1.1 * limit)  # an outlier does not flatten the others
+        limit = 2.0 * float(np.median(wide)) if len(t) else 1.0
+        limit = max(limit, float(np.abs(value[taken]).max(initial=0.0)))
+        far = np.clip(value[~taken], -limit, limit)  # an outlier does not flatten the others
+        axes.plot(t[taken], value[taken], ".", color=style.VERMILLION, ms=3, ls="none", label="innovation")
+        axes.plot(t[~taken], far, "x", color=style.BLACK, ms=5, ls="none", label="rejected")
+        axes.set_ylim(-1.1 * limit, 1.1 * limit)
+        known = space.components[: space.dof]
+        axes.set_ylabel(f"{name} [{space.units.position}]" if name in known else name)
     style.legend_below(figure, panels[0])
     panels[0].set_title(f"{space.name}: innovations")
     panels[-1].set_xlabel(f"time [{unit}]")

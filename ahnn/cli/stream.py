@@ -4,19 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import Count, Finite, Positive, Within, check_arguments, nearest
-from ahnn.assimilation import Process, Sensor
+from ahnn.assimilation import Assimilation, Process, Sensor
+from ahnn.assimilation.start import start_of
 from ahnn.cli import commandline
 from ahnn.cli.again import GROUPS, KEYS, NODES, OWN, Request
 from ahnn.cli.build import blaming, build, build_all, plain_config
+from ahnn.cli.parts import build_sensor, build_source
 from ahnn.cli.trust import read_plain
+from ahnn.data import SplitData
 from ahnn.errors import UserError
 from ahnn.evaluation import Case, EvaluationPlugin
+from ahnn.evaluation.prepare import make_case
 from ahnn.measurements import reading
 from ahnn.runs import Run
 from ahnn.systems import System
@@ -107,7 +112,11 @@ def build_sensors(
             sd = OmegaConf.to_container(OmegaConf.create({"sd": node.get("sd")}))["sd"]  # pyright: ignore
             known = truth() if sd is None and named == "position" else None
             called = str(name) or (named if isinstance(named, str) else type(model).__name__)
-            made[called] = Sensor.of(model, sd if known is None else known.noise.measurement, run.space)
+            try:
+                made[called] = Sensor.of(model, sd if known is None else known.noise.measurement, run.space)
+            except UserError as error:
+                message = f"{who}.{error}"
+                raise UserError(message) from None
     return made
 
 
@@ -126,6 +135,27 @@ def build_process(cfg: DictConfig, run: Run, case: Callable[[], Case]) -> Proces
     ((name, plugin),) = online.items()
     with blaming(f"plugins.{name}"):
         return plugin.online(run.dynamics, run.dt, run.space, case)
+
+
+def build_assimilation(options: Options, nodes: DictConfig, cfg: DictConfig, run: Run) -> Assimilation:
+    """Build the filter of a stream; data are only made where a process noise is fitted to them.
+
+    Raises:
+        UserError: what is built from the options does not fit the run.
+    """
+    source = cache(lambda: build_source(cfg))
+    sensors = build_sensors(nodes, cfg, run, lambda: source().truth)
+    deviations = options.start_sd
+    if deviations is None and not isinstance(options.start, str) and (truth := source().truth) is not None:
+        deviations = truth.deviations().tolist()
+    start = start_of(options.start, deviations, run.space)
+
+    def case() -> Case:
+        splits = SplitData(source(), list(cfg.data.split), build_sensor(cfg, source()))
+        return make_case(run.dynamics, splits, label=cfg.label, seed=cfg.evaluation.seed, folder=run.folder)
+
+    limits = {"window": options.window, "lines": options.lines, "gap": options.gap}
+    return Assimilation(build_process(cfg, run, case), sensors, start, time=options.time, **limits)
 
 
 def kind_of(options: Options) -> Literal["csv", "json"]:

@@ -1,0 +1,170 @@
+"""`python -m ahnn.assimilate`: an example, several stations, mistakes, trust, and kills of the process."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+import yaml
+from entry import call
+
+import ahnn
+from ahnn.data.files import read_oem
+from ahnn.measurements import GroundStation
+
+RUN = ahnn.load("molniya_mechanical")
+START = [0.0, -3145.0, -6173.0, 10.0, 0.0, 0.0]
+ORBIT = RUN.rollout(START, 40, 15.0)[0]
+NOISE = 0.05 * torch.randn(41, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+FILTER = ["plugins.ukf.process_noise=[1e-3,1e-5]", f"start={START}", "start_sd=[0.1,1e-4]"]
+COMMAND = ["pretrained=molniya_mechanical", *FILTER]
+FIXES = ["measurements=fixes.csv", "measurement.sd=0.05"]
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """A folder with position fixes."""
+    fixes = (ORBIT[:, :3] + NOISE).tolist()
+    rows = ["time,x,y,z", *(f"{15.0 * k},{x},{y},{z}" for k, (x, y, z) in enumerate(fixes))]
+    (tmp_path / "fixes.csv").write_text("\n".join(rows[:1] + rows[2:]) + "\n")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def assimilate(*arguments):
+    return call("ahnn.assimilate", *COMMAND, *arguments)
+
+
+@pytest.mark.usefixtures("place")
+def test_fixes_become_estimates_figures_and_an_ephemeris(capsys):
+    made = ["output=out.csv", "state=a.state", "figures=pictures", "oem=out.oem", "epoch=2024-03-01T12:00:00"]
+    assert assimilate(*FIXES, *made, "plugins.ukf.gate=0.9999", "--watch") == 0
+    assert "40 taken" in capsys.readouterr().err
+    (orbit,) = read_oem("out.oem")
+    error = torch.from_numpy(orbit.states[-1].copy()) - ORBIT[-1]
+    sd = torch.from_numpy(orbit.covariances[-1].matrix.copy()).diagonal().sqrt()
+    assert bool((error.abs() < 4 * sd).all())
+    assert float(sd[:3].max()) < 0.05
+    assert len({*Path("pictures").glob("*.png")}) == 3
+    before = Path("out.csv").read_bytes()
+    assert assimilate(*FIXES, *made, "plugins.ukf.gate=0.9999") == 0
+    assert "going on behind line 41" in capsys.readouterr().err
+    assert Path("out.csv").read_bytes() == before
+
+
+@pytest.mark.usefixtures("place")
+def test_several_stations_speak_in_one_stream():
+    sites = {"kiruna": (67.86, 20.96), "troll": (-72.0, 2.5)}
+    stations = {name: GroundStation(*site, range_rate=True) for name, site in sites.items()}
+    lines = []
+    for k in range(1, 41):
+        name = [*sites][k % 2]
+        model, t = stations[name], 15.0 * k
+        seen = zip(model.names, model(ORBIT[k], t).tolist(), strict=True)
+        lines.append(json.dumps({"time": t, "sensor": name, **dict(seen)}))
+    Path("seen.jsonl").write_text("\n".join(lines))
+    named = [f"+measurement@sensors.{name}=ground_station" for name in sites]
+    named += [f"sensors.{name}.model.latitude={site[0]}" for name, site in sites.items()]
+    named += [f"sensors.{name}.model.longitude={site[1]}" for name, site in sites.items()]
+    assert assimilate("measurements=seen.jsonl", *named, "output=out.jsonl") == 0
+    rows = [json.loads(line) for line in Path("out.jsonl").read_text().splitlines()]
+    assert [row["outcome"] for row in rows] == ["taken"] * 40
+    error = torch.tensor([rows[-1][name] for name in RUN.space.components], dtype=torch.float64) - ORBIT[-1]
+    assert float(error[:3].norm()) < 0.05
+    assert rows[0]["innovation_range"] is not None
+
+
+MISTAKES = {
+    "": "expected str; received None",
+    "measurements=none.csv": "file none.csv: No such file",
+    "measurements=fixes.csv wndow=3": "unknown key 'wndow'; did you mean 'window'?",
+    "measurements=fixes.csv window=-1": "window: expected float >= 0; received -1",
+    "measurements=fixes.csv every=0": "every: expected int >= 1; received 0",
+    "measurements=fixes.csv oem=x.oem": "output: expected a FILE",
+    "measurements=fixes.csv output=fixes.csv": "output: expected a new file",
+    "measurements=fixes.csv start=[1,2]": "start: expected [x, y, z, px, py, pz]",
+    "measurements=fixes.csv start_sd=[1,2,3]": "start_sd: expected 6 numbers > 0",
+    "measurements=fixes.csv measurement.sd=[1,2]": "measurement.sd: expected one number > 0 for each",
+    "measurements=fixes.csv measurement=ground_station": "measurements: column 'x' is of no sensor",
+    "measurements=fixes.csv measurement=ground_station measurement.model.mass=2": "expected mass=1",
+    "measurements=fixes.csv system.dt=3 trainer.max_epochs=3": "unknown key 'trainer'",
+}
+
+
+@pytest.mark.parametrize("words", MISTAKES, ids=str)
+def test_a_mistake_is_one_message_and_leaves_nothing(place, capsys, words):
+    assert assimilate(*words.split()) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert MISTAKES[words] in lines[0]
+    assert [path.name for path in place.iterdir()] == ["fixes.csv"]
+
+
+@pytest.mark.usefixtures("place")
+def test_what_does_not_filter_online_is_refused(capsys):
+    assert call("ahnn.assimilate", "pretrained=molniya_mechanical", *FIXES, FILTER[1], "plugins=none") == 2
+    assert "plugins: expected one that filters online, such as plugins=ukf" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("place")
+def test_a_filter_that_diverges_ends_with_code_3(capsys):
+    assert assimilate(*FIXES, "plugins.ukf.gate=0.99", "time=-20000") == 3
+    assert "DIVERGED" in capsys.readouterr().err
+
+
+def test_a_run_folder_that_names_a_callable_is_refused(place, capsys):
+    folder = Path(shutil.copytree(RUN.folder, place / "run"))
+    content = yaml.safe_load((folder / "config.yaml").read_text())
+    content["plugins"] = {"ukf": {"_target_": "os.system", "command": f"touch {place / 'trace'}"}}
+    (folder / "config.yaml").write_text(yaml.safe_dump(content))
+    assert call("ahnn.assimilate", f"run={folder}", *FIXES, FILTER[1]) == 2
+    assert "os.system" in capsys.readouterr().err
+    assert not (place / "trace").exists()
+
+
+def test_help_says_what_there_is(capsys):
+    assert call("ahnn.assimilate", "--help") == 0
+    text = capsys.readouterr().out
+    assert "state=FILE" in text
+    assert max(map(len, text.splitlines())) <= 110
+
+
+def started(place, **options):
+    command = [sys.executable, "-m", "ahnn.assimilate", *COMMAND, "measurement.sd=0.05", "every=7"]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    arguments = ["measurements=-", "output=out.csv", "state=a.state"]
+    return subprocess.Popen([*command, *arguments], cwd=place, env=environment, **options)
+
+
+def wait_until_it_has(rows, path):
+    end = time.monotonic() + 120
+    while not path.exists() or len(path.read_text().splitlines()) != rows:
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+@pytest.mark.slow
+def test_a_pipe_is_answered_line_by_line_and_a_killed_process_goes_on(place):
+    lines = Path("fixes.csv").read_text().splitlines(keepends=True)
+    sent, out = 0, place / "out.csv"
+    for until in (11, 25, len(lines)):
+        process = started(place, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        for sent in range(sent + 1, until + 1):
+            process.stdin.write(lines[sent - 1])
+            process.stdin.flush()
+            wait_until_it_has(sent, out)  # the answer to a line comes before the next one is there
+        if until < len(lines):
+            process.send_signal(signal.SIGKILL)
+        process.communicate()
+    assert process.returncode == 0
+    assert assimilate(*FIXES, "output=whole.csv") == 0
+    assert out.read_bytes() == Path("whole.csv").read_bytes()
+    assert not (place / "a.state.lines").read_bytes().partition(b"\n")[2]
