@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from ahnn.arguments import Count, Finite, Positive, Within, check_arguments, nearest
 from ahnn.assimilation import Assimilation, Process, Sensor
@@ -104,12 +104,10 @@ def build_sensors(
         who, named = f"sensors.{name}" if name else "measurement", node.get("model")
         with blaming(who):
             model = reading(named, run.space) if isinstance(named, str) else build(named, f"{who}.model")
-            if getattr(model, "mass", run.space.inertia) != run.space.inertia:
-                message = (
-                    f"expected mass={run.space.inertia:g}, that of the run; received mass={model.mass:g}"
-                )
+            if (mass := getattr(model, "mass", run.space.inertia)) != run.space.inertia:
+                message = f"expected mass={run.space.inertia:g}, that of the run; received mass={mass:g}"
                 raise ValueError(message)
-            sd = OmegaConf.to_container(OmegaConf.create({"sd": node.get("sd")}))["sd"]  # pyright: ignore
+            sd: Any = list(node.sd) if isinstance(node.get("sd"), ListConfig) else node.get("sd")
             known = truth() if sd is None and named == "position" else None
             called = str(name) or (named if isinstance(named, str) else type(model).__name__)
             try:

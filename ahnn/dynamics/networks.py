@@ -8,8 +8,8 @@ Hamiltonian then needs a single backward pass, and evaluation needs no autograd:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, Literal, NamedTuple
+from collections.abc import Callable, Iterable
+from typing import Any, Literal, NamedTuple, cast
 
 import torch
 from torch import Tensor, nn
@@ -92,7 +92,10 @@ class Perceptron(nn.Module):
     def gradient(self, z: Tensor) -> Tensor:
         """Return the gradient of the single output with respect to z, shape (..., inputs)."""
         slopes = []
-        parts = [(layer.weight, layer.bias) for layer in self.hidden]
+        layers = cast(Iterable[nn.Linear], self.hidden)
+        parts = [
+            (layer.weight, layer.bias) for layer in layers
+        ]  # a module's call costs more than the product
         for weight, bias in parts:
             z, slope = self.activation.value_and_slope(F.linear(z, weight, bias))
             slopes.append(slope)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -54,7 +55,8 @@ def _record(flow: Flow, x: Tensor, dt: Tensor) -> Callable[[Tensor, Tensor], Ten
     with torch.inference_mode(mode=False), torch.no_grad(), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it is deprecated for deployment; shapes are fixed here
         example = x.clone(), dt.clone()
-        known = torch.jit.trace(lambda x, dt: flow(x, dt), example, check_trace=False)
+        trace: Any = torch.jit.trace
+        known = trace(lambda x, dt: flow(x, dt), example, check_trace=False)
     for _ in range(SETTLED):
         known(x, dt)
     return known

@@ -148,11 +148,12 @@ def _told(
     """Return what a row told; NaN for members that failed at it or before."""
     present = ~torch.isnan(y)
     there = present & after.alive[:, None]
-    parts = updated.innovation, updated.deviation, updated.nis
+    residual, deviation, nis = updated.innovation, updated.deviation, updated.nis
     if not bool(there.all()):
-        some = there.any(-1)
-        parts = (torch.where(w, part, torch.nan) for w, part in zip((there, there, some), parts, strict=True))
-    return Innovation(*parts, present.sum(-1), rejected, after.log_likelihood - before.log_likelihood)
+        residual, deviation = (torch.where(there, part, torch.nan) for part in (residual, deviation))
+        nis = torch.where(there.any(-1), nis, torch.nan)
+    gain = after.log_likelihood - before.log_likelihood
+    return Innovation(residual, deviation, nis, present.sum(-1), rejected, gain)
 
 
 def _nothing(y: Tensor) -> Innovation:
