@@ -93,9 +93,7 @@ class Perceptron(nn.Module):
         """Return the gradient of the single output with respect to z, shape (..., inputs)."""
         slopes = []
         layers = cast(Iterable[nn.Linear], self.hidden)
-        parts = [
-            (layer.weight, layer.bias) for layer in layers
-        ]  # a module's call costs more than the product
+        parts = [(layer.weight, layer.bias) for layer in layers]
         for weight, bias in parts:
             z, slope = self.activation.value_and_slope(F.linear(z, weight, bias))
             slopes.append(slope)
