@@ -90,7 +90,9 @@ class Assimilation:
             self._factors = {
                 name: sensor.factor(None) for name, sensor in self.sensors.items() if sensor.deviations
             }
-            self.window = Window(process.estimator.start(process.lifted(start), time), float(time))
+            state = process.estimator.start(process.lifted(start), time)
+            self.window = Window(state, float(time))
+            process.advanced(state, time, time + process.max_step)  # what a first step prepares is no line's wait
 
     @torch.inference_mode()
     def update(self, reading: Reading) -> Estimate:
