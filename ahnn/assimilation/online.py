@@ -92,7 +92,7 @@ class Assimilation:
             }
             state = process.estimator.start(process.lifted(start), time)
             self.window = Window(state, float(time))
-            process.advanced(state, time, time + process.max_step)  # what a first step prepares is no line's wait
+            process.advanced(state, time, time + process.max_step)  # no line waits for what that prepares
 
     @torch.inference_mode()
     def update(self, reading: Reading) -> Estimate:
