@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import shutil
@@ -169,3 +170,20 @@ def test_a_pipe_is_answered_line_by_line_and_a_killed_process_goes_on(place):
     assert assimilate(*FIXES, "output=whole.csv") == 0
     assert out.read_bytes() == Path("whole.csv").read_bytes()
     assert not (place / "a.state.lines").read_bytes().partition(b"\n")[2]
+
+
+@pytest.mark.usefixtures("place")
+def test_beyond_the_training_data_the_novelty_widens_what_is_known():
+    far = [0.0, -4200.0, -8240.0, 8.6, 0.0, 0.0]
+    assert float(RUN.novelty(far)) > 1.5
+    fixes = RUN.rollout(far, 40, 15.0)[0, 1:, :3].tolist()
+    rows = [f"{15.0 * (k + 1)},{x},{y},{z}" for k, (x, y, z) in enumerate(fixes)]
+    Path("fixes.csv").write_text("\n".join(["time,x,y,z", *rows]) + "\n")
+    noise = "plugins.ukf.process_noise={size: 4.8e-6, memory: 1918}"
+    options = [*FIXES, "pretrained=molniya_mechanical", f"start={far}", "start_sd=[0.1,1e-4]", noise]
+    known = []
+    for name, more in (("plain.csv", []), ("wide.csv", ["plugins.ukf.novelty=500"])):
+        assert call("ahnn.assimilate", *options, *more, f"output={name}") == 0
+        *_, last = csv.DictReader(Path(name).read_text().splitlines())
+        known.append(float(last["cov_px_px"]))
+    assert known[1] > 10 * known[0]

@@ -132,7 +132,8 @@ def build_process(cfg: DictConfig, run: Run, case: Callable[[], Case]) -> Proces
         raise UserError(message)
     ((name, plugin),) = online.items()
     with blaming(f"plugins.{name}"):
-        return plugin.online(run.dynamics, run.dt, run.space, case)
+        novelty = None if run.domain is None else run.novelty
+        return plugin.online(run.dynamics, run.dt, run.space, case, novelty)
 
 
 def build_assimilation(options: Options, nodes: DictConfig, cfg: DictConfig, run: Run) -> Assimilation:

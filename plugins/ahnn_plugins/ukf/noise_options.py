@@ -53,13 +53,15 @@ def noise_option(
     return ForceOptions() if given == "force_error" else given
 
 
-def given_noise(option: NoiseOption, space: Space) -> tuple[Tensor, ForceError | None] | None:
+def given_noise(
+    option: NoiseOption, space: Space, growth: Callable[[Tensor], Tensor] | None = None
+) -> tuple[Tensor, ForceError | None] | None:
     """Return Q of one step and the force error where an option says all of them; None where data must."""
     nothing = torch.zeros(2 * space.dof, 2 * space.dof, dtype=torch.float64)
     if isinstance(option, ForceOptions):
         if option.size is None or option.memory is None:
             return None
-        return nothing, ForceError(option.size, option.memory, space.inertia)
+        return nothing, ForceError(option.size, option.memory, space.inertia, growth)
     return None if isinstance(option, str) else (given_covariance(option, space), None)
 
 
@@ -92,7 +94,7 @@ def with_process_noise(
         UserError: the model does not say where its training data were.
     """
     if isinstance(option, ForceOptions):
-        given = {"size": option.size, "memory": option.memory, "growth": grown(case, rate)}
+        given = {"size": option.size, "memory": option.memory, "growth": grown(case.novelty, rate)}
         tried, inertia = arcs(FORCE_FITTED_ON), case.space.inertia
         fit = fitted_force_error(plain, setting, tried, case.validation, inertia, **given)
         told = {"size": float(fit.error.size), "memory": float(fit.error.memory)}
@@ -110,11 +112,12 @@ def with_process_noise(
     return plain._replace(process_noise=q), {**about, "step_sd": q.diagonal().sqrt().tolist()}
 
 
-def grown(case: Case, rate: float | None) -> Callable[[Tensor], Tensor] | None:
+def grown(
+    novelty: Callable[[Tensor], Tensor] | None, rate: float | None
+) -> Callable[[Tensor], Tensor] | None:
     """Return the factor on the error of a force at a state; raises UserError where novelty is not known."""
     if rate is None:
         return None
-    novelty = case.novelty
     if novelty is None:
         message = "novelty: expected weights that say where they were trained; received others"
         raise UserError(message)

@@ -56,7 +56,7 @@ def online_process(
         "form": estimator.form.name,
         "gate": estimator.gate,
         "process_noise": q.tolist(),
-        "force_error": None if force_error is None else [float(part) for part in force_error],
+        "force_error": None if force_error is None else [float(part) for part in force_error[:3]],
     }
     if force_error is None:
         noise = lru_cache(LENGTHS)(lambda dt: Factor(math.sqrt(dt / interval) * chol))

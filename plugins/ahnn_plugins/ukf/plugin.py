@@ -31,6 +31,7 @@ from ahnn_plugins.ukf.noise_options import (
     ForceOptions,
     NoiseOption,
     given_noise,
+    grown,
     noise_option,
     with_process_noise,
 )
@@ -38,7 +39,7 @@ from ahnn_plugins.ukf.online import online_process, weights_hash
 from ahnn_plugins.ukf.outcome import Outcome, filtered, fitted, iterated, numbers, rows, smoothed
 from ahnn_plugins.ukf.regression import regression_weights
 from ahnn_plugins.ukf.series import moving_averages
-from ahnn_plugins.ukf.setting import make_setting
+from ahnn_plugins.ukf.setting import make_setting, require_measurement
 from ahnn_plugins.ukf.sigma_points import unscented_weights
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
 from ahnn_plugins.ukf.standard import STANDARD
@@ -99,7 +100,7 @@ class UKFEvaluation:
         tuning: dict[str, Any] | None,
         seed: int,
     ) -> None:
-        _check_measurement(measurement)
+        require_measurement(measurement)
         self.seed, self.smoother, self.least_squares = seed, smoother, least_squares
         self.process_noise: NoiseOption = noise_option(process_noise)
         self.novelty = novelty
@@ -174,7 +175,14 @@ class UKFEvaluation:
         findings.arrays, findings.figures = ukf_figures(case, setting, outcomes, without)
         return findings
 
-    def online(self, flow: Flow, interval: float, space: Space, case: Callable[[], Case]) -> Process:
+    def online(
+        self,
+        flow: Flow,
+        interval: float,
+        space: Space,
+        case: Callable[[], Case],
+        novelty: Callable[[Tensor], Tensor] | None = None,
+    ) -> Process:
         """Return the filter as an online process, its process noise as it is configured.
 
         Args:
@@ -182,14 +190,17 @@ class UKFEvaluation:
             interval: sampling interval of the training data.
             space: what the numbers mean.
             case: gives the data that a process noise is fitted to; called only for that.
+            novelty: distance (...) of states (..., D) from the training data, where it is known.
+
+        Raises:
+            UserError: the novelty is to count, and is not known.
         """
         estimator = UnscentedKalmanFilter(self.parameters, self.form, self.gate)
-        noise = given_noise(self.process_noise, space)
+        noise = given_noise(self.process_noise, space, grown(novelty, self.novelty))
         if noise is None:
             noise = self._fitted(case())
-        return online_process(
-            estimator, flow, interval, *noise, {"space": space.name, "flow": weights_hash(flow)}
-        )
+        about = {"space": space.name, "flow": weights_hash(flow), "novelty": self.novelty}
+        return online_process(estimator, flow, interval, *noise, about)
 
     @torch.no_grad()
     def _fitted(self, case: Case) -> tuple[Tensor, ForceError | None]:
@@ -284,21 +295,3 @@ def _known(truth: System | None, space: Space) -> System:
         message = f"system: expected one whose equations are known; received data of {space.name}"
         raise UserError(message)
     return truth
-
-
-def _check_measurement(measurement: Any) -> None:
-    if isinstance(measurement, str):
-        return
-    if isinstance(measurement, dict):
-        message = (
-            "measurement: expected position, state or a node with _target_; received keys "
-            f"{', '.join(measurement)}"
-        )
-        raise UserError(message)
-    missing = [name for name in ("names", "units", "residual") if not hasattr(measurement, name)]
-    if missing:
-        message = (
-            "measurement: expected a measurement model with names, units, residual; "
-            f"{type(measurement).__name__} has no {', '.join(missing)}"
-        )
-        raise UserError(message)

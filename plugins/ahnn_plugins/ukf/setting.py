@@ -109,3 +109,22 @@ def _try(measurement: Any, system: System, time: float) -> None:
     if shape != expected:
         message = f"measurement: expected measurements {expected}; received {shape}"
         raise UserError(message)
+
+
+def require_measurement(measurement: Any) -> None:
+    """Refuse what is no measurement; raises UserError."""
+    if isinstance(measurement, str):
+        return
+    if isinstance(measurement, dict):
+        message = (
+            "measurement: expected position, state or a node with _target_; received keys "
+            f"{', '.join(measurement)}"
+        )
+        raise UserError(message)
+    missing = [name for name in ("names", "units", "residual") if not hasattr(measurement, name)]
+    if missing:
+        message = (
+            "measurement: expected a measurement model with names, units, residual; "
+            f"{type(measurement).__name__} has no {', '.join(missing)}"
+        )
+        raise UserError(message)
