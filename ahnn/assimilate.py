@@ -28,7 +28,7 @@ from contextlib import closing, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
-from ahnn.cli.guard import guard
+from ahnn.cli.guard import run_command
 from ahnn.cli.stops import ended, held
 
 if TYPE_CHECKING:
@@ -111,9 +111,7 @@ def _pictures(options: Options, space: Space) -> None:
 
 def main() -> None:
     """Entry point of `python -m ahnn.assimilate` and `ahnn-assimilate`."""
-    arguments = sys.argv[1:]
-    asks = bool({"-h", "--help"} & {*arguments})
-    sys.exit(guard(lambda: sys.stdout.write(f"{__doc__}\n") if asks else assimilate(arguments)))
+    run_command(assimilate, __doc__)
 
 
 if __name__ == "__main__":

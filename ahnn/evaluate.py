@@ -20,7 +20,7 @@ import logging
 import sys
 from typing import Any
 
-from ahnn.cli.guard import guard
+from ahnn.cli.guard import run_command
 from ahnn.cli.stops import held
 
 log = logging.getLogger("ahnn")
@@ -78,9 +78,7 @@ def set_threads(count: int) -> None:
 
 def main() -> None:
     """Entry point of `python -m ahnn.evaluate` and `ahnn-evaluate`."""
-    arguments = sys.argv[1:]
-    asks = bool({"-h", "--help"} & {*arguments})
-    sys.exit(guard(lambda: sys.stdout.write(f"{__doc__}\n") if asks else evaluate(arguments)))
+    run_command(evaluate, __doc__)
 
 
 if __name__ == "__main__":

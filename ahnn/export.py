@@ -13,11 +13,10 @@ if __name__ == "__main__":  # until `guard` listens, Ctrl-C ends this process wi
 
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from ahnn.cli.guard import guard
+from ahnn.cli.guard import run_command
 from ahnn.cli.stops import held
 
 USAGE = "usage: python -m ahnn.export run=DIR | pretrained=NAME output=FOLDER [ckpt=best]"
@@ -52,9 +51,7 @@ def export(arguments: list[str]) -> None:
 
 def main() -> None:
     """Entry point of `python -m ahnn.export` and `ahnn-export`."""
-    arguments = sys.argv[1:]
-    asks = bool({"-h", "--help"} & {*arguments})
-    sys.exit(guard(lambda: sys.stdout.write(f"{__doc__}\n") if asks else export(arguments)))
+    run_command(export, __doc__)
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ahnn.cli.guard import guard
+from ahnn.cli.guard import run_command
 from ahnn.cli.stops import held
 
 log = logging.getLogger("ahnn")
@@ -93,9 +93,7 @@ def predict(arguments: list[str]) -> None:
 
 def main() -> None:
     """Entry point of `python -m ahnn.predict` and `ahnn-predict`."""
-    arguments = sys.argv[1:]
-    asks = bool({"-h", "--help"} & {*arguments})
-    sys.exit(guard(lambda: sys.stdout.write(f"{__doc__}\n") if asks else predict(arguments)))
+    run_command(predict, __doc__)
 
 
 if __name__ == "__main__":

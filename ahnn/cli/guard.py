@@ -12,10 +12,17 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NoReturn
 
 from ahnn.cli.stops import arrived, listen
 from ahnn.errors import Stopped, TrainingError, UserError
+
+
+def run_command(task: Callable[[list[str]], Any], about: str | None) -> NoReturn:
+    """End the process with the exit code of a task on its arguments, or of telling what it is about."""
+    arguments = sys.argv[1:]
+    asks = bool({"-h", "--help"} & {*arguments})
+    sys.exit(guard(lambda: sys.stdout.write(f"{about}\n") if asks else task(arguments)))
 
 
 def guard(entry: Callable[[], Any]) -> int:

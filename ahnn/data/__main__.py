@@ -14,11 +14,10 @@ if __name__ == "__main__":  # until `guard` listens, Ctrl-C ends this process wi
 
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
-import sys
 from pathlib import Path
 from typing import Any
 
-from ahnn.cli.guard import guard
+from ahnn.cli.guard import run_command
 from ahnn.cli.stops import held
 
 USAGE = "usage: python -m ahnn.data check PATH... [figures=DIR] [mass=M] [gap=10] [frame=GCRF] [key=value]"
@@ -76,9 +75,7 @@ def request(arguments: list[str]) -> tuple[list[Path], dict[str, Any]]:
 
 def main() -> None:
     """Entry point of `python -m ahnn.data`."""
-    arguments = sys.argv[1:]
-    asks = bool({"-h", "--help"} & {*arguments})
-    sys.exit(guard(lambda: sys.stdout.write(f"{__doc__}\n") if asks else check(arguments)))
+    run_command(check, __doc__)
 
 
 if __name__ == "__main__":
