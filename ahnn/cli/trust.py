@@ -25,7 +25,7 @@ LINK = re.compile(r"\$\{measurement(\.\w+)+\}")
 """The one interpolation that we store: what a plugin takes from the group `measurement`."""
 NEEDED = {
     "system": ("recipe", "read", "energy"),
-    "plugins": ("check", "residual"),
+    "plugins": ("check", "residual", "energy"),
     "measurement": ("residual",),
     "data": ("residual",),  # what measures
     "evaluation": (),

@@ -100,7 +100,7 @@ class HamiltonianDynamics(_Integrated):
         inertia: factor m of T = p^2 / 2m, used by `mechanical` and `central_body`.
         hamiltonian: generic, separable, mechanical or central_body.
         mu: gravitational parameter of `central_body`; None learns it.
-        inputs: cartesian or isotropic positions.
+        inputs: cartesian, isotropic or radial positions.
         scaling: minmax, block or none.
         network: width, depth, activation.
         integrator: `name` and options of the one-step method.

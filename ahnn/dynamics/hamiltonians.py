@@ -28,7 +28,7 @@ class GenericHamiltonian(nn.Module):
 
     Args:
         dof: degrees of freedom n.
-        inputs: cartesian or isotropic, for the positions.
+        inputs: cartesian, isotropic or radial, for the positions.
         scaling: minmax, block or none.
         network: width, depth, activation.
     """
@@ -126,7 +126,7 @@ def make_hamiltonian(
         dof: degrees of freedom n.
         mass: used by the last two.
         mu: gravitational parameter of `central_body`; None learns it.
-        inputs: cartesian or isotropic, for the positions.
+        inputs: cartesian, isotropic or radial, for the positions.
         scaling: minmax, block or none.
         network: width, depth, activation.
 

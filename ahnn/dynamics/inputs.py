@@ -14,29 +14,21 @@ from ahnn.dynamics.scaling import Affine, Kind
 from ahnn.errors import UserError
 from ahnn.statistics import Statistics
 
-InputName = Literal["cartesian", "isotropic"]
+InputName = Literal["cartesian", "isotropic", "radial"]
 
 Pullback = Callable[[Tensor], Tensor]
 """From the gradient with respect to the inputs of a network to the one with respect to the coordinates."""
 
 
-class Isotropic(nn.Module):
-    """Direction and distance, z = (q / r, s) with s the logarithm of r scaled to [-1, 1].
+class LogDistance(nn.Module):
+    """The logarithm of the distance from the origin, scaled to [-1, 1]: equal ratios become equal steps."""
 
-    Suited to any force that comes from a centre: equal ratios of distance become equal steps. It assumes
-    where the centre is, not what the force is. In spite of the name the direction is kept: nothing is
-    taken to be the same in all directions.
-
-    Args:
-        dof: degrees of freedom n; the map has n + 1 outputs.
-    """
-
+    name: InputName
     middle: Tensor
     spread: Tensor
 
-    def __init__(self, dof: int) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.size = dof + 1
         self.register_buffer("middle", torch.zeros(()))
         self.register_buffer("spread", torch.ones(()))
 
@@ -49,13 +41,35 @@ class Isotropic(nn.Module):
         low, high = (float(r) for r in statistics.radius)
         if not 0 < low < high:
             message = (
-                "inputs isotropic: expected distances 0 < low < high from the centre; "
+                f"inputs {self.name}: expected distances 0 < low < high from the centre; "
                 f"received {low} to {high}. Use inputs=cartesian for this system."
             )
             raise UserError(message)
         logs = statistics.radius.log()
         self.middle.copy_(logs.mean())
         self.spread.copy_((logs[1] - logs[0]) / 2)
+
+    def scaled(self, r: Tensor) -> Tensor:
+        """Return s at the distances r, shape (...)."""
+        return (r.log() - self.middle) / self.spread
+
+
+class Isotropic(LogDistance):
+    """Direction and distance, z = (q / r, s) with s the logarithm of r scaled to [-1, 1].
+
+    Suited to any force that comes from a centre: equal ratios of distance become equal steps. It assumes
+    where the centre is, not what the force is. In spite of the name the direction is kept: nothing is
+    taken to be the same in all directions.
+
+    Args:
+        dof: degrees of freedom n; the map has n + 1 outputs.
+    """
+
+    name = "isotropic"
+
+    def __init__(self, dof: int) -> None:
+        super().__init__()
+        self.size = dof + 1
 
     def forward(self, q: Tensor) -> Tensor:
         """Return (q / r, s), shape (..., n + 1), at the positions q, shape (..., n)."""
@@ -76,7 +90,30 @@ class Isotropic(nn.Module):
             radial = along / self.spread - (direction * g).sum(-1, keepdim=True)
             return (g + radial * direction) * inverse
 
-        return torch.cat((direction, (r.log() - self.middle) / self.spread), dim=-1), pullback
+        return torch.cat((direction, self.scaled(r)), dim=-1), pullback
+
+
+class Radial(LogDistance):
+    """The distance alone, z = s: a force towards the centre that is the same in all directions.
+
+    Of a force that comes from a centre it assumes what `Isotropic` leaves open, and so learns one curve from
+    orbits at different distances.
+    """
+
+    name, size = "radial", 1
+
+    def forward(self, q: Tensor) -> Tensor:
+        """Return s, shape (..., 1), at the positions q, shape (..., n)."""
+        return self.linearised(q)[0]
+
+    def pullback(self, q: Tensor, gradient: Tensor) -> Tensor:
+        """Return the gradient with respect to q, shape (..., n), from the one with respect to s, (..., 1)."""
+        return self.linearised(q)[1](gradient)
+
+    def linearised(self, q: Tensor) -> tuple[Tensor, Pullback]:
+        """Return s and the way back of gradients from there."""
+        square = q.square().sum(-1, keepdim=True)
+        return self.scaled(square.sqrt()), lambda gradient: gradient / (self.spread * square) * q
 
 
 class Cartesian(nn.Module):
@@ -112,7 +149,7 @@ class Cartesian(nn.Module):
         return self.affine(q), self.affine.pullback
 
 
-InputMap = Cartesian | Isotropic
+InputMap = Cartesian | Isotropic | Radial
 
 
 @checked
@@ -120,11 +157,11 @@ def position_inputs(name: InputName, dof: int, scaling: Kind) -> InputMap:
     """Return the input map of the positions.
 
     Raises:
-        UserError: unknown name, or isotropic inputs in one dimension.
+        UserError: unknown name, or inputs of a distance in one dimension.
     """
     if name == "cartesian":
         return Cartesian(dof, scaling, 0)
     if dof < 2:
-        message = "inputs isotropic: expected a system of at least 2 degrees of freedom; received 1"
+        message = f"inputs {name}: expected a system of at least 2 degrees of freedom; received 1"
         raise UserError(message)
-    return Isotropic(dof)
+    return Isotropic(dof) if name == "isotropic" else Radial()

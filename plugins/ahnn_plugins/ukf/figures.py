@@ -14,6 +14,7 @@ from ahnn.estimation.scenario import Setting
 from ahnn.evaluation import Case, style
 from ahnn.evaluation.case import Start
 from ahnn.evaluation.figures import SMOOTHING
+from ahnn.evaluation.titles import MODEL
 from ahnn_plugins.ukf.outcome import Outcome, name
 from ahnn_plugins.ukf.series import Sawtooth, blocks, rms_over_members, sawtooth, smoothed_rms
 
@@ -55,7 +56,8 @@ def ukf_figures(
 
 def drawn(outcomes: Iterable[Outcome]) -> Chosen:
     """Return the outcomes of the plain filter, of the model and of the floor."""
-    return {(o.who.start, o.who.floor): o for o in outcomes if o.who.estimator == "ukf"}
+    plain = (o for o in outcomes if o.who.estimator == "ukf" and (o.who.floor or o.who.process == MODEL))
+    return {(o.who.start, o.who.floor): o for o in plain}
 
 
 def _averages(case: Case, chosen: Chosen, without: dict[Start, Tensor]) -> dict[Start, dict[str, Tensor]]:

@@ -77,6 +77,8 @@ class UKFEvaluation:
         least_squares: whether to add the rows of batch least squares.
         tuning: options of `Tuning`, to add the rows of a tuned filter; None leaves them out.
         seed: of measurement noise and of the validation arcs.
+        beside: a system that is near the data where their own equations are not known: it filters beside the
+            model, with process noise of its own, and its defaults are taken.
     """
 
     def __init__(
@@ -99,8 +101,10 @@ class UKFEvaluation:
         least_squares: bool,
         tuning: dict[str, Any] | None,
         seed: int,
+        beside: System | None = None,
     ) -> None:
         require_measurement(measurement)
+        self.beside = beside
         self.seed, self.smoother, self.least_squares = seed, smoother, least_squares
         self.process_noise: NoiseOption = noise_option(process_noise)
         self.novelty = novelty
@@ -136,7 +140,7 @@ class UKFEvaluation:
         Raises:
             UserError: says which option.
         """
-        system = _known(truth, space)
+        system = self._known(truth, space)
         setting = self._setting(system, steps)
         if self.tuning is not None and (self.tuning.steps or steps) < setting.first:
             message = (
@@ -153,7 +157,7 @@ class UKFEvaluation:
         """Filter the test trajectories and report scores, consistency and figures."""
         shortest = min(int(part.present.sum(-1).min()) - 1 for part in (case.test, case.validation))
         self.check(case.truth, case.space, shortest)
-        setting = self._setting(_known(case.truth, case.space), shortest)
+        setting = self._setting(self._known(case.truth, case.space), shortest)
         findings = Findings(numbers=self._settings(setting))
         problems = self._problems(case, setting)
         outcomes: list[Outcome] = []
@@ -168,9 +172,9 @@ class UKFEvaluation:
         findings.numbers["filters"] = {}
         for outcome in outcomes:
             who = outcome.who
-            findings.rows += rows(outcome, case, None if who.floor else scores[who.start])
+            findings.rows += rows(outcome, case, scores[who.start] if who.process == MODEL else None)
             several = findings.numbers["filters"].setdefault(who.estimator, {})
-            entry = several.setdefault("floor" if who.floor else MODEL, {})
+            entry = several.setdefault("floor" if who.floor else who.process, {})
             entry[who.start] = numbers(outcome, case) | moving_averages(outcome, case)
         findings.arrays, findings.figures = ukf_figures(case, setting, outcomes, without)
         return findings
@@ -252,6 +256,11 @@ class UKFEvaluation:
             exact = exact_flow(case.truth)
             floor = Filter("exact flow + UKF", exact, nothing, *constants)
             filters.append((Who("exact flow", "true", "ukf", floor=True), floor))
+        if self.beside is not None:
+            other = plain._replace(name=f"{self.beside.name} + UKF", flow=exact_flow(self.beside))
+            other, about = with_process_noise(self.process_noise, other, case, setting, arcs)
+            findings.numbers["process_noise_beside"] = about
+            filters.append((Who(self.beside.name, "true", "ukf"), other))
         return filters
 
     def _arcs(self, case: Case, setting: Setting, count: int, steps: int | None, seed: int) -> Problem:
@@ -265,6 +274,23 @@ class UKFEvaluation:
         dt = _interval(case)
         measurements = simulated(setting, truth, dt, self.seed)
         return {start: Problem(truth, x, measurements, dt) for start, x in case.starts().items()}
+
+    def _known(self, truth: System | None, space: Space) -> System:
+        """Return the system whose default noise and initial states the settings of a filter are made of.
+
+        Raises:
+            UserError: none has known equations, or one is named beside data that it does not fit.
+        """
+        if truth is None and self.beside is None:
+            message = f"system: expected one whose equations are known; received data of {space.name}"
+            raise UserError(message)
+        if self.beside is not None and (truth is not None or self.beside.units != space.units):
+            received = f"{space.name}, of which the equations are known" if truth else f"{space.units}"
+            message = (
+                f"beside: expected data without known equations in {self.beside.units}; received {received}"
+            )
+            raise UserError(message)
+        return cast(System, truth or self.beside)
 
     def _settings(self, setting: Setting) -> dict[str, Any]:
         """Return what was assumed, for metrics.json."""
@@ -285,6 +311,7 @@ def _interval(case: Case) -> float:
     return case.dt
 
 
+<<<<<<< HEAD
 def _known(truth: System | None, space: Space) -> System:
     """Return the system, whose default noise and initial states the settings of a filter are made of.
 
@@ -295,3 +322,21 @@ def _known(truth: System | None, space: Space) -> System:
         message = f"system: expected one whose equations are known; received data of {space.name}"
         raise UserError(message)
     return truth
+=======
+def _check_measurement(measurement: Any) -> None:
+    if isinstance(measurement, str):
+        return
+    if isinstance(measurement, dict):
+        message = (
+            "measurement: expected position, state or a node with _target_; received keys "
+            f"{', '.join(measurement)}"
+        )
+        raise UserError(message)
+    missing = [name for name in ("names", "units", "residual") if not hasattr(measurement, name)]
+    if missing:
+        message = (
+            "measurement: expected a measurement model with names, units, residual; "
+            f"{type(measurement).__name__} has no {', '.join(missing)}"
+        )
+        raise UserError(message)
+>>>>>>> 29b5e79 (Demonstrations on planets and satellites begun: sources, radial inputs, a system beside the filter)

@@ -1,0 +1,84 @@
+"""Planets as JPL's ephemeris DE421 has them: motion fitted to observations, not simulated here.
+
+Folkner, Williams and Boggs, The Planetary and Lunar Ephemeris DE421, IPN Progress Report 42-178 (2009).
+"""
+
+from __future__ import annotations
+
+from typing import Any, final
+
+import numpy as np
+
+from ahnn.arguments import Count, Finite, Positive, checked
+from ahnn.errors import UserError
+from ahnn.systems import System
+from ahnn.types import Space, Trajectories, Units
+from ahnn_plugins.demonstrations.extras import require
+from ahnn_plugins.demonstrations.stretches import stretches
+
+
+@final
+@checked
+class Planets:
+    """Heliocentric positions and velocities in au and au/d, axes of the ICRF, time in days of TDB.
+
+    Args:
+        name: of the data, in folders and tables.
+        planets: names as in DE421; `earthmoon` is the barycentre of Earth and Moon.
+        begin: Julian date of the first sample, TDB.
+        step: days between two samples.
+        samples: of a stretch, which is one trajectory.
+        stretches: of each planet, one after the other.
+
+    Raises:
+        UserError: a planet that DE421 does not have, or dates that it does not cover.
+    """
+
+    truth: System | None = None
+
+    def __init__(
+        self, name: str, planets: list[str], begin: Finite, step: Positive, samples: Count, stretches: Count
+    ) -> None:
+        self.planets, self.begin, self.step = planets, begin, step
+        self.samples, self.stretches = samples, stretches
+        units = Units(time="d", position="au", velocity="au/d", energy="au²/d²")
+        self.space = Space(name, ("x", "y", "z", "vx", "vy", "vz"), units, frame="ICRF, SUN")
+        require("de421", "ephemeris")
+        self._ephemeris = require("jplephem.ephem", "ephemeris").Ephemeris(require("de421", "ephemeris"))
+        self._check()
+
+    def recipe(self) -> dict[str, Any]:
+        """Return which samples of the ephemeris these are."""
+        known = ("planets", "begin", "step", "samples", "stretches")
+        return {"ephemeris": "DE421", **{name: getattr(self, name) for name in known}}
+
+    def steps(self) -> int:
+        """Return the steps of a stretch."""
+        return self.samples - 1
+
+    def read(self) -> Trajectories:
+        """Return the stretches, those of all planets that begin together next to each other."""
+        times = self.step * np.arange(self.stretches * self.samples)
+        sun = self._barycentric("sun", times)
+        states = np.stack([self._barycentric(planet, times) - sun for planet in self.planets])
+        return stretches(states, times, self.samples)
+
+    def _barycentric(self, body: str, times: np.ndarray) -> np.ndarray:
+        """Return states (T, 6) in au and au/d, about the barycentre of the solar system."""
+        position, velocity = self._ephemeris.position_and_velocity(body, self.begin, times)
+        return np.concatenate((position, velocity)).T / self._ephemeris.AU
+
+    def _check(self) -> None:
+        known = sorted({*self._ephemeris.names} - {"librations", "nutations", "sun", "moon"})
+        if not self.planets or (wrong := [planet for planet in self.planets if planet not in known]):
+            received = wrong if self.planets else "none"
+            message = f"planets: expected some of {', '.join(known)}; received {received}"
+            raise UserError(message)
+        first, last = self._ephemeris.jalpha, self._ephemeris.jomega
+        end = self.begin + self.step * self.samples * self.stretches
+        if not (first <= self.begin and end <= last):
+            message = (
+                f"begin, step, samples, stretches: expected Julian dates from {first} to {last}; received "
+                f"{self.begin} to {end}"
+            )
+            raise UserError(message)

@@ -1,0 +1,108 @@
+"""Satellites as SGP4 moves them, from the element sets that are published with it as its verification.
+
+Vallado, Crawford, Hujsak and Kelso, Revisiting Spacetrack Report #3, AIAA 2006-6753: the sets, the method and
+its constants (WGS-72). The package sgp4 has them in a file of its own.
+"""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from typing import Any, final
+
+import numpy as np
+
+from ahnn.arguments import Count, Positive, checked
+from ahnn.errors import UserError
+from ahnn.systems import System
+from ahnn.training.objectives import difference_weights
+from ahnn.types import Space, Trajectories, Units
+from ahnn_plugins.demonstrations.extras import require
+from ahnn_plugins.demonstrations.stretches import stretches
+
+APART, ORDER = 10.0, 8
+"""Seconds between the positions that a velocity is read off, and order of that difference."""
+DAY = 86400.0
+
+
+@final
+@checked
+class Satellites:
+    """Positions and velocities in km and km/s, axes of TEME at the epoch of each set, time in s from there.
+
+    Velocities are derivatives of the positions: those that SGP4 reports differ from them, on Molniya orbits
+    by up to 2 m/s near perigee.
+
+    Args:
+        name: of the data, in folders and tables.
+        satellites: their catalogue numbers.
+        step: seconds between two samples.
+        samples: of a stretch, which is one trajectory.
+        stretches: of each satellite, one after the other.
+
+    Raises:
+        UserError: a satellite that the verification set does not have, or that SGP4 cannot follow so long.
+    """
+
+    truth: System | None = None
+
+    def __init__(
+        self, name: str, satellites: list[Count], step: Positive, samples: Count, stretches: Count
+    ) -> None:
+        self.satellites, self.step, self.samples, self.stretches = satellites, step, samples, stretches
+        units = Units(time="s", position="km", velocity="km/s", energy="km²/s²")
+        self.space = Space(name, ("x", "y", "z", "vx", "vy", "vz"), units, frame="TEME, EARTH")
+        known = element_sets()
+        if not satellites or (wrong := [number for number in satellites if number not in known]):
+            received = wrong if satellites else "none"
+            message = f"satellites: expected some of {', '.join(map(str, known))}; received {received}"
+            raise UserError(message)
+        self._sets = [known[number] for number in satellites]
+
+    def recipe(self) -> dict[str, Any]:
+        """Return the element sets, and which samples of their motion these are."""
+        known = ("satellites", "step", "samples", "stretches")
+        sets = [list(lines) for lines in self._sets]
+        return {"sgp4": sets, **{name: getattr(self, name) for name in known}}
+
+    def steps(self) -> int:
+        """Return the steps of a stretch."""
+        return self.samples - 1
+
+    def read(self) -> Trajectories:
+        """Return the stretches, those of all satellites that begin together next to each other."""
+        times = self.step * np.arange(self.stretches * self.samples)
+        states = np.stack([moved(lines, times) for lines in self._sets])
+        return stretches(states, times, self.samples)
+
+
+def element_sets() -> dict[int, tuple[str, str]]:
+    """Return both lines of each element set of the verification, by catalogue number."""
+    require("sgp4", "orbit")
+    text = files("sgp4").joinpath("SGP4-VER.TLE").read_text()
+    lines = [line[:69] for line in text.splitlines() if line[:2] in ("1 ", "2 ")]
+    return {int(one[2:7]): (one, two) for one, two in zip(lines[::2], lines[1::2], strict=True)}
+
+
+def moved(lines: tuple[str, str], times: np.ndarray) -> np.ndarray:
+    """Return states (T, 6) at times (T,) in s from the epoch of an element set.
+
+    Raises:
+        UserError: SGP4 gives up.
+    """
+    satellite = require("sgp4.api", "orbit").Satrec.twoline2rv(*lines)
+
+    def positions(t: np.ndarray) -> np.ndarray:
+        whole = np.full(len(t), satellite.jdsatepoch)
+        codes, found, _ = satellite.sgp4_array(whole, satellite.jdsatepochF + t / DAY)
+        if (failed := codes.nonzero()[0]).size:
+            day = t[failed[0]] / DAY
+            message = (
+                f"samples, stretches: expected times that SGP4 reaches with satellite {lines[0][2:7]}; "
+                f"received day {day:.1f}, where its error is {codes[failed[0]]}"
+            )
+            raise UserError(message)
+        return found
+
+    around = [positions(times + APART * k) for k in range(-ORDER // 2, ORDER // 2 + 1)]
+    velocities = np.einsum("w,wtd->td", difference_weights(ORDER).numpy(), np.diff(around, axis=0)) / APART
+    return np.concatenate((around[ORDER // 2], velocities), axis=1)
