@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 from helpers import TINY, close, generator
@@ -116,3 +118,17 @@ def test_isotropic_inputs_need_two_dimensions():
         assert isinstance(position_inputs("isotropic", dof, "block"), Isotropic)
     with pytest.raises(UserError, match="at least 2 degrees of freedom; received 1"):
         position_inputs("isotropic", 1, "block")
+
+
+def test_radial_inputs_pull_toward_the_centre_by_the_derivative_of_their_curve():
+    inputs = position_inputs("radial", DOF, "block").double()
+    inputs.fit(statistics()._replace(radius=torch.tensor([0.5, 2.0], dtype=torch.float64)))
+    q = torch.tensor([[0.3, 0.4, 0.0], [0.0, 0.0, -2.0], [0.6, 0.0, 0.8]], dtype=torch.float64)
+    close(inputs(q), torch.tensor([[-1.0], [1.0], [0.0]], dtype=torch.float64), 1e-12)
+    slope = torch.tensor([[1.0], [2.0], [3.0]], dtype=torch.float64)
+    r = q.norm(dim=-1, keepdim=True)
+    close(inputs.pullback(q, slope), slope / (r * math.log(2.0)) * q / r, 1e-14)
+    with pytest.raises(UserError, match="radial: expected distances 0 < low < high"):
+        inputs.fit(statistics()._replace(radius=torch.tensor([2.0, 2.0])))
+    with pytest.raises(UserError, match="inputs radial: expected a system of at least 2"):
+        position_inputs("radial", 1, "block")

@@ -140,7 +140,9 @@ class UKFEvaluation:
         Raises:
             UserError: says which option.
         """
-        system = self._known(truth, space)
+        if self.beside is not None:
+            _require_near(self.beside, truth, space)
+        system = _known(truth or self.beside, space)
         setting = self._setting(system, steps)
         if self.tuning is not None and (self.tuning.steps or steps) < setting.first:
             message = (
@@ -157,7 +159,7 @@ class UKFEvaluation:
         """Filter the test trajectories and report scores, consistency and figures."""
         shortest = min(int(part.present.sum(-1).min()) - 1 for part in (case.test, case.validation))
         self.check(case.truth, case.space, shortest)
-        setting = self._setting(self._known(case.truth, case.space), shortest)
+        setting = self._setting(_known(case.truth or self.beside, case.space), shortest)
         findings = Findings(numbers=self._settings(setting))
         problems = self._problems(case, setting)
         outcomes: list[Outcome] = []
@@ -275,23 +277,6 @@ class UKFEvaluation:
         measurements = simulated(setting, truth, dt, self.seed)
         return {start: Problem(truth, x, measurements, dt) for start, x in case.starts().items()}
 
-    def _known(self, truth: System | None, space: Space) -> System:
-        """Return the system whose default noise and initial states the settings of a filter are made of.
-
-        Raises:
-            UserError: none has known equations, or one is named beside data that it does not fit.
-        """
-        if truth is None and self.beside is None:
-            message = f"system: expected one whose equations are known; received data of {space.name}"
-            raise UserError(message)
-        if self.beside is not None and (truth is not None or self.beside.units != space.units):
-            received = f"{space.name}, of which the equations are known" if truth else f"{space.units}"
-            message = (
-                f"beside: expected data without known equations in {self.beside.units}; received {received}"
-            )
-            raise UserError(message)
-        return cast(System, truth or self.beside)
-
     def _settings(self, setting: Setting) -> dict[str, Any]:
         """Return what was assumed, for metrics.json."""
         return {
@@ -311,7 +296,6 @@ def _interval(case: Case) -> float:
     return case.dt
 
 
-<<<<<<< HEAD
 def _known(truth: System | None, space: Space) -> System:
     """Return the system, whose default noise and initial states the settings of a filter are made of.
 
@@ -322,21 +306,11 @@ def _known(truth: System | None, space: Space) -> System:
         message = f"system: expected one whose equations are known; received data of {space.name}"
         raise UserError(message)
     return truth
-=======
-def _check_measurement(measurement: Any) -> None:
-    if isinstance(measurement, str):
-        return
-    if isinstance(measurement, dict):
-        message = (
-            "measurement: expected position, state or a node with _target_; received keys "
-            f"{', '.join(measurement)}"
-        )
+
+
+def _require_near(beside: System, truth: System | None, space: Space) -> None:
+    """Refuse a system beside data that have equations of their own, or other units; raises UserError."""
+    if truth is not None or beside.units != space.units:
+        received = f"those of {space.name}" if truth is not None else str(space.units)
+        message = f"beside: expected data without known equations, in {beside.units}; received {received}"
         raise UserError(message)
-    missing = [name for name in ("names", "units", "residual") if not hasattr(measurement, name)]
-    if missing:
-        message = (
-            "measurement: expected a measurement model with names, units, residual; "
-            f"{type(measurement).__name__} has no {', '.join(missing)}"
-        )
-        raise UserError(message)
->>>>>>> 29b5e79 (Demonstrations on planets and satellites begun: sources, radial inputs, a system beside the filter)
