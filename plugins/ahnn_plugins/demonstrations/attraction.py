@@ -98,9 +98,9 @@ class Attraction:
         axes.grid(alpha=0.3)
         axes.set_xlabel(f"distance r [{case.space.units.position}]")
         axes.set_ylabel("r² V'(r) / μ - 1  [1e-6]")
-        axes.set_title(
-            f"{case.space.name}: learned attraction beside the published μ\nbroken: the body's own mass"
-        )
+        axes.set_yscale("symlog", linthresh=10.0)
+        head = f"{case.space.name}: learned attraction beside the published μ"
+        axes.set_title(f"{head}\nbroken: what the body's own mass adds")
         style.legend_below(figure, axes)
         return figure
 

@@ -121,9 +121,8 @@ class Horizon:
             style.logarithmic(axes, 24)
             axes.set_ylabel(f"position error [{case.space.units.position}]")
         panels[0].axvspan(0, float(time[self.arc - 1]), color=style.SKY, alpha=0.2, label="fitted to")
-        panels[0].set_title(
-            f"{case.space.name}: rms over unseen stretches, starts fitted to the first positions"
-        )
+        head = f"{case.space.name}: rms over unseen stretches"
+        panels[0].set_title(f"{head}\nfrom the start that fits the first positions best")
         panels[1].set_title("from the first state of each")
         style.label_time(panels[1], style.Axis(time, "d"))
         style.legend_below(figure, *panels)

@@ -77,14 +77,14 @@ def test_a_model_without_an_energy_or_data_in_a_plane_have_no_attraction(tmp_pat
         Attraction(MU, MASSES).check(None, Space("plane", ("x", "y", "px", "py")), 9)
 
 
-EARTH = Molniya(name="earth", dt=300.0, steps=700)
+EARTH = Molniya(name="earth", dt=300.0, steps=575)
 OBLATE = dataclasses.replace(EARTH, name="J2", j2=1.1 * EARTH.j2)
 
 
 def satellites_case(folder: Path) -> Case:
     """The model has a tenth too little oblateness, one hundredth of the error of `OBLATE`."""
     learned = exact_flow(dataclasses.replace(EARTH, name="learned", j2=1.001 * EARTH.j2))
-    data = trajectories(EARTH, 2, 1)
+    data = trajectories(EARTH, 1, 1)
     parts = {"test": data, "validation": data, "train": data}
     fields = {"label": "learned", "assumes": "all", "truth": None, "integrator": None, "dt": 300.0}
     space = EARTH.space
@@ -93,41 +93,41 @@ def satellites_case(folder: Path) -> Case:
 
 @pytest.fixture(scope="module")
 def horizon(tmp_path_factory):
-    judge = Horizon(OBLATE, arc=144, noise=0.01, seed=0)
+    judge = Horizon(OBLATE, arc=60, noise=0.01, seed=0)
     case = satellites_case(tmp_path_factory.mktemp("horizon"))
-    judge.check(None, case.space, 700)
+    judge.check(None, case.space, 575)
     return judge(case)
 
 
 def test_days_ahead_and_errors_of_each_day(horizon):
     daily = horizon.numbers["daily"]
-    assert horizon.numbers["days"] == {"true": 3, "fitted": 3}
+    assert horizon.numbers["days"] == {"true": 2, "fitted": 2}
     for kind in ("true", "fitted"):
-        assert all(len(errors) == 3 for errors in daily[kind].values())
+        assert all(len(errors) == 2 for errors in daily[kind].values())
         learned, oblate, two_body = (torch.tensor(daily[kind][k]) for k in ("learned", "J2", TWO_BODY))
         assert bool((5 * learned < oblate).all() and (2 * oblate < two_body).all())
     close(torch.tensor(daily["true"]["J2"]), 100 * torch.tensor(daily["true"]["learned"]), 0.1)
     assert [row.who for row in horizon.rows] == [Who("J2", "true"), Who(TWO_BODY, "true")]
-    assert "true 3 of 3" in horizon.rows[0].note or "3 of 3 from the true start" in horizon.rows[0].note
+    assert "2 of 2 from the true start, 2 of 2 from the fitted start" in horizon.rows[0].note
 
 
 def test_a_fitted_start_of_the_exact_flow_is_the_true_one(tmp_path):
     case = satellites_case(tmp_path)
-    judge = Horizon(OBLATE, arc=144, noise=1e-6, seed=0)
+    judge = Horizon(OBLATE, arc=60, noise=1e-4, seed=0)
     start = fitted_start(exact_flow(EARTH), judge._segment(case))
-    close(start[:, :3], case.test.states[:, 0, :3], 1e-9)
-    close(start[:, 3:], case.test.states[:, 0, 3:], 1e-7)
+    close(start[:, :3], case.test.states[:, 0, :3], 1e-7)
+    close(start[:, 3:], case.test.states[:, 0, 3:], 1e-6)
 
 
-@pytest.mark.parametrize("arc", [3, 701])
+@pytest.mark.parametrize("arc", [3, 576])
 def test_an_arc_that_fits_no_start_is_refused(arc):
-    with pytest.raises(UserError, match=f"arc: expected from 6 to 700 samples.*received {arc}"):
-        Horizon(OBLATE, arc=arc, noise=1.0, seed=0).check(None, EARTH.space, 700)
+    with pytest.raises(UserError, match=f"arc: expected from 6 to 575 samples.*received {arc}"):
+        Horizon(OBLATE, arc=arc, noise=1.0, seed=0).check(None, EARTH.space, 575)
 
 
 def test_other_units_are_refused():
     with pytest.raises(UserError, match="beside: expected data in Units"):
-        Horizon(OBLATE, arc=9, noise=1.0, seed=0).check(None, Space("x", ("q", "p") * 3), 700)
+        Horizon(OBLATE, arc=9, noise=1.0, seed=0).check(None, Space("x", ("q", "p") * 3), 575)
 
 
 def ukf(**changes) -> UKFEvaluation:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from importlib.resources import files
 
 import numpy as np
@@ -94,7 +95,8 @@ def test_an_orbit_that_ends_is_refused_when_it_is_read():
 
 
 def test_a_missing_library_is_one_message_that_names_the_extra(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "sgp4", None)
+    for name in ("sgp4", "sgp4.api"):
+        monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(UserError, match=r"package sgp4; .*pip install 'ahnn\[orbit\]'"):
         extras.require("sgp4.api", "orbit")
 
