@@ -77,6 +77,9 @@ DOORS = {
     "nested in a plugin": lambda node: {
         "plugins": {"ukf": {"_target_": "ahnn_plugins.ukf.plugin.UKFEvaluation", "measurement": node}}
     },
+    "beside a model": lambda node: {
+        "plugins": {"ukf": {"_target_": "ahnn_plugins.ukf.plugin.UKFEvaluation", "beside": node}}
+    },
     "in a list": lambda node: {
         "plugins": {"ukf": {"_target_": "ahnn_plugins.ukf.plugin.UKFEvaluation", "x": [node]}}
     },

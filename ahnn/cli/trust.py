@@ -25,7 +25,7 @@ LINK = re.compile(r"\$\{measurement(\.\w+)+\}")
 """The one interpolation that we store: what a plugin takes from the group `measurement`."""
 NEEDED = {
     "system": ("recipe", "read", "energy"),
-    "plugins": ("check", "residual", "energy"),
+    "plugins": ("check", "residual"),
     "measurement": ("residual",),
     "data": ("residual",),  # what measures
     "evaluation": (),
@@ -75,7 +75,7 @@ def require_trusted(path: Path, content: dict[str, Any], nodes: tuple[str, ...])
         for name, value in flat(content.get(node), node):
             if (
                 (isinstance(value, str) and "${" in value and not LINK.fullmatch(value))
-                or (name.endswith("._target_") and not is_trusted(value, node))
+                or (name.endswith("._target_") and not is_trusted(value, role(name, node)))
                 or name.rpartition(".")[2] in ("_partial_", "_args_", "_recursive_", "_convert_")
             ):
                 suspicious.append(f"{name}: {value}")
@@ -85,6 +85,11 @@ def require_trusted(path: Path, content: dict[str, Any], nodes: tuple[str, ...])
             f"also use {'; '.join(suspicious)}. If you know who wrote it, add --trust"
         )
         raise UserError(message)
+
+
+def role(name: str, node: str) -> str:
+    """Return what a target is for: that of its node, or a system that a plugin puts beside the model."""
+    return "system" if name.endswith(".beside._target_") else node
 
 
 def is_trusted(target: Any, node: str) -> bool:

@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 
 from ahnn.errors import UserError
 from ahnn_plugins.demonstrations import Planets, Satellites, extras
+from ahnn_plugins.demonstrations.satellites import element_sets
 from ahnn_plugins.demonstrations.stretches import stretches
 from ahnn_plugins.demonstrations.two_body import kepler
 
@@ -63,6 +64,16 @@ def test_satellites_are_where_the_published_verification_has_them():
         close(read.times[k], 60 * published[:, 0], 1e-12)
         close(read.states[k, :, :3], published[:, 1:4], 1e-7)
         close(read.states[k, :, 3:], published[:, 4:], 1e-3)
+
+
+def test_reported_velocities_are_not_the_derivatives_of_the_positions_by_up_to_two_metres_per_second():
+    read = satellites(step=60.0, samples=1440, stretches=1).read()
+    api = pytest.importorskip("sgp4.api")
+    minutes = np.arange(1440.0)
+    for k, number in enumerate(MOLNIYA):
+        one = api.Satrec.twoline2rv(*element_sets()[number])
+        found = one.sgp4_array(np.full(1440, one.jdsatepoch), one.jdsatepochF + minutes / 1440)[2]
+        assert 1.0 < 1000 * float((read.states[k, :, 3:] - torch.from_numpy(found)).abs().max()) < 2.5
 
 
 def test_the_velocities_of_satellites_are_derivatives_of_their_positions():
