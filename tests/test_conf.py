@@ -71,7 +71,7 @@ def test_every_option_of_the_core_can_be_built(tmp_path, group, option):
         overrides.append(SWINGS)
     if group == "integrator":  # compositions need a separable Hamiltonian
         overrides.append("model.hamiltonian=separable")
-    if option in ("shooting", "shooting_bodies", "weak_dense", "weak_first"):  # which learn from measurements
+    if option.startswith(("shooting", "weak")):  # which learn from measurements
         overrides.append("data.noise=0.01")
     data, model = build_parts(composed(tmp_path, *overrides))
     assert model.dof == data.source.space.dof

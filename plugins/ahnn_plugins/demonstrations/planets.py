@@ -70,9 +70,9 @@ class Planets:
 
     def _check(self) -> None:
         known = sorted({*self._ephemeris.names} - {"librations", "nutations", "sun", "moon"})
-        if not self.planets or (wrong := [planet for planet in self.planets if planet not in known]):
-            received = wrong if self.planets else "none"
-            message = f"planets: expected some of {', '.join(known)}; received {received}"
+        wrong = [planet for planet in self.planets if planet not in known]
+        if wrong or not self.planets:
+            message = f"planets: expected some of {', '.join(known)}; received {wrong or 'none'}"
             raise UserError(message)
         first, last = self._ephemeris.jalpha, self._ephemeris.jomega
         end = self.begin + self.step * self.samples * self.stretches

@@ -52,9 +52,10 @@ class Satellites:
         units = Units(time="s", position="km", velocity="km/s", energy="km²/s²")
         self.space = Space(name, ("x", "y", "z", "vx", "vy", "vz"), units, frame="TEME, EARTH")
         known = element_sets()
-        if not satellites or (wrong := [number for number in satellites if number not in known]):
-            received = wrong if satellites else "none"
-            message = f"satellites: expected some of {', '.join(map(str, known))}; received {received}"
+        wrong = [number for number in satellites if number not in known]
+        if wrong or not satellites:
+            names = ", ".join(map(str, known))
+            message = f"satellites: expected some of {names}; received {wrong or 'none'}"
             raise UserError(message)
         self._sets = [known[number] for number in satellites]
 
