@@ -39,7 +39,7 @@ from ahnn_plugins.ukf.online import online_process, weights_hash
 from ahnn_plugins.ukf.outcome import Outcome, filtered, fitted, iterated, numbers, rows, smoothed
 from ahnn_plugins.ukf.regression import regression_weights
 from ahnn_plugins.ukf.series import moving_averages
-from ahnn_plugins.ukf.setting import make_setting, require_measurement
+from ahnn_plugins.ukf.setting import make_setting, near_system, require_measurement
 from ahnn_plugins.ukf.sigma_points import unscented_weights
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
 from ahnn_plugins.ukf.standard import STANDARD
@@ -140,9 +140,7 @@ class UKFEvaluation:
         Raises:
             UserError: says which option.
         """
-        if self.beside is not None:
-            _require_near(self.beside, truth, space)
-        system = _known(truth or self.beside, space)
+        system = near_system(truth, self.beside, space)
         setting = self._setting(system, steps)
         if self.tuning is not None and (self.tuning.steps or steps) < setting.first:
             message = (
@@ -159,7 +157,7 @@ class UKFEvaluation:
         """Filter the test trajectories and report scores, consistency and figures."""
         shortest = min(int(part.present.sum(-1).min()) - 1 for part in (case.test, case.validation))
         self.check(case.truth, case.space, shortest)
-        setting = self._setting(_known(case.truth or self.beside, case.space), shortest)
+        setting = self._setting(near_system(case.truth, self.beside, case.space), shortest)
         findings = Findings(numbers=self._settings(setting))
         problems = self._problems(case, setting)
         outcomes: list[Outcome] = []
@@ -212,7 +210,7 @@ class UKFEvaluation:
     def _fitted(self, case: Case) -> tuple[Tensor, ForceError | None]:
         """Return Q of one step and the force error, fitted to validation data."""
         shortest = int(case.validation.present.sum(-1).min()) - 1
-        setting = self._setting(_known(case.truth, case.space), shortest)
+        setting = self._setting(near_system(case.truth, self.beside, case.space), shortest)
         (_, model), *_ = self._filters(case, setting, Findings())
         return model.process_noise, model.force_error
 
@@ -294,23 +292,3 @@ def _interval(case: Case) -> float:
     """Return the one step of simulated trajectories."""
     assert isinstance(case.dt, float), "simulated trajectories have one step"
     return case.dt
-
-
-def _known(truth: System | None, space: Space) -> System:
-    """Return the system, whose default noise and initial states the settings of a filter are made of.
-
-    Raises:
-        UserError: its equations are not known.
-    """
-    if truth is None:
-        message = f"system: expected one whose equations are known; received data of {space.name}"
-        raise UserError(message)
-    return truth
-
-
-def _require_near(beside: System, truth: System | None, space: Space) -> None:
-    """Refuse a system beside data that have equations of their own, or other units; raises UserError."""
-    if truth is not None or beside.units != space.units:
-        received = f"those of {space.name}" if truth is not None else str(space.units)
-        message = f"beside: expected data without known equations, in {beside.units}; received {received}"
-        raise UserError(message)

@@ -14,6 +14,7 @@ from ahnn.errors import UserError
 from ahnn.estimation.scenario import Setting
 from ahnn.measurements import Measurement, reading
 from ahnn.systems import System
+from ahnn.types import Space
 
 
 @checked
@@ -128,3 +129,24 @@ def require_measurement(measurement: Any) -> None:
             f"{type(measurement).__name__} has no {', '.join(missing)}"
         )
         raise UserError(message)
+
+
+def near_system(truth: System | None, beside: System | None, space: Space) -> System:
+    """Return the system whose default noise and initial states the settings of a filter are made of.
+
+    Args:
+        truth: the equations of the data, if they are known.
+        beside: a system that is near data whose equations are not known.
+        space: what the numbers of the data mean.
+
+    Raises:
+        UserError: neither is there, or both, or the second has other units.
+    """
+    if beside is not None and (truth is not None or beside.units != space.units):
+        received = f"those of {space.name}" if truth is not None else str(space.units)
+        message = f"beside: expected data without known equations, in {beside.units}; received {received}"
+        raise UserError(message)
+    if (system := truth or beside) is None:
+        message = f"system: expected one whose equations are known; received data of {space.name}"
+        raise UserError(message)
+    return system
