@@ -114,7 +114,8 @@ def test_a_force_error_is_fitted_or_given(spring: Case) -> None:
     assert 0.5 < told["nees"]["mean"] < 4.0
     assert findings.arrays["perturbed_start"].shape == spring.test.states.shape
     given = run(spring, "process_noise={size:0.01,memory:3.0}").numbers["process_noise"]
-    assert given == {"from": "force_error", "size": 0.01, "memory": 3.0, "scale": 1.0, "nees_of_scales": []}
+    told = {"size": 0.01, "memory": 3.0, "scale": 1.0, "nees_of_scales": [], "novelty": None}
+    assert given == {"from": "force_error", **told}
 
 
 def test_same_measurements_for_every_model(spring: Case, make_case: Callable) -> None:
