@@ -51,6 +51,7 @@ def assimilate(arguments: list[str]) -> None:
     with held():
         import torch
 
+        from ahnn.assimilation.clock import Clock
         from ahnn.assimilation.lines import Lines
         from ahnn.assimilation.rows import Rows, require_new
         from ahnn.assimilation.session import Session
@@ -73,7 +74,8 @@ def assimilate(arguments: list[str]) -> None:
     with closing(Lines(_opened(options.measurements, state))) as lines:
         filtering = stream.build_assimilation(options, nodes, cfg, run)
         rows = Rows(run.space.components, filtering.sensors, stream.kind_of(options))
-        session = Session(filtering, lines, rows, options.output, state, options.every)
+        clock = Clock.of(run.space.units.time, options.epoch, options.time_system)
+        session = Session(filtering, lines, rows, options.output, state, options.every, clock)
         view = View(run.space) if options.watch else None
         with ended("" if state is None else "the same command goes on where it was"), view or nullcontext():
             session.run(view)
@@ -97,13 +99,16 @@ def _pictures(options: Options, space: Space) -> None:
         return
     from ahnn.assimilation.figures import figures_of
     from ahnn.assimilation.record import read_record, write_ephemeris
+    from ahnn.evaluation.sinks.figures import FORMATS, drawn
+    from ahnn.files import write_atomically
 
     record = read_record(Path(options.output), space.components)
     if options.figures:
         folder = Path(options.figures)
         folder.mkdir(parents=True, exist_ok=True)
         for name, figure in figures_of(record, space).items():
-            figure.savefig(folder / f"{name}.png", dpi=120)
+            for suffix in FORMATS:
+                write_atomically(folder / f"{name}{suffix}", drawn(figure, suffix))
     if options.oem:
         names = ("object", "epoch", "frame", "center", "time_system")
         write_ephemeris(Path(options.oem), record, space, {name: getattr(options, name) for name in names})

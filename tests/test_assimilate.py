@@ -187,3 +187,15 @@ def test_beyond_the_training_data_the_novelty_widens_what_is_known():
         *_, last = csv.DictReader(Path(name).read_text().splitlines())
         known.append(float(last["cov_px_px"]))
     assert known[1] > 10 * known[0]
+
+
+@pytest.mark.usefixtures("place")
+def test_epochs_of_a_stream_are_times_from_its_zero():
+    numbers = Path("fixes.csv").read_text().splitlines()
+    epochs = [f"2024-03-01T12:{k // 4:02}:{15 * (k % 4):02},{row.partition(',')[2]}"
+              for k, row in enumerate(numbers[1:], 1)]  # fmt: skip
+    Path("dated.csv").write_text("\n".join([numbers[0], *epochs]) + "\n")
+    assert assimilate(*FIXES, "output=numbers.out") == 0
+    dated = ["measurements=dated.csv", "measurement.sd=0.05", "epoch=2024-03-01T12:00:00", "output=dated.out"]
+    assert assimilate(*dated) == 0
+    assert Path("dated.out").read_text() == Path("numbers.out").read_text()

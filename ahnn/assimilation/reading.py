@@ -10,17 +10,14 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from ahnn.arguments import nearest
+from ahnn.assimilation.cells import BadLine, number
+from ahnn.assimilation.clock import Clock
 from ahnn.assimilation.process import Sensor
 from ahnn.errors import UserError
 
 TIME, SENSOR, SD = ("time", "t"), "sensor", "sd_"
 """Names of columns: of the time, of the sensor, and what stands before the name of a standard deviation."""
-MISSING = frozenset(("", "nan", "na", "null", "none"))
 HEAD = re.compile(r"\s*\"?(?P<name>[^\"\[]+?)\s*(\[(?P<unit>[^\]]*)\])?\s*\"?\s*")
-
-
-class BadLine(ValueError):
-    """A line that is no measurement: what was expected, and what was received."""
 
 
 class Reading(NamedTuple):
@@ -50,13 +47,14 @@ class Layout:
     Args:
         first: the first line.
         sensors: by name.
+        clock: what times mean; None takes numbers alone.
 
     Raises:
         UserError: a header without time, or with a column that no sensor has or that is in another unit.
     """
 
-    def __init__(self, first: str, sensors: Mapping[str, Sensor]) -> None:
-        self.sensors = sensors
+    def __init__(self, first: str, sensors: Mapping[str, Sensor], clock: Clock | None = None) -> None:
+        self.sensors, self.clock = sensors, clock
         self.only = next(iter(sensors)) if len(sensors) == 1 else None
         known = {name for sensor in sensors.values() for name in sensor.columns}
         self.known = {*TIME, SENSOR, *known, *(SD + name for name in known)}
@@ -81,7 +79,8 @@ class Layout:
             message = f"sensor: expected one of {', '.join(self.sensors)}; received {row.get(SENSOR)!r}"
             raise BadLine(message)
         sensor = self.sensors[name]
-        time = number(row.get("time", row.get("t")), "time")
+        cell = row.get("time", row.get("t"))
+        time = number(cell, "time") if self.clock is None else self.clock.time(cell)
         if math.isnan(time):
             message = "time: expected a number; received none"
             raise BadLine(message)
@@ -136,7 +135,9 @@ class Layout:
         if name not in self.known:
             message = f"measurements: column {name!r} is of no sensor{nearest(name, sorted(self.known))}"
             raise UserError(message)
-        if found and found["unit"] is not None and name not in (*TIME, SENSOR):
+        if found and found["unit"] is not None and name in TIME and self.clock is not None:
+            self.clock.check(found["unit"])
+        elif found and found["unit"] is not None and name not in (*TIME, SENSOR):
             self._check_unit(name.removeprefix(SD), found["unit"])
         return name
 
@@ -149,23 +150,3 @@ class Layout:
 
     def _expected(self) -> str:
         return ", ".join(dict.fromkeys(name for one in self.sensors.values() for name in one.columns))
-
-
-def number(cell: Any, name: str) -> float:
-    """Return the number in a cell, NaN where it is missing.
-
-    Raises:
-        BadLine: something else, or infinity.
-    """
-    if cell is None or (isinstance(cell, str) and cell.lower() in MISSING):
-        return math.nan
-    try:
-        if isinstance(cell, bool) or (isinstance(cell, str) and "_" in cell):
-            raise ValueError  # noqa: TRY301 - Python reads both as numbers
-        value = float(cell)
-    except (TypeError, ValueError, OverflowError):
-        value = math.inf
-    if math.isinf(value):
-        message = f"{name}: expected a finite number; received {str(cell)[:40]!r}"
-        raise BadLine(message)
-    return value

@@ -13,9 +13,11 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
+from ahnn.assimilation.cells import BadLine
+from ahnn.assimilation.clock import Clock
 from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.online import Assimilation, Diverged, Estimate
-from ahnn.assimilation.reading import BadLine, Layout, Reading
+from ahnn.assimilation.reading import Layout, Reading
 from ahnn.assimilation.rows import Output, Rows, require_new
 from ahnn.errors import TrainingError, UserError
 
@@ -41,6 +43,7 @@ class Session:
         output: path of the file they are written to, `-` for standard output.
         state: path of the state; None saves none.
         every: lines between two saved states.
+        clock: what times mean; None takes numbers alone.
 
     Raises:
         UserError: an output that is there without its state, or a state that does not fit.
@@ -54,8 +57,9 @@ class Session:
         output: str,
         state: Path | None,
         every: int,
+        clock: Clock | None = None,
     ) -> None:
-        self.filter, self.lines, self.rows = assimilation, lines, rows
+        self.filter, self.lines, self.rows, self.clock = assimilation, lines, rows, clock
         self.state, self.every = state, every
         self.counts: Counter[str] = Counter()
         self.layout: Layout | None = None
@@ -100,7 +104,7 @@ class Session:
 
     def _begin(self, text: str) -> None:
         """Take the first line, and begin the output once it is known to be good."""
-        self.layout = Layout(text, self.filter.sensors)
+        self.layout = Layout(text, self.filter.sensors, self.clock)
         if self.output is None:
             self._save()
             self.output = Output(self.path, None)
@@ -169,7 +173,7 @@ class Session:
             message = f"state: expected one of a stream; received {self.state} ({error})"
             raise UserError(message) from error
         if self.header:
-            self.layout = Layout(self.header, self.filter.sensors)
+            self.layout = Layout(self.header, self.filter.sensors, self.clock)
         self.lines.resume(number, place, digest)
         self._count()
         log.info("going on behind line %d", number)

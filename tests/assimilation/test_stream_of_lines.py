@@ -17,10 +17,12 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from ahnn.assimilation import Reading
+from ahnn.assimilation.cells import BadLine
+from ahnn.assimilation.clock import Clock
 from ahnn.assimilation.figures import figures_of
 from ahnn.assimilation.journal import Journal
 from ahnn.assimilation.lines import LONGEST
-from ahnn.assimilation.reading import BadLine, Layout
+from ahnn.assimilation.reading import Layout
 from ahnn.assimilation.record import read_record, write_ephemeris
 from ahnn.assimilation.start import start_of
 from ahnn.assimilation.view import View
@@ -267,3 +269,17 @@ def test_a_start_is_read_from_values_files_and_messages(tmp_path):
     for given_, sd in (([1.0], [1.0, 1.0]), (None, [1.0, 1.0]), ([1.0, 2.0], None), ("none.yaml", None)):
         with pytest.raises(UserError, match=r"^start"):
             start_of(given_, sd, SPACE)
+
+
+def test_epochs_count_from_time_zero_with_leap_seconds():
+    clock = Clock.of("min", "2016-12-31T23:00:00", "UTC")
+    table = Layout("time [UTC],sensor,q [m],p", SENSORS, clock)
+    name = next(iter(SENSORS))
+    assert table.reading(f"2017-01-01T00:00:00.5,{name},1,").time == pytest.approx(60 + 1.5 / 60, rel=1e-15)
+    assert table.reading(f"30,{name},1,").time == 30.0
+    with pytest.raises(BadLine, match=r"time: expected an epoch such as .*; received '2017-13T'"):
+        table.reading(f"2017-13T,{name},1,")
+    with pytest.raises(UserError, match=r"expected times in min or epochs of UTC; received s\. Convert"):
+        Layout("time [s],sensor,q", SENSORS, clock)
+    with pytest.raises(UserError, match=r"epoch: expected an epoch such as"):
+        Clock.of("min", "yesterday", "UTC")

@@ -1,0 +1,32 @@
+"""Lines that are no measurements, and the numbers in those that are."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+MISSING = frozenset(("", "nan", "na", "null", "none"))
+
+
+class BadLine(ValueError):
+    """A line that is no measurement: what was expected, and what was received."""
+
+
+def number(cell: Any, name: str) -> float:
+    """Return the number in a cell, NaN where it is missing.
+
+    Raises:
+        BadLine: something else, or infinity.
+    """
+    if cell is None or (isinstance(cell, str) and cell.lower() in MISSING):
+        return math.nan
+    try:
+        if isinstance(cell, bool) or (isinstance(cell, str) and "_" in cell):
+            raise ValueError  # noqa: TRY301 - Python reads both as numbers
+        value = float(cell)
+    except (TypeError, ValueError, OverflowError):
+        value = math.inf
+    if math.isinf(value):
+        message = f"{name}: expected a finite number; received {str(cell)[:40]!r}"
+        raise BadLine(message)
+    return value
