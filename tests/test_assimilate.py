@@ -199,3 +199,6 @@ def test_epochs_of_a_stream_are_times_from_its_zero():
     dated = ["measurements=dated.csv", "measurement.sd=0.05", "epoch=2024-03-01T12:00:00", "output=dated.out"]
     assert assimilate(*dated) == 0
     assert Path("dated.out").read_text() == Path("numbers.out").read_text()
+    kept = [*dated[:-1], "output=kept.out", "state=kept.state"]
+    assert assimilate(*kept) == 0
+    assert assimilate(*kept, "epoch=2024-03-02T12:00:00") == 2

@@ -154,7 +154,7 @@ class Session:
             self.output.sync()
             size = self.output.size
         notes = {"lines": self.counted, "place": self.place, "digest": self.digest, "size": size}
-        stream = json.dumps({**notes, "header": self.header, "counts": self.counts})
+        stream = json.dumps({**notes, "header": self.header, "counts": self.counts, "clock": self.clock})
         self.filter.save(self.state, {"stream": stream})
         self.lines.saved(self.place)
 
@@ -167,11 +167,14 @@ class Session:
         try:
             stream = json.loads(notes["stream"])
             number, place, size = (int(stream[key]) for key in ("lines", "place", "size"))
-            digest = str(stream["digest"])
+            digest, clock = str(stream["digest"]), stream["clock"]
             self.header, self.counts = stream["header"], Counter(stream["counts"])
         except (KeyError, ValueError, TypeError) as error:
             message = f"state: expected one of a stream; received {self.state} ({error})"
             raise UserError(message) from error
+        if clock != (None if self.clock is None else list(self.clock)):
+            message = f"state: expected times as {self.state} counts them, {clock}; received {self.clock}"
+            raise UserError(message)
         if self.header:
             self.layout = Layout(self.header, self.filter.sensors, self.clock)
         self.lines.resume(number, place, digest)
