@@ -7,7 +7,7 @@ start=FILE          first sample of each trajectory in a file (docs/data.md); or
                     model: start=[0.5,0], start=[[0.5,0],[0.7,0]]
 duration=1d         with a unit, or a number in the model's unit of time
 step=90min          between two predicted states; the sampling interval of the training without it
-output=FILE         .csv, .parquet or .oem; without it a summary alone
+output=FILE         .csv, .parquet, .oem or .xml; without it a summary alone
 figure=FILE         .png or .svg
 epoch=2024-03-01T12:00:00       of time zero; a message that holds the start has its own
 frame=[EME2000,EARTH,UTC]       frame, centre and time system, where neither model nor file says them

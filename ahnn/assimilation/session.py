@@ -7,6 +7,7 @@ the same numbers come out, bit for bit.
 
 from __future__ import annotations
 
+import gc
 import json
 import logging
 from collections import Counter
@@ -79,9 +80,12 @@ class Session:
             UserError: a header that names what is not there.
             TrainingError: the filter has diverged; the message names the line.
         """
+        gc.collect()
+        gc.freeze()  # no line waits while the collector looks through what was imported
         try:
             self._run(watch)
         finally:
+            gc.unfreeze()
             self.close()
 
     def close(self) -> None:

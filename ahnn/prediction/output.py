@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ahnn.data.files import write_oem
+from ahnn.data.files.messages import SUFFIXES as MESSAGES
+from ahnn.data.files.messages import write_oem
 from ahnn.errors import UserError
 from ahnn.files import write_atomically
 from ahnn.prediction.kernel import Prediction
@@ -13,7 +14,7 @@ from ahnn.prediction.starts import Starts, words
 from ahnn.prediction.table import as_csv, as_parquet, columns
 from ahnn.types import Space
 
-SUFFIXES = (".csv", ".parquet", ".oem")
+SUFFIXES = (".csv", ".parquet", ".oem", ".xml")
 PICTURES = (".png", ".svg")
 
 
@@ -26,7 +27,7 @@ def require_output(path: Path, starts: Starts, space: Space, frame: str) -> None
     if path.suffix.lower() not in SUFFIXES or not path.parent.is_dir() or path.is_dir():
         message = f"output: expected a file {', '.join(SUFFIXES)} in a folder that exists; received {path}"
         raise UserError(message)
-    if path.suffix.lower() == ".oem":
+    if path.suffix.lower() in MESSAGES:
         nothing = Prediction(starts.times[:1], starts.states.unsqueeze(1))
         ephemerides(nothing, starts, space, frame_of(frame))
 
@@ -38,7 +39,7 @@ def write(path: Path, prediction: Prediction, starts: Starts, space: Space, fram
         UserError: see `require_output`; or Parquet without pyarrow.
     """
     suffix = path.suffix.lower()
-    if suffix == ".oem":
+    if suffix in MESSAGES:
         write_oem(path, ephemerides(prediction, starts, space, frame_of(frame)))
         return
     utc = clock_of(frame) == "UTC"

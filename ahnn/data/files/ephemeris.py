@@ -57,6 +57,23 @@ class Ephemeris(NamedTuple):
     covariances: tuple[Covariance, ...] = ()
     rows: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
 
+    def epoch(self, time: float) -> str:
+        """Return the epoch so many seconds after the start."""
+        moment = self.start + round(time * epochs.SECOND)
+        return epochs.spelled(moment, utc=self.time_system.upper() == "UTC")
+
+    def metadata(self) -> dict[str, str]:
+        """Return what a message says of a segment."""
+        return {
+            "OBJECT_NAME": self.object_name or self.object_id,
+            "OBJECT_ID": self.object_id,
+            "CENTER_NAME": self.center,
+            "REF_FRAME": self.frame,
+            "TIME_SYSTEM": self.time_system,
+            "START_TIME": self.epoch(float(self.times[0])),
+            "STOP_TIME": self.epoch(float(self.times[-1])),
+        }
+
 
 @dataclass
 class Block:

@@ -30,5 +30,12 @@ def read_oem(path: str | Path) -> list[Ephemeris]:
 
 
 def write_oem(path: str | Path, ephemerides: Iterable[Ephemeris], originator: str = "ahnn") -> None:
-    """Write an orbit ephemeris message in keyword = value notation; the file appears whole or not at all."""
-    write_atomically(Path(path), oem.written(ephemerides, originator).encode())
+    """Write an orbit ephemeris message; the file appears whole or not at all.
+
+    Args:
+        path: of the file, in XML if it ends in .xml, otherwise in keyword = value notation.
+        ephemerides: a segment each.
+        originator: who says so.
+    """
+    notation = oem_xml if Path(path).suffix.lower() == ".xml" else oem
+    write_atomically(Path(path), notation.written(ephemerides, originator).encode())

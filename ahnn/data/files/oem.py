@@ -109,13 +109,10 @@ def written(ephemerides: Iterable[Ephemeris], originator: str = "ahnn", created:
 
 
 def _segment(one: Ephemeris) -> Iterator[str]:
-    first, last = (_epoch(one, float(t)) for t in (one.times[0], one.times[-1]))
-    yield from ("", "META_START", f"OBJECT_NAME = {one.object_name or one.object_id}")
-    yield from (f"OBJECT_ID = {one.object_id}", f"CENTER_NAME = {one.center}", f"REF_FRAME = {one.frame}")
-    yield from (f"TIME_SYSTEM = {one.time_system}", f"START_TIME = {first}", f"STOP_TIME = {last}")
+    yield from ("", "META_START", *(f"{key} = {value}" for key, value in one.metadata().items()))
     yield from ("META_STOP", "")
     for time, state in zip(one.times, one.states, strict=True):
-        yield " ".join([_epoch(one, float(time)), *(f"{value:.15e}" for value in state)])
+        yield " ".join([one.epoch(float(time)), *(f"{value:.15e}" for value in state)])
     if one.covariances:
         yield "COVARIANCE_START"
         for covariance in one.covariances:
@@ -124,12 +121,7 @@ def _segment(one: Ephemeris) -> Iterator[str]:
 
 
 def _matrix(one: Ephemeris, covariance: Covariance) -> Iterator[str]:
-    yield f"EPOCH = {_epoch(one, covariance.time)}"
+    yield f"EPOCH = {one.epoch(covariance.time)}"
     yield f"COV_REF_FRAME = {covariance.frame or one.frame}"
     for k, row in enumerate(np.asarray(covariance.matrix)):
         yield " ".join(f"{value:.15e}" for value in row[: k + 1])
-
-
-def _epoch(one: Ephemeris, time: float) -> str:
-    """Return the epoch so many seconds after the start of an ephemeris."""
-    return epochs.spelled(one.start + round(time * epochs.SECOND), utc=one.time_system.upper() == "UTC")

@@ -1,10 +1,15 @@
-"""CCSDS orbit ephemeris messages in XML (CCSDS 505.0-B) as the same blocks as in keyword = value notation."""
+"""CCSDS orbit ephemeris messages in XML (CCSDS 505.0-B), in and out, as those in keyword = value notation."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
 from xml.parsers import expat
 
-from ahnn.data.files.ephemeris import COMPONENTS, Block
+import numpy as np
+
+from ahnn.data.files import epochs
+from ahnn.data.files.ephemeris import COMPONENTS, Block, Ephemeris
 from ahnn.data.files.table import Place
 
 TRIANGLE = [f"C{a}_{b}" for k, a in enumerate(COMPONENTS) for b in COMPONENTS[: k + 1]]
@@ -86,3 +91,41 @@ class _Reader:
             if name not in self.texts:
                 Place(self.file, self.row, name).refuse("the element", "none")
         return [self.texts[name] for name in names]
+
+
+def written(ephemerides: Iterable[Ephemeris], originator: str = "ahnn", created: str | None = None) -> str:
+    """Return a message of version 2.0; numbers have 16 digits, all that they hold.
+
+    Args:
+        ephemerides: a segment each.
+        originator: who says so.
+        created: epoch of the message in UTC; None is now.
+    """
+    message = Element("oem", id="CCSDS_OEM_VERS", version="2.0")
+    _group(message, "header", {"CREATION_DATE": created or epochs.now(), "ORIGINATOR": originator})
+    body = SubElement(message, "body")
+    for one in ephemerides:
+        segment = SubElement(body, "segment")
+        _group(segment, "metadata", one.metadata())
+        _data(SubElement(segment, "data"), one)
+    indent(message)
+    return tostring(message, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _data(parent: Element, one: Ephemeris) -> None:
+    """Add states and covariances."""
+    for time, state in zip(one.times, one.states, strict=True):
+        numbers = zip(COMPONENTS, (f"{value:.15e}" for value in state), strict=True)
+        _group(parent, "stateVector", {"EPOCH": one.epoch(float(time)), **dict(numbers)})
+    for covariance in one.covariances:
+        about = {"EPOCH": one.epoch(covariance.time), "COV_REF_FRAME": covariance.frame or one.frame}
+        cells = np.asarray(covariance.matrix)[np.tril_indices(len(COMPONENTS))]
+        numbers = zip(TRIANGLE, (f"{value:.15e}" for value in cells), strict=True)
+        _group(parent, "covarianceMatrix", {**about, **dict(numbers)})
+
+
+def _group(parent: Element, tag: str, texts: Mapping[str, str]) -> None:
+    """Add an element of elements with texts."""
+    group = SubElement(parent, tag)
+    for name, text in texts.items():
+        SubElement(group, name).text = text

@@ -11,7 +11,7 @@ import torch
 from made_files import ORBIT, csv_of, orbit
 
 from ahnn.data import Files
-from ahnn.data.files import Ephemeris, instant, read_oem, write_oem
+from ahnn.data.files import Covariance, Ephemeris, instant, read_oem, write_oem
 from ahnn.errors import UserError
 
 
@@ -96,11 +96,14 @@ def test_an_epoch_that_is_none_is_named(tmp_path):
 def test_the_oem_package_reads_what_is_written_and_is_read_itself(tmp_path):
     oem = pytest.importorskip("oem")
     start, (t, states) = instant("2024-03-01T12:00:00", utc=True), orbit()
-    write_oem(
-        tmp_path / "a.oem", [Ephemeris("2024-001A", "MINE", "EARTH", "EME2000", "UTC", start, t, states)]
-    )
-    theirs = oem.OrbitEphemerisMessage.open(tmp_path / "a.oem")
-    require_same(theirs, states)
+    known = (Covariance(float(t[1]), np.diag([1.0, 2.0, 3.0, 1e-6, 2e-6, 3e-6])),)
+    given = Ephemeris("2024-001A", "MINE", "EARTH", "EME2000", "UTC", start, t, states, known)
+    for name in ("a.xml", "a.oem"):
+        write_oem(tmp_path / name, [given])
+        theirs = oem.OrbitEphemerisMessage.open(tmp_path / name)
+        require_same(theirs, states)
+        (segment,) = theirs.segments
+        assert np.allclose(next(iter(segment.covariances)).matrix, known[0].matrix, rtol=1e-15, atol=0)
     theirs.save_as(tmp_path / "b.oem")
     theirs.save_as(tmp_path / "b.xml", file_format="xml")
     for name in ("b.oem", "b.xml"):
