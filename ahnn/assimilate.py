@@ -11,7 +11,7 @@ measurement=NAME    what is measured; of several sensors: +measurement@sensors.N
 plugins=NAME        the filter; plugins.ukf.gate=0.9999 refuses outliers, plugins.ukf.process_noise is Q
 watch=true          a live view of state, 3 sigma, innovations and NIS on standard error; or --watch
 figures=FOLDER      innovations, consistency and deviations at the end
-oem=FILE            .oem or .xml, an ephemeris message at the end with covariances; object= epoch= frame= center=
+oem=FILE            .oem or .xml: an ephemeris message at the end, with object= epoch= frame= center=
 --trust             build whatever the folder's config.yaml names; only if you know who wrote it
 """
 
