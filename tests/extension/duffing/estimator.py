@@ -54,9 +54,9 @@ class ExtendedKalmanFilter:
         measured = present.sum(-1)
         density = -0.5 * (nis + torch.logdet(s) + measured.to(nis) * math.log(2 * math.pi))
         belief = Belief(mean + (gain @ error).squeeze(-1), torch.linalg.cholesky(after))
-        told = Innovation(
-            residual, nis.masked_fill(measured == 0, torch.nan), measured, measured < 0, density
-        )
+        deviation = s.diagonal(dim1=-2, dim2=-1).sqrt().where(present, torch.nan)
+        nis = nis.masked_fill(measured == 0, torch.nan)
+        told = Innovation(residual, deviation, nis, measured, measured < 0, density)
         return state._replace(belief=belief), told
 
 
