@@ -72,6 +72,8 @@ class Session:
         else:
             require_new(output)
             lines.begin()
+        gc.collect()
+        gc.freeze()  # no line waits while the collector looks through what was imported
 
     def run(self, watch: Watcher | None = None) -> None:
         """Assimilate all lines that come.
@@ -80,16 +82,14 @@ class Session:
             UserError: a header that names what is not there.
             TrainingError: the filter has diverged; the message names the line.
         """
-        gc.collect()
-        gc.freeze()  # no line waits while the collector looks through what was imported
         try:
             self._run(watch)
         finally:
-            gc.unfreeze()
             self.close()
 
     def close(self) -> None:
         """Give back the files; what was not saved is taken again by who goes on."""
+        gc.unfreeze()
         self.lines.close(discard=self.output is None)
         if self.output is not None:
             self.output.close()
