@@ -9,6 +9,7 @@ knows all measurements. On a linear system the first iteration is exact and chan
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -106,14 +107,21 @@ def iterated_smoother(
 
         return unscented_smoother(run(begin, rows, grid, line, weights, SQUARE_ROOT, smoothing=True))
 
-    current = _of(guess, there)
+    current, change, count = _settled(_of(guess, there), relinearised, iterations)
+    lost = change.new_full((batch,), torch.inf)
+    return Iterated(_spread(current, there, guess), lost.index_copy(0, there, change), count)
+
+
+def _settled(
+    current: SmootherResult, relinearised: Callable[[SmootherResult], SmootherResult], iterations: int
+) -> tuple[SmootherResult, Tensor, int]:
+    """Iterate until nothing changes; return what there is, the last change (B,), and how many it were."""
     change, count = torch.full_like(current.means[:, 0, 0], 2 * SETTLED), 0
     while count < iterations and bool(((change > SETTLED) & change.isfinite()).any()):
         new, count = relinearised(current), count + 1
         change = torch.where(change.isfinite(), _change(current, new), torch.inf)
         current = _chosen(change.isfinite(), new, current)
-    lost = change.new_full((batch,), torch.inf)
-    return Iterated(_spread(current, there, guess), lost.index_copy(0, there, change), count)
+    return current, change, count
 
 
 def _change(old: SmootherResult, new: SmootherResult) -> Tensor:
