@@ -26,14 +26,14 @@ def prediction_figure(prediction: Prediction, space: Space, title: str) -> Figur
         if prediction.deviations is not None:
             half = SIGMAS * prediction.deviations[0, :, k] * scale
             axes.fill_between(time, value - half, value + half, color=colour, alpha=0.25, lw=0)
-        axes.legend(loc="upper right", frameon=False)
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
         axes.grid(alpha=0.3)
     if prediction.novelty is not None:
         panels[2].plot(time, prediction.novelty[0], color=style.BLACK)
-        panels[2].axhline(1.0, color=style.VERMILLION, ls="--", lw=1, label="edge of the training data")
+        panels[2].axhline(1.0, color=style.VERMILLION, ls="--", lw=1, label="edge of the\ntraining data")
         panels[2].set_ylabel("novelty")
         panels[2].set_ylim(bottom=0)
-        panels[2].legend(loc="lower right", frameon=False)
+        panels[2].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     style.label_time(panels[-1], style.Axis(time, space.units.time))
     panels[0].set_title(title if prediction.deviations is None else f"{title}, with {SIGMAS} sigma")
     return figure
