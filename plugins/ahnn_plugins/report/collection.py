@@ -6,13 +6,15 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from ahnn.errors import UserError
 from ahnn.evaluation.results import FILE, Results, load_results
 
 PREDICTIONS = "predictions.safetensors"
+SETTINGS = "config.yaml"
+EVALUATIONS = "evaluations"
 
 
 class Entry(NamedTuple):
@@ -39,21 +41,36 @@ class Entry(NamedTuple):
     @property
     def seed(self) -> int | None:
         """Seed of the training, where it is known."""
-        return self.results.training.get("seed")
+        seed = self.results.training.get("seed")
+        return seed if isinstance(seed, int) else None
 
     def array(self, key: str) -> Tensor | None:
-        """Return an array of the evaluation, such as `truth`, (B, T, D); None where it was not kept."""
+        """Return an array of the evaluation, such as `truth`, (B, T, D); None where it was not kept.
+
+        Raises:
+            UserError: the file is damaged.
+        """
         path = self.folder / PREDICTIONS
         if not path.is_file():
             return None
-        with safe_open(str(path), "pt") as arrays:
-            return arrays.get_tensor(key) if key in arrays.keys() else None  # noqa: SIM118 - no mapping
+        try:
+            with safe_open(str(path), "pt") as arrays:
+                return arrays.get_tensor(key) if key in arrays.keys() else None  # noqa: SIM118 - no mapping
+        except SafetensorError as error:
+            message = f"{path}: expected the arrays of an evaluation; received a damaged file: {error}"
+            raise UserError(message) from error
 
 
 class Collection(NamedTuple):
-    """All runs of a report, in the order of their folders."""
+    """All runs of a report, in the order of their folders.
+
+    Attributes:
+        entries: what was evaluated.
+        unfinished: run folders that hold a configuration and no results.
+    """
 
     entries: tuple[Entry, ...]
+    unfinished: tuple[Path, ...] = ()
 
     def systems(self) -> list[str]:
         """Return the names of the systems, each once."""
@@ -71,14 +88,30 @@ class Collection(NamedTuple):
 def collect(folders: Iterable[Path]) -> Collection:
     """Return the runs in folders: each is a run, or holds runs at any depth.
 
+    Later evaluations of a run in the same collection are left out: its seed would count twice.
+
     Raises:
         UserError: a folder holds none, or one of them is damaged.
     """
-    found: list[Path] = []
+    found: dict[Path, Path] = {}
+    unfinished: dict[Path, Path] = {}
     for folder in folders:
-        inside = [folder] if (folder / FILE).is_file() else sorted(p.parent for p in folder.rglob(FILE))
+        inside = [folder] if (folder / FILE).is_file() else runs_below(folder)
         if not inside:
             message = f"{folder}: expected a run, or a folder of runs; received no {FILE}. Evaluate first"
             raise UserError(message)
-        found += [each for each in inside if each not in found]
-    return Collection(tuple(Entry(folder, load_results(folder)) for folder in found))
+        for each in inside:
+            found.setdefault(each.resolve(), each)
+        begun = (path.parent for path in sorted(folder.rglob(SETTINGS)))
+        for each in begun:
+            if not ((each / FILE).exists() or (each / EVALUATIONS).exists() or each.name == ".hydra"):
+                unfinished.setdefault(each.resolve(), each)
+    entries = tuple(Entry(folder, load_results(folder)) for folder in found.values())
+    return Collection(entries, tuple(unfinished.values()))
+
+
+def runs_below(folder: Path) -> list[Path]:
+    """Return the folders with results below one; of a run and its later evaluations, the run."""
+    found = sorted(path.parent for path in folder.rglob(FILE))
+    later = {each for each in found if each.parent.name == EVALUATIONS and each.parent.parent in found}
+    return [each for each in found if each not in later]

@@ -1,0 +1,135 @@
+"""The order of the models and of the windows, with the spread over seeds that decides whether it means anything."""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations, pairwise, product
+from typing import NamedTuple
+
+from ahnn.evaluation.case import Start
+from ahnn_plugins.report.collection import Entry
+from ahnn_plugins.report.grid import NONE, Cell, Grid, Head, Line, interval, mean_and_spread
+from ahnn_plugins.report.paper import MODELS
+from ahnn_plugins.report.samples import Sample, ratio
+from ahnn_plugins.report.scores import QUANTITIES, Board, Measure
+
+STARTS: tuple[Start, ...] = ("true", "perturbed", "fitted")
+COLUMNS = [
+    Measure("", quantity, start, with_filter)
+    for with_filter, start, quantity in product((False, True), STARTS[:2], QUANTITIES[:2])
+]
+"""Of the ablation; the model is that of each row."""
+
+
+class Order(NamedTuple):
+    """Models by their error, the lowest first.
+
+    Attributes:
+        models: in the order of the geometric means over seeds.
+        decided: whether each is below the next one by more than chance.
+    """
+
+    models: tuple[str, ...]
+    decided: tuple[bool, ...]
+
+    def __str__(self) -> str:
+        signs = [" < " if decided else " ~ " for decided in self.decided]
+        return "".join(m + sign for m, sign in zip(self.models, [*signs, ""], strict=True))
+
+
+def ordered(samples: dict[str, Sample], confidence: float) -> Order:
+    """Return the order of samples that have values, undefined ones last."""
+    there = {model: sample for model, sample in samples.items() if sample.values}
+    models = sorted(there, key=lambda m: math.inf if math.isnan(there[m].typical) else there[m].typical)
+    decided = [ratio(there[a], there[b], confidence).high < 1 for a, b in pairwise(models)]
+    return Order(tuple(models), tuple(decided))
+
+
+def agreement(samples: dict[str, Sample], printed: dict[str, float], confidence: float) -> tuple[int, int, int]:
+    """Return how many pairs are decided as in the paper, against it, and not at all."""
+    found = {1: 0, -1: 0, 0: 0}
+    shared = [model for model in samples if samples[model].values and model in printed]
+    for a, b in combinations(shared, 2):
+        between = ratio(samples[a], samples[b], confidence)
+        decided = int(between.high < 1) - int(between.low > 1)
+        said = 1 if printed[a] < printed[b] else -1
+        found[decided * said] += 1
+    return found[1], found[-1], found[0]
+
+
+def order_table(board: Board, confidence: float) -> Grid | None:
+    """Return the order of the models in each column of the results; None for a single model."""
+    lines = []
+    for with_filter, start, quantity in product((False, True), STARTS, QUANTITIES):
+        measures = {model: Measure(model, quantity, start, with_filter) for model in board.groups}
+        samples = {model: board.sample(measure) for model, measure in measures.items()}
+        if sum(bool(sample.values) for sample in samples.values()) < 2:
+            continue
+        places = {model: board.printed(Measure(model, quantity, start, with_filter)) for model in MODELS}
+        said = {model: place.value for model, place in places.items() if place is not None}
+        pairs = agreement(samples, said, confidence)
+        cells = [
+            Cell(str(ordered(samples, confidence)), "words"),
+            Cell(" < ".join(sorted(said, key=lambda model: said[model])) or NONE, "words"),
+            *(Cell(str(count) if said else NONE) for count in pairs),
+        ]
+        name = f"{quantity}, {start} start" + (", filter" if with_filter else "")
+        lines.append(Line(name, tuple(cells)))
+    if not lines:
+        return None
+    heads = (
+        (Head(""), Head("ours"), Head("paper"), Head("pairs of models", 3)),
+        (Head("Error"), Head(""), Head(""), Head("as paper"), Head("reverse"), Head("open")),
+    )
+    caption = (
+        f"Lowest error first, by the geometric mean over seeds. A < B: decided, the {confidence:.0%} interval of "
+        "the ratio lies below one (Welch's test on the logarithms of the scores, each pair by itself); A ~ B: the "
+        "seeds do not decide."
+    )
+    return Grid(f"order_{board.system}", "Order of the models.", caption, heads, tuple(lines))
+
+
+def ablation_table(board: Board, confidence: float) -> Grid | None:
+    """Return the errors of one kind of model by its window W; None where fewer than two windows are there."""
+    lines = []
+    for assumes, windows in sorted(windows_of(board).items()):
+        if len(windows) > 1:
+            lines.append(Line(assumes or "assumptions not known"))
+            lines += [
+                Line(f"W = {w}", _window(board, windows[w], windows[min(windows)], confidence))
+                for w in sorted(windows)
+            ]
+    if not lines:
+        return None
+    units = board.entries[0].results.space.units
+    names = [
+        f"{m.quantity} [{getattr(units, m.quantity)}], {m.start} start" + (", filter" if m.filtered else "")
+        for m in COLUMNS
+    ]
+    caption = (
+        "Mean ± standard deviation over runs; in parentheses the factor to the smallest window with its "
+        f"{confidence:.0%} interval. HNN is the window of one step."
+    )
+    heads = ((Head("Window"), Head("runs"), *map(Head, names)),)
+    return Grid(f"window_{board.system}", "Ablation of the window W.", caption, heads, tuple(lines))
+
+
+def windows_of(board: Board) -> dict[str, dict[int, list[Entry]]]:
+    """Return the runs by what their models assume and by their window."""
+    kinds: dict[str, dict[int, list[Entry]]] = {}
+    for entry in board.entries:
+        window = entry.results.training.get("window")
+        if isinstance(window, int):
+            kinds.setdefault(entry.results.assumes, {}).setdefault(window, []).append(entry)
+    return kinds
+
+
+def _window(board: Board, entries: list[Entry], first: list[Entry], confidence: float) -> tuple[Cell, ...]:
+    """Return number of runs and errors of a window, with the factors to the first one."""
+    cells = [Cell(str(len(entries)))]
+    for measure in COLUMNS:
+        own, base = board.sample_of(entries, measure), board.sample_of(first, measure)
+        compares = entries is not first and own.values and base.values
+        factor = f" (× {interval(ratio(own, base, confidence))})" if compares else ""
+        cells.append(Cell(mean_and_spread(own) + factor))
+    return tuple(cells)

@@ -1,0 +1,121 @@
+"""The numbers that the paper prints, read from files beside this one: arXiv 2501.18808."""
+
+from __future__ import annotations
+
+import csv
+import math
+from functools import cache
+from importlib.resources import files
+from typing import NamedTuple
+
+from ahnn.evaluation.case import Start
+
+FILE = "paper.csv"
+SUSPICIOUS = "suspicious.csv"
+COLUMNS = ["table", "model", "scenario", "quantity", "value_in_physical_units", "unit"]
+REASONS = ["table", "model", "scenario", "quantity", "reason"]
+MODELS = ("MLP", "NODE", "HNN", "AHNN3", "AHNN5")
+"""Rows of both tables, in the paper's order; with the filter they are `filtered` names."""
+
+SYSTEMS = {
+    "table1_mass_spring": "mass_spring",
+    "text_energy_mass_spring": "mass_spring",
+    "table2_elliptic_orbit": "molniya",
+    "text_energy_elliptic_orbit": "molniya",
+}
+STARTS: dict[str, Start] = {"true_initial": "true", "perturbed_initial": "perturbed"}
+UNITS = {"km^2/s^2": "km²/s²"}
+
+
+def filtered(model: str) -> str:
+    """Return the paper's name of a model with the filter: `AHNNKF3` for `AHNN3`."""
+    return f"{model.rstrip('35')}KF{model[len(model.rstrip('35')) :]}"
+
+
+class Place(NamedTuple):
+    """Where a number of the paper stands.
+
+    Attributes:
+        system: `mass_spring` or `molniya`.
+        model: one of `MODELS`.
+        filtered: whether with the filter.
+        start: from which the prediction begins.
+        quantity: `position`, `velocity` or `energy`.
+    """
+
+    system: str
+    model: str
+    filtered: bool
+    start: Start
+    quantity: str
+
+
+class Printed(NamedTuple):
+    """A number of the paper.
+
+    Attributes:
+        value: as printed, in the unit.
+        unit: a physical one.
+        doubt: why it is suspicious; "" where it is not.
+    """
+
+    value: float
+    unit: str
+    doubt: str = ""
+
+
+@cache
+def printed() -> dict[Place, Printed]:
+    """Return every number of the paper.
+
+    Raises:
+        ValueError: a file of the package is damaged.
+    """
+    folder = files("ahnn_plugins.report")
+    reasons = read_rows(folder.joinpath(SUSPICIOUS).read_text("utf-8"), REASONS)
+    doubts = {place(row): row["reason"] for row in reasons}
+    numbers = read_numbers(folder.joinpath(FILE).read_text("utf-8"))
+    if unknown := doubts.keys() - numbers.keys():
+        message = f"{SUSPICIOUS}: expected cells of {FILE}; received {sorted(unknown)[0]}"
+        raise ValueError(message)
+    return {key: number._replace(doubt=doubts.get(key, "")) for key, number in numbers.items()}
+
+
+def read_numbers(text: str) -> dict[Place, Printed]:
+    """Return the numbers of a table of the columns `COLUMNS`.
+
+    Raises:
+        ValueError: other columns, a cell twice, an unknown name, or a value that is no finite number above zero.
+    """
+    found: dict[Place, Printed] = {}
+    for row in read_rows(text, COLUMNS):
+        key, value = place(row), float(row["value_in_physical_units"])
+        if key in found or not (math.isfinite(value) and value > 0):
+            message = f"{FILE}: expected one number above zero for {key}; received {value:g} or two of them"
+            raise ValueError(message)
+        found[key] = Printed(value, UNITS.get(row["unit"], row["unit"]))
+    return found
+
+
+def read_rows(text: str, columns: list[str]) -> list[dict[str, str]]:
+    """Return the rows of a table; raises ValueError for other columns or a row of another length."""
+    head, *rows = csv.reader(text.splitlines())
+    if head != columns or any(len(row) != len(columns) for row in rows):
+        message = f"expected the columns {', '.join(columns)} in every row; received {', '.join(head)}"
+        raise ValueError(message)
+    return [dict(zip(columns, row, strict=True)) for row in rows]
+
+
+def place(row: dict[str, str]) -> Place:
+    """Return where the number of a row stands; raises ValueError for a name that is unknown."""
+    names = {filtered(model): (model, True) for model in MODELS} | {m: (m, False) for m in MODELS}
+    quantity = row["quantity"].removeprefix("rmse_")
+    if quantity not in ("position", "velocity", "energy"):
+        message = f"quantity: expected rmse_position, rmse_velocity or rmse_energy; received {quantity!r}"
+        raise ValueError(message)
+    try:
+        model, with_filter = names[row["model"]]
+        return Place(SYSTEMS[row["table"]], model, with_filter, STARTS[row["scenario"]], quantity)
+    except KeyError as error:
+        message = f"expected a name of the paper; received {error}"
+        raise ValueError(message) from error

@@ -1,0 +1,119 @@
+"""The scores of a system's runs, grouped by model: samples over seeds, beside what perfect knowledge scores."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from ahnn.evaluation.case import Row, Start, Who
+from ahnn.evaluation.titles import MODEL
+from ahnn_plugins.report.collection import Collection, Entry
+from ahnn_plugins.report.paper import MODELS, Place, Printed, printed
+from ahnn_plugins.report.samples import Sample
+
+QUANTITIES = ("position", "velocity", "energy")
+FILTERS = ("ukf_tuned", "ukf")
+"""Estimators that stand in the paper's rows with the filter; the paper tunes it."""
+
+
+class Measure(NamedTuple):
+    """What is scored.
+
+    Attributes:
+        model: name in tables.
+        quantity: `position`, `velocity` or `energy`.
+        start: from which the prediction begins.
+        filtered: whether with the filter.
+    """
+
+    model: str
+    quantity: str = "position"
+    start: Start = "true"
+    filtered: bool = False
+
+
+class Board(NamedTuple):
+    """The runs of a system by model; models of the paper have its names, however they are capitalised.
+
+    Attributes:
+        system: its name.
+        groups: runs of each model, in the paper's order, others behind.
+        estimator: what filters in rows that are filtered; None where nothing does.
+    """
+
+    system: str
+    groups: dict[str, list[Entry]]
+    estimator: str | None
+
+    @property
+    def entries(self) -> list[Entry]:
+        """All runs."""
+        return [entry for group in self.groups.values() for entry in group]
+
+    def sample(self, measure: Measure) -> Sample:
+        """Return a score over the runs that have it."""
+        return self.sample_of(self.groups.get(measure.model, []), measure)
+
+    def sample_of(self, entries: list[Entry], measure: Measure) -> Sample:
+        """Return a score over given runs, whatever their model."""
+        if measure.filtered and self.estimator is None:
+            return Sample(())
+        who = Who(MODEL, measure.start, self.estimator if measure.filtered else None)
+        return sample(entries, who, measure.quantity)
+
+    def floor(self, measure: Measure) -> Sample:
+        """Return what perfect knowledge scores in the place of a measure, over all runs that say it."""
+        if measure.filtered and self.estimator is None:
+            return Sample(())
+        found = (floor_of(e, measure.start, measure.filtered, self.estimator) for e in self.entries)
+        values = (getattr(row.scores, measure.quantity) for row in found if row is not None)
+        return Sample(tuple(value for value in values if value is not None))
+
+    def printed(self, measure: Measure) -> Printed | None:
+        """Return the paper's number in the place of a measure, where it is in the same unit."""
+        found = printed().get(
+            Place(self.system, measure.model, measure.filtered, measure.start, measure.quantity)
+        )
+        units = {getattr(entry.results.space.units, measure.quantity) for entry in self.entries}
+        return found if found is not None and units <= {found.unit} else None
+
+
+def board(collection: Collection, system: str) -> Board:
+    """Return the scores of a system."""
+    groups: dict[str, list[Entry]] = {}
+    for entry in collection.of(system):
+        groups.setdefault(known_as(entry.model), []).append(entry)
+    order = [*(m for m in MODELS if m in groups), *(m for m in groups if m not in MODELS)]
+    return Board(system, {model: groups[model] for model in order}, estimator(collection.of(system)))
+
+
+def known_as(label: str) -> str:
+    """Return the paper's name of a model, or the label itself."""
+    return label.upper() if label.upper() in MODELS else label
+
+
+def estimator(entries: Iterable[Entry]) -> str | None:
+    """Return the estimator of the rows with a filter: one that all runs with estimators share, tuned first."""
+    named = [{r.who.estimator for r in e.results.rows if r.who.process == MODEL} - {None} for e in entries]
+    there = [names for names in named if names]
+    if not there:
+        return None
+    shared = set.intersection(*there) or set.union(*there)
+    return next((name for name in FILTERS if name in shared), min(name for name in shared if name))
+
+
+def sample(entries: Iterable[Entry], who: Who, quantity: str) -> Sample:
+    """Return a score of one row over the runs that have it."""
+    rows = (entry.results.row(who) for entry in entries)
+    values = (getattr(row.scores, quantity) for row in rows if row is not None)
+    return Sample(tuple(value for value in values if value is not None))
+
+
+def floor_of(entry: Entry, start: str, filtered: bool, estimator: str | None) -> Row | None:
+    """Return the floor from a start; with a filter, that of its untuned form where it has none of its own."""
+    wanted = [estimator, (estimator or "").split("_")[0]] if filtered else [None]
+    for name in wanted:
+        for row in entry.results.rows:
+            if row.who.floor and (row.who.start, row.who.estimator, row.who.span) == (start, name, "whole"):
+                return row
+    return None

@@ -1,0 +1,61 @@
+"""The configuration of a run folder as plain values and as text; nothing in it is built or looked up."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ahnn_plugins.report.collection import SETTINGS
+
+LARGEST = 2_000_000
+"""Characters of a configuration that is read; ours have a few thousand."""
+
+
+class _Plain(yaml.SafeLoader):
+    """YAML of plain values; an alias could make a small file a huge value."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            message = "an alias"
+            raise yaml.YAMLError(message)
+        return super().compose_node(parent, index)
+
+
+def text_of(folder: Path) -> str:
+    """Return the configuration of a run, or of the run whose evaluation this is; "" where there is none."""
+    for place in (folder, folder.parent.parent):
+        path = place / SETTINGS
+        if path.is_file() and path.stat().st_size <= LARGEST:
+            return path.read_text(encoding="utf-8", errors="replace")
+    return ""
+
+
+def values_of(folder: Path) -> dict[str, Any]:
+    """Return the configuration of a run as nested values; an empty one where it cannot be read."""
+    try:
+        content = yaml.load(text_of(folder), _Plain)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def noise_of(content: dict[str, Any]) -> str:
+    """Return the noise of the training data as it was asked for; `exact` where there was none."""
+    data = content.get("data")
+    noise = data.get("noise") if isinstance(data, dict) else None
+    return "exact" if noise is None else str(noise)[:60]
+
+
+def loss_of(content: dict[str, Any]) -> str:
+    """Return what a training made small, in a few words; "" where the configuration does not say it."""
+    loss = content.get("loss")
+    if not isinstance(loss, dict):
+        return ""
+    if isinstance(stages := loss.get("stages"), list):
+        return "weak form" if "weak" in str(stages) else "shooting"
+    fraction = loss.get("derivative")
+    if not isinstance(fraction, int | float) or fraction == 0:
+        return "recursive"
+    return "derivatives" if fraction == 1 else f"derivatives, then recursive ({fraction:g})"
