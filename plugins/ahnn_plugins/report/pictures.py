@@ -1,0 +1,94 @@
+"""Figures of a report: as HTML in the page, and as files beside it."""
+
+from __future__ import annotations
+
+import re
+from importlib.util import find_spec
+from typing import NamedTuple
+
+from ahnn.errors import UserError
+from ahnn.evaluation.sinks.figures import FORMATS, drawn
+from ahnn.progress import track
+from ahnn_plugins.report.collection import Collection
+from ahnn_plugins.report.drawing import Drawing
+from ahnn_plugins.report.markup import Markup, escaped, tag
+
+UNSAFE = re.compile(r"[^A-Za-z0-9_-]+")
+
+
+class Picture(NamedTuple):
+    """A figure with its HTML and its files.
+
+    Attributes:
+        drawing: what is drawn.
+        html: element with its script.
+        files: contents by suffix.
+    """
+
+    drawing: Drawing
+    html: Markup
+    files: dict[str, bytes]
+
+
+def require_plotly() -> None:
+    """Check that figures can be made interactive.
+
+    Raises:
+        UserError: plotly is missing.
+    """
+    if find_spec("plotly") is None:
+        message = (
+            "figures: expected the library plotly; received an installation without it. Type "
+            "pip install 'ahnn[report]', or set report.figures=false"
+        )
+        raise UserError(message)
+
+
+def library() -> str:
+    """Return the source of plotly.js."""
+    from ahnn_plugins.report.interactive import library as source  # pyright: ignore[reportMissingImports]
+
+    return source()
+
+
+def pictures(collection: Collection) -> list[Picture]:
+    """Return all figures of a collection; plotly.js itself is not in them."""
+    from matplotlib import pyplot
+
+    from ahnn_plugins.report.figures import draw  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
+    from ahnn_plugins.report.interactive import to_html  # pyright: ignore[reportMissingImports]
+    from ahnn_plugins.report.static import to_matplotlib  # pyright: ignore[reportMissingImports]
+
+    drawings = draw(collection)
+    made = []
+    for drawing in track(drawings, "drawing figures", len(drawings)):
+        figure = to_matplotlib(drawing)
+        files = {suffix: drawn(figure, suffix) for suffix in FORMATS}
+        pyplot.close(figure)  # of figures that pyplot knows; a report may have a hundred
+        made.append(Picture(drawing, Markup(to_html(drawing, first=False)), files))
+    return made
+
+
+def figures_html(found: list[Picture]) -> Markup:
+    """Return figures with titles and captions."""
+    return escaped([_figure(picture) for picture in found])
+
+
+def _figure(picture: Picture) -> Markup:
+    drawing = picture.drawing
+    parts = tag("h4", drawing.title), tag("div", picture.html, class_="drawing"), tag("figcaption", drawing.caption)
+    return tag("figure", *parts, id=f"figure-{safe_name(drawing.name)}")
+
+
+def of_system(found: list[Picture], systems: list[str]) -> dict[str, list[Picture]]:
+    """Return the figures by the system that their names begin with, the longest that fits; "" for no system."""
+    placed: dict[str, list[Picture]] = {}
+    for picture in found:
+        fits = [s for s in systems if picture.drawing.name.startswith(s)]
+        placed.setdefault(max(fits, key=len, default=""), []).append(picture)
+    return placed
+
+
+def safe_name(name: str) -> str:
+    """Return a name for a file or an anchor: what came from a run folder leads nowhere else."""
+    return UNSAFE.sub("_", name)[:100] or "_"
