@@ -14,7 +14,7 @@ COMMANDS = f"""ahnn {__version__}: learn Hamiltonian dynamics, and assimilate me
   python -m ahnn.export      a trained model for other programs         --help
   python -m ahnn.data check  look data over before they are learned     --help
   python -m ahnn.assimilate  filter a stream of measurements online     --help
-  python -m ahnn.report      runs in one HTML file, beside the paper     --help
+  python -m ahnn.report      runs in one HTML file, with figures        --help
   tensorboard --logdir runs  curves, scores and figures of all runs
 
 In Python: ahnn.load(RUN), ahnn.fit(TRAJECTORIES, SPACE); help(ahnn) says more.

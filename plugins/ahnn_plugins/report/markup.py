@@ -27,7 +27,7 @@ def escaped(content: Content) -> Markup:
     return Markup("".join(escaped(item) for item in content))
 
 
-def tag(name: str, *content: Content, **attributes: str | int | None) -> Markup:
+def tag(name: str, /, *content: Content, **attributes: str | int | None) -> Markup:
     """Return an element.
 
     Args:
