@@ -89,9 +89,9 @@ def _model(measure: Measure) -> str:
 
 def _cells(each: Evidence) -> tuple[Cell, ...]:
     low, high = each.demand.low, each.demand.high
-    wanted = f"below {shown(high)}" if low == 0 else f"{shown(low)} to {shown(high)}"
+    wanted = f"below {high:.3g}" if low == 0 else f"{low:.3g} to {high:.3g}"
     if math.isinf(high):
-        wanted = f"above {shown(low)}"
+        wanted = f"above {low:.3g}"
     answer = "holds" if each.met else "does not hold" if each.refuted else "undecided"
     return (
         Cell(wanted),

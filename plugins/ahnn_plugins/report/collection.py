@@ -15,6 +15,8 @@ from ahnn.evaluation.results import FILE, Results, load_results
 PREDICTIONS = "predictions.safetensors"
 SETTINGS = "config.yaml"
 EVALUATIONS = "evaluations"
+PAPER = ("mass_spring", "molniya")
+"""Systems of the paper, in its order."""
 
 
 class Entry(NamedTuple):
@@ -73,8 +75,9 @@ class Collection(NamedTuple):
     unfinished: tuple[Path, ...] = ()
 
     def systems(self) -> list[str]:
-        """Return the names of the systems, each once."""
-        return list(dict.fromkeys(entry.system for entry in self.entries))
+        """Return the names of the systems, each once, those of the paper first."""
+        names = dict.fromkeys(entry.system for entry in self.entries)
+        return sorted(names, key=lambda name: PAPER.index(name) if name in PAPER else len(PAPER))
 
     def models(self, system: str) -> list[str]:
         """Return the names of the models of a system, each once."""

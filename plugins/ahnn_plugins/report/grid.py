@@ -66,8 +66,14 @@ class Grid(NamedTuple):
         return sum(head.span for head in self.heads[0])
 
 
-def shown(value: float | None, digits: int = 3) -> str:
-    """Return a number in a few significant digits; what is lost is `lost`, what is not there a dash."""
+def shown(value: float | None, digits: int = 3, least: int = -3) -> str:
+    """Return a number in a few significant digits; what is lost is `lost`, what is not there a dash.
+
+    Args:
+        value: the number.
+        digits: significant ones.
+        least: smallest power of ten that is written without an exponent.
+    """
     if value is None:
         return NONE
     if not math.isfinite(value):
@@ -76,7 +82,7 @@ def shown(value: float | None, digits: int = 3) -> str:
         return "0"
     text = f"{value:.{digits - 1}e}"
     exponent = int(text.split("e")[1])
-    if -3 <= exponent < 5:
+    if least <= exponent < 5:
         return f"{float(text):.{max(0, digits - 1 - exponent)}f}"
     return _powered(text)
 
@@ -98,8 +104,9 @@ def mean_and_spread(sample: Sample, scale: float = 1.0) -> str:
     lost = sum(not math.isfinite(value) for value in sample.values)
     if lost:
         return f"lost in {lost} of {len(sample.values)}"
-    spread = "" if sample.spread is None else f" ± {shown(sample.spread / scale, 2)}"
-    return shown(sample.mean / scale) + spread
+    mean = shown(sample.mean / scale)
+    least = -3 if "×" in mean else -7  # both in one notation
+    return mean if sample.spread is None else f"{mean} ± {shown(sample.spread / scale, 2, least)}"
 
 
 def interval(ratio: Ratio) -> str:
@@ -109,4 +116,4 @@ def interval(ratio: Ratio) -> str:
     if math.isinf(ratio.value):
         return "∞"
     known = ratio.low > 0 and ratio.high < math.inf
-    return shown(ratio.value) + (f" [{shown(ratio.low, 2)}, {shown(ratio.high, 2)}]" if known else "")
+    return shown(ratio.value) + (f" [{shown(ratio.low)}, {shown(ratio.high)}]" if known else "")

@@ -50,7 +50,9 @@ def letter(note: int) -> str:
 
 def grid_html(grid: Grid) -> Markup:
     """Return a table in a frame that scrolls by itself."""
-    head = tag("thead", [_heads(row) for row in grid.heads])
+    first = next((line.cells for line in grid.lines if line.cells), ())
+    words = [False, *(cell.tone == "words" for cell in first)]
+    head = tag("thead", [_heads(row, words) for row in grid.heads])
     body = tag("tbody", [_line(line.name, line.cells, grid.columns) for line in grid.lines])
     caption = tag("caption", tag("strong", grid.title), " ", grid.caption)
     table = tag("table", caption, head, body)
@@ -60,8 +62,14 @@ def grid_html(grid: Grid) -> Markup:
     return tag("div", frame, below, class_="grid", id=grid.name)
 
 
-def _heads(row: tuple[Head, ...]) -> Markup:
-    cells = [tag("th", h.text, scope="col" if h.span == 1 else "colgroup", colspan=h.span) for h in row]
+def _heads(row: tuple[Head, ...], words: list[bool]) -> Markup:
+    """Return a row of headings; those over texts begin where the texts do."""
+    cells, column = [], 0
+    for head in row:
+        kind = "words" if head.span == 1 and words[column : column + 1] == [True] else None
+        scope = "col" if head.span == 1 else "colgroup"
+        cells.append(tag("th", head.text, scope=scope, colspan=head.span, class_=kind))
+        column += head.span
     return tag("tr", cells)
 
 

@@ -54,12 +54,11 @@ def sections(
 
 
 def _summary(collection: Collection, found: list[Verdict]) -> Markup:
-    seeds = dict.fromkeys(str(entry.seed) for entry in collection.entries)
+    seeds = sorted({entry.seed for entry in collection.entries if entry.seed is not None})
     facts: dict[str, str] = {"runs": str(len(collection.entries))}
     for system in collection.systems():
-        names = ", ".join(collection.models(system))
-        facts[f"models on {system}"] = names
-    facts["seeds"] = ", ".join(seeds)
+        facts[f"models on {system}"] = ", ".join(board(collection, system).groups)
+    facts["seeds"] = ", ".join(map(str, seeds)) or "not known"
     notes = [
         (f"{system}: " if len(collection.systems()) > 1 else "") + text
         for system in collection.systems()

@@ -16,6 +16,7 @@ SPRING = Space("mass_spring", ("q", "p"), Units("s", "m", "m/s", "J"))
 ORBIT = Space("molniya", ("x", "y", "z", "px", "py", "pz"), Units("s", "km", "km/s", "km²/s²"))
 SEEDS = (7, 201, 719)
 SPREAD = {7: 1.02, 201: 0.98, 719: 1.0}
+KNOWN = {"MLP": "nothing", "NODE": "a vector field"}
 WINDOWS = {"AHNN3": 3, "AHNN5": 5}
 FLOORS = {"true": 1e-8, "perturbed": 2e-4}
 
@@ -30,7 +31,7 @@ def results(rows: list[Row], label: str = "HNN", seed: int = 7, space: Space = S
     training |= {"parameters": 4417, "val_loss": 1e-3}
     about = {"ahnn": "0.2.0", "commit": "0123456789abcdef", "date": "2026-01-02T03:04:05", "command": "train"}
     whole = {"training": training, "about": about} | changes
-    return Results(label, f"{label.rstrip('35')} structure", space, tuple(rows), **whole)
+    return Results(label, KNOWN.get(label, "generic Hamiltonian"), space, tuple(rows), **whole)
 
 
 def write(folder: Path, found: Results) -> Path:
