@@ -117,7 +117,7 @@ def _cells(board: Board, measure: Measure, scale: float, doubts: list[str], *, i
     return [
         Cell(mean_and_spread(own, scale), "best" if is_best else ""),
         _printed(said, scale, doubts),
-        Cell(shown(floor.mean / scale if floor.values else None), "quiet"),
+        Cell(shown(floor.mean / scale if floor.values else None, 2), "quiet"),
     ]
 
 

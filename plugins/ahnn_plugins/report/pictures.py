@@ -53,8 +53,6 @@ def library() -> str:
 
 def pictures(collection: Collection) -> list[Picture]:
     """Return all figures of a collection; plotly.js itself is not in them."""
-    from matplotlib import pyplot
-
     from ahnn_plugins.report.figures import draw  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
     from ahnn_plugins.report.interactive import to_html  # pyright: ignore[reportMissingImports]
     from ahnn_plugins.report.static import to_matplotlib  # pyright: ignore[reportMissingImports]
@@ -64,7 +62,6 @@ def pictures(collection: Collection) -> list[Picture]:
     for drawing in track(drawings, "drawing figures", len(drawings)):
         figure = to_matplotlib(drawing)
         files = {suffix: drawn(figure, suffix) for suffix in FORMATS}
-        pyplot.close(figure)  # of figures that pyplot knows; a report may have a hundred
         made.append(Picture(drawing, Markup(to_html(drawing, first=False)), files))
     return made
 

@@ -44,7 +44,7 @@ def _missing(board: Board) -> Iterator[str]:
             yield "The units are not those of the paper: its numbers are left out."
         return
     missing = [model for model in MODELS if model not in board.groups]
-    if missing:
+    if missing and len(board.entries) > 1:
         yield f"No runs of {', '.join(missing)}: their cells are empty."
 
 

@@ -1,0 +1,224 @@
+"""Tables hold the numbers of the runs beside those of the paper, in its units, and say what is missing."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+
+import pytest
+from runs import ORBIT, SEEDS, SPRING, paper_rows, reproduction, results, scores, write
+
+from ahnn.errors import UserError
+from ahnn.evaluation import Row, Who
+from ahnn_plugins.report.collection import collect
+from ahnn_plugins.report.comparisons import ablation_table, agreement, order_table, ordered
+from ahnn_plugins.report.consistency import consistency_table
+from ahnn_plugins.report.layout import grid_latex, latex, letter
+from ahnn_plugins.report.overviews import cost_table, ladder_table, score_table
+from ahnn_plugins.report.paper_tables import energy_table, is_of_paper, rmse_table
+from ahnn_plugins.report.remarks import remarks, unfinished
+from ahnn_plugins.report.samples import Sample
+from ahnn_plugins.report.scores import Measure, board
+from ahnn_plugins.report.spreadsheet import COLUMNS, scores_csv
+
+
+@pytest.fixture(scope="module")
+def spring(tmp_path_factory):
+    return collect([reproduction(tmp_path_factory.mktemp("runs") / "spring")])
+
+
+@pytest.fixture(scope="module")
+def orbit(tmp_path_factory):
+    return collect([reproduction(tmp_path_factory.mktemp("runs") / "orbit", ORBIT)])
+
+
+def line(grid, name):
+    return next([cell.text for cell in each.cells] for each in grid.lines if each.name == name and each.cells)
+
+
+def test_table_1_has_the_layout_and_the_units_of_the_paper(spring):
+    grid = rmse_table(board(spring, "mass_spring"))
+    assert [each.name for each in grid.lines if each.cells] == [
+        *("MLP", "NODE", "HNN", "AHNN3", "AHNN5"),
+        *("MLPKF", "NODEKF", "HNNKF", "AHNNKF3", "AHNNKF5"),
+    ]
+    assert [head.text for head in grid.heads[1]][1:3] == ["position [10⁻⁴ m]", "velocity [10⁻⁴ m/s]"]
+    ours = line(grid, "AHNN5")
+    assert ours[:3] == ["1.55 ± 0.031", "1.5528", "1.0×10⁻⁴"]
+    assert ours[9:12] == ["14.6 ± 0.29", "14.586", "4.0"]
+    assert all(sum(head.span for head in row) == grid.columns == 13 for row in grid.heads)
+    bold = {each.name for each in grid.lines for cell in each.cells[:1] if cell.tone == "best"}
+    assert bold == {"AHNN5", "AHNNKF5"}
+
+
+def test_table_2_marks_suspicious_cells_with_a_reason(orbit):
+    grid = rmse_table(board(orbit, "molniya"))
+    assert line(grid, "NODE")[6:8] == ["14400 ± 290", "14374"]
+    cell = next(each.cells[4] for each in grid.lines if each.name == "AHNN5")
+    assert cell.text == "4.5962"
+    assert "very likely ten times too large" in grid.notes[cell.note - 1]
+    marked = {(e.name, i) for e in grid.lines for i, cell in enumerate(e.cells) if cell.note}
+    assert len(marked) == 12
+    assert line(energy_table(board(orbit, "molniya")), "HNN") == ["0.00643 ± 0.00013", "0.0064312", "0.0010"]
+
+
+def test_the_order_of_models_says_which_of_its_steps_the_spread_decides(spring):
+    samples = {"a": Sample((2.0, 2.1, 2.2)), "b": Sample((1.0, 1.1, 1.2)), "c": Sample((0.5, 1.0, 2.0))}
+    assert str(ordered(samples, 0.95)) == "c ~ b < a"
+    assert str(ordered({"a": Sample((math.nan, 1.0)), "b": Sample((1.0, 1.0))}, 0.95)) == "b ~ a"
+    assert agreement(samples, {"a": 2.0, "b": 1.0, "c": 0.1, "d": 3.0}, 0.95) == (1, 0, 2)
+    assert agreement(samples, {"a": 1.0, "b": 2.0}, 0.95) == (0, 1, 0)
+    grid = order_table(board(spring, "mass_spring"), 0.95)
+    order = "AHNN5 < HNN < AHNN3 < NODE < MLP"
+    assert grid is not None
+    assert line(grid, "position, true start") == [order, order, "10", "0", "0"]
+    assert line(grid, "energy, perturbed start")[1:] == ["–"] * 4
+
+
+def test_the_ablation_compares_windows_of_models_that_assume_the_same(spring):
+    grid = ablation_table(board(spring, "mass_spring"), 0.95)
+    assert grid is not None
+    assert [each.name for each in grid.lines] == ["generic Hamiltonian", "W = 1", "W = 3", "W = 5"]
+    assert line(grid, "W = 1")[:2] == ["3", "3.13×10⁻⁴ ± 6.3×10⁻⁶"]
+    assert line(grid, "W = 5")[1].startswith("1.55×10⁻⁴ ± 3.1×10⁻⁶ (× 0.496 [0.474, 0.519])")
+
+
+def test_costs_and_scores_are_those_of_the_runs(spring):
+    scores_of = board(spring, "mass_spring")
+    assert line(cost_table(scores_of), "AHNN5")[:5] == ["3", "10", "100", "4417", "5"]
+    grid = score_table(scores_of)
+    assert line(grid, "UKF, perturbed start")[:3] == ["3", "0.00156 ± 0.000031", "2.00×10⁻⁴"]
+
+
+def test_prior_knowledge_loss_and_noise_make_rows_of_their_own(tmp_path):
+    rows = [Row(Who("model", "true"), scores(1.0))]
+    for name, assumes, config in (
+        ("a", "generic", "data: {noise: null}\nloss: {derivative: 0.0}\n"),
+        ("b", "mechanical", "data: {noise: [0.1, 0.2]}\nloss: {stages: [[weak, 0.5]]}\n"),
+        ("c", "mechanical", "data: {noise: null}\nloss: {derivative: 1.0}\n"),
+        ("d", "mechanical", "a: &x 1\nb: *x\n"),
+    ):
+        folder = write(tmp_path / name, results(rows, name)._replace(assumes=assumes))
+        (folder / "config.yaml").write_text(config)
+    grid = ladder_table(board(collect([tmp_path]), "mass_spring"))
+    assert grid is not None
+    found = [(each.name, *(cell.text for cell in each.cells[:3])) for each in grid.lines]
+    assert found == [
+        ("generic", "recursive", "exact", "a"),
+        ("mechanical", "weak form", "[0.1, 0.2]", "b"),
+        ("mechanical", "derivatives", "exact", "c"),
+        ("mechanical", "–", "–", "d"),
+    ]
+
+
+def test_all_scores_are_a_csv_table_with_all_digits(orbit):
+    rows = list(csv.DictReader(io.StringIO(scores_csv(orbit))))
+    assert list(rows[0]) == list(COLUMNS)
+    assert len(rows) == 5 * 4 * 3
+    want = {"model": "AHNN5", "estimator": "ukf", "start": "perturbed", "quantity": "position"}
+    (row,) = [row for row in rows if want.items() <= row.items()]
+    assert (float(row["mean"]), float(row["paper"]), row["runs"]) == (pytest.approx(50.38), 50.38, "3")
+    assert float(row["standard_deviation"]) == pytest.approx(0.02 * 50.38)
+    assert row["unit"] == "km"
+
+
+def test_missing_models_filters_seeds_and_unequal_runs_are_said(tmp_path):
+    reproduction(tmp_path / "a", models=("HNN", "AHNN3"), filtered=False)
+    rows = paper_rows("mass_spring", "MLP", 1.0)
+    changed = results(rows, "mlp", 7)
+    write(tmp_path / "b", changed._replace(training=changed.training | {"steps": 5}, assumes="more"))
+    write(tmp_path / "c", results(rows, "MLP", 7))
+    (tmp_path / "d").mkdir()
+    (tmp_path / "d" / "config.yaml").write_text("")
+    found = collect([tmp_path])
+    said = "\n".join(remarks(board(found, "mass_spring")))
+    for part in (
+        "No runs of NODE, AHNN5: their cells are empty.",
+        "unequal numbers of runs: MLP 2, HNN 3, AHNN3 3",
+        "MLP: seed 7 is there more than once",
+        "8 of 8 runs kept no predictions",
+        "6 of 8 runs were not evaluated with a filter",
+        "Runs of MLP differ in assumptions: more, nothing.",
+        "Runs of MLP differ in optimiser steps: 5, 100.",
+        "unequal numbers of optimiser steps",
+    ):
+        assert part in said
+    assert unfinished(found.unfinished) == [
+        f"1 runs have no results, and are not in this report: {tmp_path / 'd'}."
+    ]
+    grid = rmse_table(board(found, "mass_spring"))
+    assert line(grid, "NODE")[:2] == ["–", "6.3214"]
+    assert line(grid, "HNNKF")[:2] == ["–", "0.7261"]
+
+
+def test_other_trajectories_and_lost_predictions_are_said(tmp_path):
+    for name, floor, value in (("a", 1.0, 2.0), ("b", 1.1, math.inf)):
+        rows = [Row(Who("model", "true"), scores(value))]
+        rows.append(Row(Who("exact", "true", floor=True), scores(floor)))
+        write(tmp_path / name, results(rows, seed=SEEDS[name == "a"]))
+    said = "\n".join(remarks(board(collect([tmp_path]), "mass_spring")))
+    assert "not judged on the same trajectories" in said
+    assert "HNN: 1 of 2 scores are not finite" in said
+
+
+def test_a_system_of_other_units_or_another_name_has_no_numbers_of_the_paper(tmp_path):
+    rows = [Row(Who("model", "true"), scores(1.0, energy=None))]
+    write(tmp_path / "a" / "x", results(rows, space=SPRING._replace(units=ORBIT.units)))
+    found = board(collect([tmp_path / "a"]), "mass_spring")
+    assert not is_of_paper(found)
+    assert any("units are not those of the paper" in text for text in remarks(found))
+    write(tmp_path / "b" / "x", results(rows, space=SPRING._replace(name="pendulum")))
+    other = board(collect([tmp_path / "b"]), "pendulum")
+    assert not is_of_paper(other)
+    assert other.printed(Measure("HNN")) is None
+    assert line(score_table(other), "no measurements, true start") == ["1", "1.00", "–", "2.00", "–", "–", "–"]
+
+
+def test_a_tuned_filter_stands_in_the_rows_of_the_paper_beside_the_floor_of_the_plain_one(tmp_path):
+    rows = [Row(Who("model", "true", name), scores(v)) for name, v in (("ukf", 2.0), ("ukf_tuned", 1.0))]
+    rows.append(Row(Who("exact", "true", "ukf", floor=True), scores(0.5)))
+    write(tmp_path / "a", results(rows))
+    found = board(collect([tmp_path]), "mass_spring")
+    measure = Measure("HNN", filtered=True)
+    assert (found.estimator, found.sample(measure).values, found.floor(measure).values) == ("ukf_tuned", (1.0,), (0.5,))
+
+
+def test_later_evaluations_count_once_and_links_do_not_double_a_run(tmp_path):
+    rows = [Row(Who("model", "true"), scores(1.0))]
+    run = write(tmp_path / "runs" / "a", results(rows))
+    write(run / "evaluations" / "later", results(rows))
+    write(tmp_path / "runs" / "pretrained" / "evaluations" / "one", results(rows, seed=8))
+    (tmp_path / "link").symlink_to(run)
+    found = collect([tmp_path / "runs", tmp_path / "link"])
+    assert [entry.seed for entry in found.entries] == [7, 8]
+    assert not found.unfinished
+    assert collect([run / "evaluations" / "later"]).entries[0].seed == 7
+    with pytest.raises(UserError, match="expected a run, or a folder of runs"):
+        collect([tmp_path / "nowhere"])
+    (run / "predictions.safetensors").write_bytes(b"x" * 20)
+    with pytest.raises(UserError, match="damaged"):
+        found.entries[0].array("truth")
+
+
+def test_consistency_is_judged_by_the_band_of_what_plugins_say():
+    numbers = {"f": {"true": {"nees": {"mean": 9.0, "band_95": [1.0, 2.0]}}, "x": {"mean": 1, "band_95": [1, 2]}}}
+    numbers["g"] = {"nis": {"mean": 0.5, "band_95": [1.0, 2.0]}, "odd": {"mean": "a", "band_95": [0, 1]}}
+    grid = consistency_table("s", numbers)
+    assert grid is not None
+    assert {each.name: each.cells[2].text for each in grid.lines} == {
+        "f / true / nees": "overconfident",
+        "f / x": "consistent",
+        "g / nis": "too cautious",
+    }
+    assert consistency_table("s", {"a": 1}) is None
+
+
+def test_latex_has_the_columns_that_it_declares_and_no_sign_of_its_own_from_outside(orbit):
+    text = grid_latex(rmse_table(board(orbit, "molniya")))
+    rows = [part for part in text.splitlines() if part.endswith(r"\\") and "multicolumn" not in part]
+    assert all(part.count("&") == 12 for part in rows)
+    assert r"\begin{tabular}{l" + 12 * "r" + "}" in text
+    assert r"4.5962\textsuperscript{b}" in text
+    assert latex(r"\input{x} 50% a_b 10⁻⁴") == r"\textbackslash{}input\{x\} 50\% a\_b 10$^{-4}$"
+    assert [letter(n) for n in (1, 26, 27, 52, 53)] == ["a", "z", "aa", "az", "ba"]
