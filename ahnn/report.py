@@ -44,7 +44,9 @@ def report(arguments: list[str]) -> None:
         message = f"{USAGE}; received {'both' if given else 'neither'}"
         raise UserError(message)
     if cfg.run is not None and not (Path(str(cfg.run)) / FILE).is_file():
-        message = f"run={cfg.run}: expected one evaluated run; received no {FILE} there. Leave out run= for many"
+        message = (
+            f"run={cfg.run}: expected one evaluated run; received no {FILE} there. Leave out run= for many"
+        )
         raise UserError(message)
     folders = [Path(text) for text in given] or [Path(str(cfg.run))]
     output = folders[0] / "report" if cfg.output is None else Path(str(cfg.output))

@@ -59,7 +59,9 @@ def _claim(verdict: Verdict, confidence: float) -> Markup:
     refuted = sum(each.refuted for each in verdict.evidence)
     ours = f"Ours meet {met} and contradict {refuted}."
     because = f" Undecided: {verdict.reason}." if verdict.answer == "undecided" else ""
-    head = tag("summary", badge(verdict.answer), " ", claim.text, " ", tag("span", claim.source, class_="source"))
+    head = tag(
+        "summary", badge(verdict.answer), " ", claim.text, " ", tag("span", claim.source, class_="source")
+    )
     said = tag("p", f"{ours} {own}{because}")
     return tag("details", head, said, grid_html(evidence_table(verdict, confidence)), id=claim.name)
 

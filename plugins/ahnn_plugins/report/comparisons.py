@@ -45,7 +45,9 @@ def ordered(samples: dict[str, Sample], confidence: float) -> Order:
     return Order(tuple(models), tuple(decided))
 
 
-def agreement(samples: dict[str, Sample], printed: dict[str, float], confidence: float) -> tuple[int, int, int]:
+def agreement(
+    samples: dict[str, Sample], printed: dict[str, float], confidence: float
+) -> tuple[int, int, int]:
     """Return how many pairs are decided as in the paper, against it, and not at all."""
     found = {1: 0, -1: 0, 0: 0}
     shared = [model for model in samples if samples[model].values and model in printed]

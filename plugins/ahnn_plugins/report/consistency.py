@@ -43,7 +43,9 @@ def consistency_table(system: str, numbers: dict[str, Any]) -> Grid | None:
         inside = each.low <= each.mean <= each.high
         says = "consistent" if inside else "overconfident" if each.mean > each.high else "too cautious"
         band = f"{shown(each.low)} to {shown(each.high)}"
-        lines.append(Line(each.name.replace("_", " "), (Cell(shown(each.mean)), Cell(band), Cell(says, "words"))))
+        lines.append(
+            Line(each.name.replace("_", " "), (Cell(shown(each.mean)), Cell(band), Cell(says, "words")))
+        )
     if not lines:
         return None
     caption = (

@@ -60,10 +60,14 @@ def page(title: str, subtitle: str, sections: list[Section], library: str = "") 
         tag("style", Markup(style)),
         tag("script", Markup(library)) if library else [],
     )
-    contents = tag("nav", tag("details", tag("summary", "Contents"), _contents(sections)), aria_label="Contents")
+    contents = tag(
+        "nav", tag("details", tag("summary", "Contents"), _contents(sections)), aria_label="Contents"
+    )
     header = tag("header", tag("h1", title), tag("p", subtitle))
     main = tag("main", [_section(section, 2) for section in sections])
-    body = tag("body", header, tag("div", contents, main, class_="page"), tag("script", Markup(OPEN_FOR_PRINT)))
+    body = tag(
+        "body", header, tag("div", contents, main, class_="page"), tag("script", Markup(OPEN_FOR_PRINT))
+    )
     return "<!doctype html>\n" + tag("html", head, body, lang="en") + "\n"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from ahnn_plugins.report.grid import Cell, Grid, Head
-from ahnn_plugins.report.markup import Markup, tag
+from ahnn_plugins.report.markup import Markup, safe_name, tag
 
 LATEX = {
     "\\": r"\textbackslash{}",
@@ -59,7 +59,7 @@ def grid_html(grid: Grid) -> Markup:
     frame = tag("div", table, class_="scroll", tabindex="0", role="region", aria_label=grid.title)
     notes = [tag("li", tag("sup", letter(i)), " ", note) for i, note in enumerate(grid.notes, 1)]
     below = [tag("ul", notes, class_="notes")] if notes else []
-    return tag("div", frame, below, class_="grid", id=grid.name)
+    return tag("div", frame, below, class_="grid", id=safe_name(grid.name))
 
 
 def _heads(row: tuple[Head, ...], words: list[bool]) -> Markup:
@@ -89,7 +89,7 @@ def grid_latex(grid: Grid) -> str:
     first = next((line.cells for line in grid.lines if line.cells), ())
     kinds = "".join("l" if cell.tone == "words" else "r" for cell in first)
     lines = [
-        rf"\begin{{table}}\caption{{{latex(grid.title)} {latex(grid.caption)}}}\label{{tab:{grid.name}}}",
+        rf"\begin{{table}}\caption{{{latex(grid.title)} {latex(grid.caption)}}}\label{{tab:{safe_name(grid.name)}}}",
         rf"\centering\begin{{tabular}}{{l{kinds}}}\toprule",
     ]
     for row in grid.heads:
@@ -98,11 +98,15 @@ def grid_latex(grid: Grid) -> str:
     lines.append(r"\midrule")
     for line in grid.lines:
         if not line.cells:
-            lines.append(rf"\addlinespace \multicolumn{{{grid.columns}}}{{l}}{{\itshape {latex(line.name)}}} \\")
+            lines.append(
+                rf"\addlinespace \multicolumn{{{grid.columns}}}{{l}}{{\itshape {latex(line.name)}}} \\"
+            )
             continue
         lines.append(" & ".join([latex(line.name), *map(_latex_cell, line.cells)]) + r" \\")
     lines.append(r"\bottomrule\end{tabular}")
-    lines += [rf"\par\footnotesize\textsuperscript{{{letter(i)}}} {latex(n)}" for i, n in enumerate(grid.notes, 1)]
+    lines += [
+        rf"\par\footnotesize\textsuperscript{{{letter(i)}}} {latex(n)}" for i, n in enumerate(grid.notes, 1)
+    ]
     return "\n".join([*lines, r"\end{table}", ""])
 
 

@@ -94,8 +94,14 @@ def _claims(found: list[Verdict], confidence: float) -> tuple[Markup, tuple[Sect
 def _system(
     collection: Collection, system: str, grids: list[Grid], pictures: list[Picture], number: int
 ) -> Section:
-    assumed = dict.fromkeys(f"{e.model}: {e.results.assumes}" for e in collection.of(system) if e.results.assumes)
-    known = tag("details", tag("summary", "What each model takes as known"), tag("ul", [tag("li", t) for t in assumed]))
+    assumed = dict.fromkeys(
+        f"{e.model}: {e.results.assumes}" for e in collection.of(system) if e.results.assumes
+    )
+    known = tag(
+        "details",
+        tag("summary", "What each model takes as known"),
+        tag("ul", [tag("li", t) for t in assumed]),
+    )
     parts = [Section(f"system-{number}-tables", "Tables", escaped([grid_html(grid) for grid in grids]))]
     if pictures:
         parts.append(Section(f"system-{number}-figures", "Figures", figures_html(pictures)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import re
 from collections.abc import Iterable
 
 
@@ -14,6 +15,8 @@ class Markup(str):
 
 Content = str | Iterable["Content"]
 """Texts, which are escaped, markup, which is not, and nested sequences of both."""
+
+UNSAFE = re.compile(r"[^A-Za-z0-9_-]+")
 
 VOID = ("meta", "br", "col", "img")
 
@@ -38,3 +41,8 @@ def tag(name: str, /, *content: Content, **attributes: str | int | None) -> Mark
     pairs = {key.rstrip("_").replace("_", "-"): value for key, value in attributes.items()}
     given = "".join(f' {k}="{html.escape(str(v))}"' for k, v in pairs.items() if v is not None)
     return Markup(f"<{name}{given}>" + ("" if name in VOID else f"{escaped(content)}</{name}>"))
+
+
+def safe_name(name: str) -> str:
+    """Return a name for a file or an anchor: what came from a run folder leads nowhere else."""
+    return UNSAFE.sub("_", name)[:100] or "_"

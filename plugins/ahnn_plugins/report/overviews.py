@@ -68,7 +68,11 @@ def ladder_table(board: Board) -> Grid | None:
     steps: dict[tuple[str, str, str], list[Entry]] = {}
     for entry in board.entries:
         content = values_of(entry.folder)
-        key = (entry.results.assumes or NONE, loss_of(content) or NONE, noise_of(content) if content else NONE)
+        key = (
+            entry.results.assumes or NONE,
+            loss_of(content) or NONE,
+            noise_of(content) if content else NONE,
+        )
         steps.setdefault(key, []).append(entry)
     if len(steps) < 2:
         return None

@@ -28,7 +28,9 @@ LAYOUTS = {
         1, "RMSE for the mass-spring system", {"position": (1e-4, "10⁻⁴ m"), "velocity": (1e-4, "10⁻⁴ m/s")}
     ),
     "molniya": Layout(
-        2, "RMSE for the highly elliptic orbit", {"position": (1e2, "10² km"), "velocity": (1e-1, "10⁻¹ km/s")}
+        2,
+        "RMSE for the highly elliptic orbit",
+        {"position": (1e2, "10² km"), "velocity": (1e-1, "10⁻¹ km/s")},
     ),
 }
 
@@ -78,7 +80,9 @@ def energy_table(board: Board) -> Grid:
     for model in MODELS:
         cells = _cells(board, Measure(model, "energy"), 1.0, [], is_best=model == best)
         lines.append(Line(model, tuple(cells)))
-    caption = "Root mean square over trajectories and times of H(prediction) - H(truth), true start, no filter."
+    caption = (
+        "Root mean square over trajectories and times of H(prediction) - H(truth), true start, no filter."
+    )
     if board.system == "molniya":
         caption += " The paper says J for 1 kg with lengths in km: that is km²/s², or MJ."
     heads = ((Head("Model"), Head(f"energy [{unit}]", 3)), (Head(""), *SUB))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from importlib.util import find_spec
 from typing import NamedTuple
 
@@ -11,9 +10,7 @@ from ahnn.evaluation.sinks.figures import FORMATS, drawn
 from ahnn.progress import track
 from ahnn_plugins.report.collection import Collection
 from ahnn_plugins.report.drawing import Drawing
-from ahnn_plugins.report.markup import Markup, escaped, tag
-
-UNSAFE = re.compile(r"[^A-Za-z0-9_-]+")
+from ahnn_plugins.report.markup import Markup, escaped, safe_name, tag
 
 
 class Picture(NamedTuple):
@@ -73,7 +70,11 @@ def figures_html(found: list[Picture]) -> Markup:
 
 def _figure(picture: Picture) -> Markup:
     drawing = picture.drawing
-    parts = tag("h4", drawing.title), tag("div", picture.html, class_="drawing"), tag("figcaption", drawing.caption)
+    parts = (
+        tag("h4", drawing.title),
+        tag("div", picture.html, class_="drawing"),
+        tag("figcaption", drawing.caption),
+    )
     return tag("figure", *parts, id=f"figure-{safe_name(drawing.name)}")
 
 
@@ -84,8 +85,3 @@ def of_system(found: list[Picture], systems: list[str]) -> dict[str, list[Pictur
         fits = [s for s in systems if picture.drawing.name.startswith(s)]
         placed.setdefault(max(fits, key=len, default=""), []).append(picture)
     return placed
-
-
-def safe_name(name: str) -> str:
-    """Return a name for a file or an anchor: what came from a run folder leads nowhere else."""
-    return UNSAFE.sub("_", name)[:100] or "_"

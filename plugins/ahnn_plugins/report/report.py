@@ -16,7 +16,8 @@ from ahnn_plugins.report.collection import Collection, collect
 from ahnn_plugins.report.document import page
 from ahnn_plugins.report.grid import Grid
 from ahnn_plugins.report.layout import grid_latex
-from ahnn_plugins.report.pictures import Picture, library, pictures, require_plotly, safe_name
+from ahnn_plugins.report.markup import safe_name
+from ahnn_plugins.report.pictures import Picture, library, pictures, require_plotly
 from ahnn_plugins.report.spreadsheet import scores_csv
 
 FILE = "report.html"
@@ -92,7 +93,9 @@ def headings(collection: Collection) -> tuple[str, str]:
         return f"{entry.model} on {entry.system}", str(entry.folder)
     dates = sorted({str(e.results.about["date"])[:10] for e in entries if "date" in e.results.about})
     when = f", trained {dates[0]}" + (f" to {dates[-1]}" if len(dates) > 1 else "") if dates else ""
-    return f"{len(entries)} runs on {' and '.join(collection.systems())}", f"Scores over seeds{when}"
+    *first, last = collection.systems()
+    systems = f"{', '.join(first)} and {last}" if first else last
+    return f"{len(entries)} runs on {systems}", f"Scores over seeds{when}"
 
 
 def named(grids: dict[str, list[Grid]]) -> dict[str, Grid]:

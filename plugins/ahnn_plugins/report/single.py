@@ -20,7 +20,10 @@ from ahnn_plugins.report.settings import text_of
 def tables(collection: Collection) -> dict[str, list[Grid]]:
     """Return the tables of a run."""
     (entry,) = collection.entries
-    found = [score_table(board(collection, entry.system)), consistency_table(entry.system, entry.results.numbers)]
+    found = [
+        score_table(board(collection, entry.system)),
+        consistency_table(entry.system, entry.results.numbers),
+    ]
     return {entry.system: [grid for grid in found if grid is not None]}
 
 
@@ -32,7 +35,9 @@ def sections(collection: Collection, grids: dict[str, list[Grid]], pictures: lis
     notes = [f"{described(row.who, results.label)}: {row.note}" for row in results.rows if row.note]
     told = [*remarks(board(collection, entry.system)), *notes]
     drawn = [Section("figures", "Figures", figures_html(pictures))] if pictures else []
-    consistent = [Section("consistency", "Consistency", escaped(list(map(grid_html, others))))] if others else []
+    consistent = (
+        [Section("consistency", "Consistency", escaped(list(map(grid_html, others))))] if others else []
+    )
     numbers = [Section("numbers", "Further numbers", _numbers(entry))] if results.numbers else []
     return [
         Section("summary", "Summary", escaped([_training(entry), remarks_html(told)])),
@@ -61,7 +66,9 @@ def _training(entry: Entry) -> Markup:
 
 
 def _named(key: str) -> str:
-    return {"seconds": "training [s]", "steps": "optimiser steps", "val_loss": "validation loss"}.get(key, key)
+    return {"seconds": "training [s]", "steps": "optimiser steps", "val_loss": "validation loss"}.get(
+        key, key
+    )
 
 
 def _shown(value: float | None, said: object) -> str:

@@ -57,7 +57,13 @@ class Page:
 
     def open(self, path: Path, width: int, height: int = 900, *, dark: bool = False) -> None:
         """Open a file from the disk in a window of a size, and wait until it is loaded."""
-        self("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600)
+        self(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=width < 600,
+        )
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self("Emulation.setEmulatedMedia", features=[scheme])
         self._events.clear()
@@ -83,9 +89,9 @@ class Page:
         self._events.append(method)
         if method == "Runtime.exceptionThrown":
             self.problems.append(str(said["exceptionDetails"]))
-        elif method == "Runtime.consoleAPICalled" and said["type"] in ("error", "warning", "assert"):
+        elif method == "Runtime.consoleAPICalled" and said["type"] in ("error", "assert"):
             self.problems.append(str(said["args"]))
-        elif method == "Log.entryAdded" and said["entry"]["level"] in ("error", "warning"):
+        elif method == "Log.entryAdded" and said["entry"]["level"] == "error":
             self.problems.append(str(said["entry"]))
         elif method == "Network.requestWillBeSent":
             address = said["request"]["url"]

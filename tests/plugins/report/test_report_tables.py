@@ -172,7 +172,15 @@ def test_a_system_of_other_units_or_another_name_has_no_numbers_of_the_paper(tmp
     other = board(collect([tmp_path / "b"]), "pendulum")
     assert not is_of_paper(other)
     assert other.printed(Measure("HNN")) is None
-    assert line(score_table(other), "no measurements, true start") == ["1", "1.00", "–", "2.00", "–", "–", "–"]
+    assert line(score_table(other), "no measurements, true start") == [
+        "1",
+        "1.00",
+        "–",
+        "2.00",
+        "–",
+        "–",
+        "–",
+    ]
 
 
 def test_a_tuned_filter_stands_in_the_rows_of_the_paper_beside_the_floor_of_the_plain_one(tmp_path):
@@ -181,7 +189,11 @@ def test_a_tuned_filter_stands_in_the_rows_of_the_paper_beside_the_floor_of_the_
     write(tmp_path / "a", results(rows))
     found = board(collect([tmp_path]), "mass_spring")
     measure = Measure("HNN", filtered=True)
-    assert (found.estimator, found.sample(measure).values, found.floor(measure).values) == ("ukf_tuned", (1.0,), (0.5,))
+    assert (found.estimator, found.sample(measure).values, found.floor(measure).values) == (
+        "ukf_tuned",
+        (1.0,),
+        (0.5,),
+    )
 
 
 def test_later_evaluations_count_once_and_links_do_not_double_a_run(tmp_path):
@@ -202,7 +214,9 @@ def test_later_evaluations_count_once_and_links_do_not_double_a_run(tmp_path):
 
 
 def test_consistency_is_judged_by_the_band_of_what_plugins_say():
-    numbers = {"f": {"true": {"nees": {"mean": 9.0, "band_95": [1.0, 2.0]}}, "x": {"mean": 1, "band_95": [1, 2]}}}
+    numbers = {
+        "f": {"true": {"nees": {"mean": 9.0, "band_95": [1.0, 2.0]}}, "x": {"mean": 1, "band_95": [1, 2]}}
+    }
     numbers["g"] = {"nis": {"mean": 0.5, "band_95": [1.0, 2.0]}, "odd": {"mean": "a", "band_95": [0, 1]}}
     grid = consistency_table("s", numbers)
     assert grid is not None
