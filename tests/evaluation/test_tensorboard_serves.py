@@ -30,7 +30,7 @@ sys.stdin.read()
 
 
 @pytest.fixture
-def ask(tmp_path, capsys):
+def ask(tmp_path):
     """A function that asks a server on the folder of an evaluation for plain values or for a picture."""
     folder = tmp_path / "runs" / "mine"
     settings = {"seed": 7, "model": {"width": 64}}
@@ -49,11 +49,11 @@ def ask(tmp_path, capsys):
             ) as answer:
                 return answer.read()
 
-        def until(path, data=None, name=""):
+        def until(path, name):
             deadline = time.monotonic() + SECONDS
             while time.monotonic() < deadline:
                 try:
-                    if name in (text := get(path, data).decode()):
+                    if name in (text := get(path).decode()):
                         return json.loads(text)
                 except URLError:
                     pass
@@ -68,17 +68,17 @@ def ask(tmp_path, capsys):
 
 def test_scores_pictures_and_hyperparameters_come_over_http(ask):
     results, get, until = ask
-    tags = until("plugin/scalars/tags", name="score/position")
+    tags = until("plugin/scalars/tags", "score/position")
     ((run, names),) = ((run, names) for run, names in tags.items() if "score/position" in names)
     assert {"score/val_loss", "score/velocity", "score/position/perturbed"} <= {*names}
     ((_, _, value),) = json.loads(get(f"plugin/scalars/scalars?run={run}&tag=score/position"))
     assert value == pytest.approx(results.rows[0].scores.position, rel=1e-6)
 
-    pictures = until("plugin/images/tags", name="phase_portrait")[run]
+    pictures = until("plugin/images/tags", "phase_portrait")[run]
     (found, *_) = json.loads(get(f"plugin/images/images?run={run}&tag=phase_portrait&sample=0"))
     assert pictures["phase_portrait"]["samples"] == 1
     assert get(f"plugin/images/individualImage?{found['query']}")[:8] == b"\x89PNG\r\n\x1a\n"
 
-    experiment = until("plugin/hparams/experiment", {"experimentName": ""}, "model/width")
+    experiment = until("plugin/hparams/experiment?request=%7B%7D", "model.width")
     assert {"seed", "system", "assumes"} <= {each["name"] for each in experiment["hparamInfos"]}
     assert any(each["name"]["tag"] == "score/position" for each in experiment["metricInfos"])

@@ -1,4 +1,4 @@
-"""The order of the models and of the windows, with the spread over seeds that decides whether it means anything."""
+"""The order of the models and of the windows, with the spread over seeds that decides it."""
 
 from __future__ import annotations
 
@@ -84,8 +84,10 @@ def order_table(board: Board, confidence: float) -> Grid | None:
         (Head("Error"), Head(""), Head(""), Head("as paper"), Head("reverse"), Head("open")),
     )
     caption = (
-        f"Lowest error first, by the geometric mean over seeds. A < B: decided, the {confidence:.0%} interval of "
-        "the ratio lies below one (Welch's test on the logarithms of the scores, each pair by itself); A ~ B: the "
+        "Lowest error first, by the geometric mean over seeds. A < B: decided, the "
+        f"{confidence:.0%} interval of "
+        "the ratio lies below one (Welch's test on the logarithms of the scores, each pair by "
+        "itself); A ~ B: the "
         "seeds do not decide."
     )
     return Grid(f"order_{board.system}", "Order of the models.", caption, heads, tuple(lines))

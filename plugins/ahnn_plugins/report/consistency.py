@@ -49,7 +49,8 @@ def consistency_table(system: str, numbers: dict[str, Any]) -> Grid | None:
     if not lines:
         return None
     caption = (
-        "Normalised squared errors (NEES) and innovations (NIS): mean over trajectories and times, beside the 95 % "
+        "Normalised squared errors (NEES) and innovations (NIS): mean over trajectories and "
+        "times, beside the 95 % "
         "band of a consistent filter. Above it the filter trusts itself too much."
     )
     heads = ((Head("Where"), Head("mean"), Head("95 % band"), Head("verdict")),)

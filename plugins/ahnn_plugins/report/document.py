@@ -15,10 +15,16 @@ POLICY = (
 
 OPEN_FOR_PRINT = """
 addEventListener("beforeprint", () => {
-  for (const each of document.querySelectorAll("details:not([open])")) { each.open = true; each.dataset.shut = ""; }
+  for (const each of document.querySelectorAll("details:not([open])")) {
+    each.open = true;
+    each.dataset.shut = "";
+  }
 });
 addEventListener("afterprint", () => {
-  for (const each of document.querySelectorAll("details[data-shut]")) { each.open = false; delete each.dataset.shut; }
+  for (const each of document.querySelectorAll("details[data-shut]")) {
+    each.open = false;
+    delete each.dataset.shut;
+  }
 });
 if (matchMedia("(min-width: 75rem)").matches) document.querySelector("nav details").open = true;
 """

@@ -89,7 +89,8 @@ def grid_latex(grid: Grid) -> str:
     first = next((line.cells for line in grid.lines if line.cells), ())
     kinds = "".join("l" if cell.tone == "words" else "r" for cell in first)
     lines = [
-        rf"\begin{{table}}\caption{{{latex(grid.title)} {latex(grid.caption)}}}\label{{tab:{safe_name(grid.name)}}}",
+        rf"\begin{{table}}\caption{{{latex(grid.title)} {latex(grid.caption)}}}",
+        rf"\label{{tab:{safe_name(grid.name)}}}",
         rf"\centering\begin{{tabular}}{{l{kinds}}}\toprule",
     ]
     for row in grid.heads:

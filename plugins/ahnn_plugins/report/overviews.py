@@ -36,7 +36,8 @@ def score_table(board: Board) -> Grid:
         (Head("Prediction"), Head("runs"), *((Head("model"), Head("floor")) * 3)),
     )
     caption = (
-        "Position and velocity: mean over trajectories of the rms vector norm; mean ± standard deviation over "
+        "Position and velocity: mean over trajectories of the rms vector norm; mean ± standard "
+        "deviation over "
         "runs. Floor: what perfect knowledge scores there. Settled: from the first update on."
     )
     return Grid(f"scores_{board.system}", "All scores.", caption, heads, tuple(lines))

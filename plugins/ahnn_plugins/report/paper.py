@@ -85,7 +85,7 @@ def read_numbers(text: str) -> dict[Place, Printed]:
     """Return the numbers of a table of the columns `COLUMNS`.
 
     Raises:
-        ValueError: other columns, a cell twice, an unknown name, or a value that is no finite number above zero.
+        ValueError: other columns, a cell twice, an unknown name, or a value that is not above zero.
     """
     found: dict[Place, Printed] = {}
     for row in read_rows(text, COLUMNS):

@@ -44,7 +44,7 @@ def is_of_paper(board: Board) -> bool:
 def rmse_table(board: Board) -> Grid:
     """Return Table 1 or 2: rows of models without and with the filter, columns of starts and quantities."""
     layout = LAYOUTS[board.system]
-    columns = [(start, quantity) for start in STARTS for quantity in layout.units]
+    columns: list[tuple[Start, str]] = [(s, quantity) for s in STARTS for quantity in layout.units]
     doubts = _doubts(board, columns)
     lines = []
     for with_filter in (False, True):
@@ -64,7 +64,8 @@ def rmse_table(board: Board) -> Grid:
         (Head(""), *(SUB * len(columns))),
     )
     caption = (
-        "Mean over trajectories of the rms vector norm; ours: mean ± standard deviation over seeds, the lowest "
+        "Mean over trajectories of the rms vector norm; ours: mean ± standard deviation over "
+        "seeds, the lowest "
         "mean of each part bold; paper: as printed, suspicious cells marked; floor: what perfect knowledge "
         "scores there."
     )

@@ -79,7 +79,7 @@ def _figure(picture: Picture) -> Markup:
 
 
 def of_system(found: list[Picture], systems: list[str]) -> dict[str, list[Picture]]:
-    """Return the figures by the system that their names begin with, the longest that fits; "" for no system."""
+    """Return the figures by the system that their names begin with, the longest; "" for no system."""
     placed: dict[str, list[Picture]] = {}
     for picture in found:
         fits = [s for s in systems if picture.drawing.name.startswith(s)]

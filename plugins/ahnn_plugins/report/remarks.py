@@ -101,7 +101,7 @@ def _floors(board: Board) -> Iterator[str]:
             if row.who.floor and row.who.estimator is None and math.isfinite(row.scores.position):
                 found.setdefault(row.who, []).append(row.scores.position)
     if any(max(values) - min(values) > SAME * max(values) for values in found.values()):
-        yield "The floors of the runs differ: they were not judged on the same trajectories, so compare with care."
+        yield "The floors of the runs differ: they were not judged on the same trajectories."
 
 
 def _lost(board: Board) -> Iterator[str]:

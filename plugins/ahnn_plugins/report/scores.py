@@ -1,4 +1,4 @@
-"""The scores of a system's runs, grouped by model: samples over seeds, beside what perfect knowledge scores."""
+"""The scores of a system's runs by model: samples over seeds, beside what perfect knowledge scores."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def known_as(label: str) -> str:
 
 
 def estimator(entries: Iterable[Entry]) -> str | None:
-    """Return the estimator of the rows with a filter: one that all runs with estimators share, tuned first."""
+    """Return the estimator of the rows with a filter: one that all runs share, tuned first."""
     named = [{r.who.estimator for r in e.results.rows if r.who.process == MODEL} - {None} for e in entries]
     there = [names for names in named if names]
     if not there:

@@ -22,7 +22,8 @@ MIDDLE = (
 
 
 @pytest.fixture
-def page(tmp_path, stand_in):
+def page(tmp_path, request):
+    request.getfixturevalue("stand_in")
     Report()([reproduction(tmp_path / "runs", seeds=(7, 201))], tmp_path / "out")
     with browser(tmp_path / "profile") as shown:
         yield shown

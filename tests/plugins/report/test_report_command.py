@@ -17,7 +17,8 @@ def run(tmp_path):
     return write(tmp_path / "run", results([Row(Who("model", "true"), scores(1.0))]))
 
 
-def test_files_stand_beside_the_page_and_those_of_an_earlier_report_make_way(run, capsys, stand_in):
+@pytest.mark.usefixtures("stand_in")
+def test_files_stand_beside_the_page_and_those_of_an_earlier_report_make_way(run, capsys):
     assert call("ahnn.report", str(run)) == 0
     assert "1 run, 2 figures" in capsys.readouterr().out
     folder = run / "report"
