@@ -43,11 +43,9 @@ def ask(tmp_path):
         assert server.stdout is not None
         address = next(line for line in server.stdout if line.startswith(PREFIX)).removeprefix(PREFIX).strip()
 
-        def get(path, data=None):
-            with urlopen(
-                f"{address}data/{path}", None if data is None else json.dumps(data).encode()
-            ) as answer:
-                return answer.read()
+        def get(path):
+            with urlopen(f"{address}data/{path}") as answer:
+                return answer.read() answer.read()
 
         def until(path, name):
             deadline = time.monotonic() + SECONDS
