@@ -45,7 +45,7 @@ def ask(tmp_path):
 
         def get(path):
             with urlopen(f"{address}data/{path}") as answer:
-                return answer.read() answer.read()
+                return answer.read()
 
         def until(path, name):
             deadline = time.monotonic() + SECONDS
