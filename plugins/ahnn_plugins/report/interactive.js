@@ -14,6 +14,7 @@ const ahnnFigures = (() => {
       (part) => Object.keys(part).filter((key) => /^[xyz]axis/.test(key)).map((key) => part[key]));
     for (const axis of axes) Object.assign(axis, {gridcolor: grid, linecolor: grid, zerolinecolor: grid});
     figure.layout.font.color = ink;
+    figure.layout.legend.font = {size: 12, color: ink};
     figure.layout.hoverlabel = {bgcolor: dark ? "#222" : "#fff", font: {color: ink}};
   };
   const draw = (entry, dark) => {

@@ -16,10 +16,12 @@ from ahnn_plugins.report.looks import INK, OPACITY, Look, is_dots, look
 
 SCRIPT = "interactive.js"
 SYMBOLS = {"circle": "circle", "square": "square-open", "line": "line-ew-open", "x": "x-thin-open"}
-ABOVE, BELOW, GAP = 12, 46, 40
+ABOVE, BELOW, GAP = 30, 46, 40
 """Pixels above the first panel, below the last one up to the legend, and between two."""
-TALL, LOW, SPACE = 250, 150, 480
+TALL, LOW, SPACE = 250, 150, 500
 """Heights of a panel of a few, of a panel of many, and of a scene."""
+DISTANCE = 2.3
+"""Of the eye from a scene, in sizes of it."""
 
 
 def library() -> str:
@@ -92,7 +94,8 @@ def _layout(height: int, legend: dict[str, Any]) -> dict[str, Any]:
         "plot_bgcolor": clear,
         "font": {"family": "system-ui, sans-serif", "size": 13},
         "margin": {"l": 66, "r": 12, "t": ABOVE, "b": BELOW},
-        "legend": {"orientation": "h", "x": 0, "bgcolor": clear, "font": {"size": 12}, **legend},
+        "legend": {"orientation": "h", "x": 0, "bgcolor": clear, "itemwidth": 44, **legend},
+        "modebar": {"bgcolor": clear, "color": "#8a8a8a", "activecolor": SKY},
         "hovermode": "closest",
     }
 
@@ -104,7 +107,15 @@ def _horizontal(panel: Panel, number: str, *, last: bool) -> dict[str, Any]:
         return axis | places | {"ticktext": [html.escape(tick) for tick in panel.ticks]}
     if last or panel.equal:
         axis["title"] = {"text": html.escape(panel.x), "standoff": 6}
-    return axis | ({} if number == "" else {"matches": "x"})
+    return axis | ({"range": _span(panel)} if number == "" else {"matches": "x"})
+
+
+def _span(panel: Panel) -> list[float] | None:
+    """Return the range of the values that everything in a panel is a function of; None for paths."""
+    columns = [series.x for series in panel.series if len(series.x)]
+    if not columns or not all(bool((x.diff() >= 0).all()) for x in columns):
+        return None
+    return [min(float(x[0]) for x in columns), max(float(x[-1]) for x in columns)]
 
 
 def _vertical(panel: Panel, number: str, domain: list[float]) -> dict[str, Any]:
@@ -139,7 +150,10 @@ def _traces(series: Series, drawing: Drawing) -> list[dict[str, Any]]:
     if is_dots(series, drawing.kind):
         size = 5 if series.role == "measurement" else 16 if style.symbol == "line" else 9
         line = {"width": 2, **colour} if style.symbol != "circle" else {}
-        main |= {"mode": "markers", "marker": {"size": size, "symbol": SYMBOLS[style.symbol], **colour, "line": line}}
+        main |= {
+            "mode": "markers",
+            "marker": {"size": size, "symbol": SYMBOLS[style.symbol], **colour, "line": line},
+        }
         return [main | _spread(series, colour)]
     main |= {"mode": "lines", "line": {"dash": style.dash, "width": 1.25 * style.width, **colour}}
     return [*_band(series, style, main), main]
@@ -182,7 +196,7 @@ def _scene(drawing: Drawing) -> Any:
 
     panel = drawing.panels[0]
     layout = _layout(SPACE + 60, {"y": 0, "yanchor": "top"})
-    layout["margin"] = {"l": 0, "r": 0, "t": 0, "b": 0}
+    layout["margin"] = {"l": 0, "r": 0, "t": ABOVE, "b": 0}
     titles = zip("xyz", (panel.x, panel.y, panel.z), strict=True)
     axes = {f"{n}axis": {"title": {"text": html.escape(t)}, "showbackground": False} for n, t in titles}
     layout["scene"] = {"aspectmode": "data", "dragmode": "orbit", "camera": _camera(panel), **axes}
@@ -220,7 +234,7 @@ def _camera(panel: Panel) -> dict[str, Any]:
     normal = np.cross(points[:-1], points[1:]).sum(0) if len(points) > 1 else np.zeros(3)
     size = float(np.linalg.norm(normal))
     eye = (normal / size if size > 0 else np.array([0.7, 0.7, 0.0])) + np.array([0.25, 0.25, 0.25])
-    eye *= 1.9 / np.linalg.norm(eye)
+    eye *= DISTANCE / np.linalg.norm(eye)
     return {"eye": dict(zip("xyz", eye.tolist(), strict=True)), "up": {"x": 0, "y": 0, "z": 1}}
 
 

@@ -1,6 +1,6 @@
 """How a series looks in every renderer: colour, dash, width and symbol, from its role and its slot.
 
-Colours are those of Okabe & Ito; no two models of a report share colour and dash before the thirtieth, so that
+Colours are those of Okabe & Ito; no two models of a report share colour and dash before the 31st, so that
 curves are told apart without colour too.
 """
 

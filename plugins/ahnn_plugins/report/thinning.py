@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -31,22 +32,22 @@ def extremes(columns: Sequence[Tensor], most: int = MOST) -> Tensor:
     if stretches < 1:
         message = f"most: expected at least {3 * len(columns) + 2} of {len(columns)} columns; received {most}"
         raise ValueError(message)
-    edges = torch.linspace(0, count, stretches + 1).round().long().tolist()
-    kept = {0, count - 1}
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
-        for column in columns:
-            kept |= {first + k for k in _marked(column[first:last])}
-    return torch.tensor(sorted(kept))
+    length = math.ceil(count / stretches)
+    rows = torch.arange(math.ceil(count / length) * length).clamp(max=count - 1).reshape(-1, length)
+    ends = torch.tensor([0, count - 1])
+    return torch.cat([ends, *(_marked(column, rows) for column in columns)]).unique()
 
 
-def _marked(values: Tensor) -> set[int]:
-    """Return where the least, the greatest and the first missing of some values stand."""
+def _marked(column: Tensor, rows: Tensor) -> Tensor:
+    """Return the samples that are least, greatest and first missing in each row of samples (N, L)."""
+    values = column[rows]
     missing = values.isnan()
-    found = {int(missing.long().argmax())} if bool(missing.any()) else set()
-    if bool((~missing).any()):
-        found.add(int(values.masked_fill(missing, torch.inf).argmin()))
-        found.add(int(values.masked_fill(missing, -torch.inf).argmax()))
-    return found
+    least = values.masked_fill(missing, torch.inf).argmin(1, keepdim=True)
+    most = values.masked_fill(missing, -torch.inf).argmax(1, keepdim=True)
+    gaps = missing.any(1)
+    first = missing.to(torch.int8).argmax(1, keepdim=True)
+    found = [rows.gather(1, least), rows.gather(1, most), rows[gaps].gather(1, first[gaps])]
+    return torch.cat(found).flatten()
 
 
 def along(points: Tensor, most: int = MOST) -> Tensor:
@@ -58,7 +59,7 @@ def along(points: Tensor, most: int = MOST) -> Tensor:
 
     Args:
         points: (T, n); a sample with a NaN interrupts the path.
-        most: samples to keep.
+        most: samples to keep, at least 8 n and 40.
     """
     count = len(points)
     if count <= most:
@@ -66,12 +67,11 @@ def along(points: Tensor, most: int = MOST) -> Tensor:
     there = points.isfinite().all(-1)
     steps = (points[1:] - points[:-1]).norm(dim=-1).nan_to_num(0.0, 0.0, 0.0)
     length = torch.cat((steps.new_zeros(1), steps.cumsum(0)))
-    columns = torch.cat((points, points.norm(dim=-1, keepdim=True)), dim=-1).masked_fill(
-        ~there[:, None], torch.nan
-    )
-    kept = {0, count - 1}.union(*(_marked(column) for column in columns.unbind(-1)))
-    breaks = torch.nonzero(there[:-1] & ~there[1:]).flatten() + 1
-    kept |= set(breaks[: most // 4].tolist())
-    marks = torch.linspace(0, float(length[-1]), max(most - len(kept), 2), dtype=length.dtype)
-    kept |= set(torch.searchsorted(length, marks).clamp(max=count - 1).tolist()[: most - len(kept)])
-    return torch.tensor(sorted(kept))
+    columns = torch.cat((points, points.norm(dim=-1, keepdim=True)), dim=-1)
+    columns = columns.masked_fill(~there[:, None], torch.nan)
+    whole = torch.arange(count)[None]
+    breaks = torch.nonzero(there[:-1] & ~there[1:]).flatten()[: most // 4] + 1
+    kept = torch.cat([torch.tensor([0, count - 1]), breaks, *(_marked(c, whole) for c in columns.unbind(-1))])
+    kept = kept.unique()
+    marks = torch.linspace(0, float(length[-1]), most - len(kept), dtype=length.dtype)
+    return torch.cat((kept, torch.searchsorted(length, marks).clamp(max=count - 1))).unique()

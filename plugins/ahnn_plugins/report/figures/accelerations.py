@@ -31,8 +31,8 @@ def acceleration_drawing() -> Drawing:
         series.append(line._replace(hover=altitude) if len(line.x) == len(anomaly) else line)
     caption = (
         f"{field.name} to degree and order {field.degree}, along an orbit of eccentricity {ECCENTRICITY:g}, "
-        f"periapsis altitude {ALTITUDE:g} km, inclination {INCLINATION:g}° and argument of periapsis 270°; the "
-        "body's axes are those of the orbit's frame. Tesserals: all of order above 0."
+        f"periapsis altitude {ALTITUDE:g} km, inclination {INCLINATION:g}° and argument of periapsis 270°; "
+        "the body's axes are those of the orbit's frame. Tesserals: all of order above 0."
     )
     panel = Panel(tuple(series), "true anomaly [°]", "acceleration [km/s²]", log=True)
     title = "Accelerations along the reference orbit (figure 4 of the paper)"

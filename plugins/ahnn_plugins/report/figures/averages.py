@@ -65,7 +65,7 @@ def _unsmoothed(task: Task, start: str) -> Drawing:
         _panel(task, start, 2 * dof + block, f"{name} error [{unit}]", lambda series: series)
         for block, (name, unit) in enumerate(_blocks(task.lead))
     ]
-    count = task.lead.count
+    count = task.lead.members
     caption = f"Root mean square over {count} test trajectories of the norm of the error, at every sample."
     return task.drawing(f"error_{start}", f"error over time, {start} start", caption, panels)
 
@@ -81,10 +81,9 @@ def _panel(task: Task, key: str, column: int, label: str, smooth: Callable[[Tens
     for model, runs in task.models.items():
         there = [smooth(run.rms[key][:, column]) for run in runs if key in run.rms]
         if there:
-            mean, low, high = over_seeds(there)
+            mean, band = over_seeds(there)
             name = f"{model} + UKF" if role == "filter" else model
-            band = {"low": low, "high": high}
-            series.append(curve(name, lead.time, mean, role=role, slot=runs[0].slot, log=True, **band))
+            series.append(curve(name, lead.time, mean, role=role, slot=runs[0].slot, band=band, log=True))
     series += _floor(task, key, column, smooth)
     return Panel(tuple(series), time_label(lead), label, log=True)
 
@@ -111,12 +110,13 @@ def _blocks(run: Kept) -> tuple[tuple[str, str], tuple[str, str]]:
 def _title(task: Task, prefix: str, start: str, in_paper: bool) -> str:
     number = PAPER.get((task.system, bool(prefix))) if in_paper else None
     paper = f" (figure {number} of the paper)" if number and start != "fitted" else ""
-    return f"{'with UKF' if prefix else 'without measurements'}, moving average of the error, {start} start{paper}"
+    setting = "with UKF" if prefix else "without measurements"
+    return f"moving average of the error {setting}, {start} start{paper}"
 
 
 def _caption(task: Task, start: str, what: str = "norm") -> str:
     lead = task.lead
     return (
-        f"Mean of the last {SMOOTHING} samples of the root mean square over {lead.count} test trajectories of "
-        f"the {what} of the error, {start} start. {task.spread()}"
+        f"Mean of the last {SMOOTHING} samples of the root mean square over {lead.members} test trajectories "
+        f"of the {what} of the error, {start} start. {task.spread()}"
     ).strip()

@@ -17,8 +17,8 @@ def consistency_drawings(task: Task) -> list[Drawing]:
     if not starts:
         return []
     caption = (
-        f"Normalised estimation error squared, mean over {task.lead.count} test trajectories. Above its band the "
-        f"filter is overconfident, below it too cautious. {task.spread()}"
+        f"Normalised estimation error squared, mean over {task.lead.members} test trajectories. Above its band "
+        f"the filter is overconfident, below it too cautious. {task.spread()}"
     )
     panels = [_panel(task, start) for start in starts]
     return [task.drawing("nees", "NEES of the filters over time", caption.strip(), panels)]
@@ -27,13 +27,16 @@ def consistency_drawings(task: Task) -> list[Drawing]:
 def _panel(task: Task, start: str) -> Panel:
     lead = task.lead
     size = 2 * lead.space.dof
-    low, high = (torch.full_like(lead.time[[0, -1]], limit) for limit in band(size, lead.count))
+    low, high = (torch.full_like(lead.time[[0, -1]], limit) for limit in band(size, lead.members))
     ends, level = lead.time[[0, -1]], torch.full_like(low, float(size))
     series = [Series("consistent: 95 % band", ends, level, role="floor", low=low, high=high)]
     for model, runs in task.models.items():
         there = [run.nees[start] for run in runs if start in run.nees]
         if there:
-            mean, least, most = over_seeds(there)
-            name, band_of = f"{model} + UKF", {"low": least, "high": most}
-            series.append(curve(name, lead.time, mean, role="filter", slot=runs[0].slot, log=True, **band_of))
+            mean, seeds = over_seeds(there)
+            series.append(
+                curve(
+                    f"{model} + UKF", lead.time, mean, role="filter", slot=runs[0].slot, band=seeds, log=True
+                )
+            )
     return Panel(tuple(series), time_label(lead), f"mean NEES, {start} start", log=True)

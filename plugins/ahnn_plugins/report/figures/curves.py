@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 from torch import Tensor
 
 from ahnn_plugins.report.drawing import Role, Series
 from ahnn_plugins.report.thinning import along, extremes
+
+Band = tuple[Tensor, Tensor]
+"""The lower and the upper edge of a band, each (T,)."""
 
 
 def curve(
@@ -18,16 +19,14 @@ def curve(
     *,
     role: Role = "model",
     slot: int = 0,
-    low: Tensor | None = None,
-    high: Tensor | None = None,
+    band: Band | None = None,
     log: bool = False,
 ) -> Series:
     """Return a curve over time, (T,), whose spikes survive; what is not positive is a gap on a log axis."""
-    columns = [drawable(part, log=log) for part in (y, low, high) if part is not None]
+    columns = [drawable(part, log=log) for part in (y, *(band or ()))]
     at = extremes(columns)
-    thinned: list[Any] = [column[at] for column in columns]
-    band = thinned[1:] if len(thinned) == 3 else (None, None)
-    return Series(label, x[at], thinned[0], role=role, slot=slot, low=band[0], high=band[1])
+    low, high = (column[at] for column in columns[1:]) if band else (None, None)
+    return Series(label, x[at], columns[0][at], role=role, slot=slot, low=low, high=high)
 
 
 def path(

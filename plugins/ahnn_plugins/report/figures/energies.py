@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from ahnn_plugins.report.drawing import Drawing, Panel, Series
+from torch import Tensor
+
+from ahnn_plugins.report.drawing import Drawing, Panel, Role, Series
 from ahnn_plugins.report.figures.curves import curve
 from ahnn_plugins.report.figures.task import Task, time_label
 
@@ -16,10 +18,12 @@ def energy_drawings(task: Task) -> list[Drawing]:
         return []
     truth = system.energy(lead.path)
     floor = lead.first.get(f"floor_{lead.start}")
-    predictions = [(run.entry.model, run.first[run.start], "model", run.slot) for run in task.drawn]
-    predictions += [] if floor is None else [("floor", floor, "floor", 0)]
+    roles: list[tuple[str, Tensor, Role, int]] = [
+        (run.entry.model, run.first[run.start], "model", run.slot) for run in task.drawn
+    ]
+    roles += [] if floor is None else [("floor", floor, "floor", 0)]
     above, below = [], []
-    for label, states, role, slot in predictions:
+    for label, states, role, slot in roles:
         energy = system.energy(states)
         above.append(curve(label, lead.time, energy, role=role, slot=slot))
         off = (energy - truth).abs()

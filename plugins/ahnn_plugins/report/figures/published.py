@@ -16,7 +16,8 @@ def published(system: str, model: str, start: str, quantity: Quantity, *, ukf: b
     """Return a printed RMSE in the units of the system, None where the paper has none.
 
     Args:
-        system, model: their names; those of models in any case.
+        system: its name.
+        model: its name, in any case.
         start: `true` or `perturbed`.
         quantity: of the error.
         ukf: whether the model filters.

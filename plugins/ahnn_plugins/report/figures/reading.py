@@ -49,7 +49,7 @@ class Kept(NamedTuple):
         time: (T,) since the start, in `unit`.
         unit: of the time.
         known: what predictions are held against: `truth`, `test data` or `measurements`.
-        count: of test trajectories.
+        members: how many test trajectories there are.
         path: (T, D) the first of them.
         first: the first trajectory as it is predicted, (T, D), by start, such as `true`, and by `floor`.
         rms: root mean square over trajectories of the errors, (T, D + 2): of each component, then norms of
@@ -66,7 +66,7 @@ class Kept(NamedTuple):
     time: Tensor
     unit: str
     known: str
-    count: int
+    members: int
     path: Tensor
     first: dict[str, Tensor]
     rms: dict[str, Tensor]
@@ -118,7 +118,10 @@ class Arrays(NamedTuple):
         same = [n in (m, None) for m, n in zip(array.shape, shape, strict=False)]
         if array.ndim != len(shape) or not all(same):
             words = ", ".join("any" if n is None else str(n) for n in shape)
-            message = f"{self.path}: {key}: expected shape ({words}); received {tuple(array.shape)}. Evaluate the run again"
+            message = (
+                f"{self.path}: {key}: expected shape ({words}); received {tuple(array.shape)}. "
+                "Evaluate the run again"
+            )
             raise UserError(message)
         return array.double()
 
@@ -145,7 +148,7 @@ def _reduced(arrays: Arrays, entry: Entry, slot: int) -> Kept | None:
             states = arrays.get(key, (batch, samples, size))
             if states is None:
                 continue
-            # A member that a filter lost drops out, as in its own figures; a lost rollout is infinitely wrong.
+            # What a filter has lost drops out, as in its own figures; a lost rollout is infinitely wrong.
             error = states - truth if name.startswith("ukf/") else errors(states, truth)
             found.rms[name] = _rms(error, space.inertia)
             found.first[name] = states[0]
@@ -173,7 +176,7 @@ def _has_floor(entry: Entry) -> bool:
 
 
 def _time(times: Tensor | None, samples: int, unit: str) -> tuple[Tensor, str]:
-    """Return the mean times since the start, (T,), with their unit; numbers of samples where none are known."""
+    """Return the mean times since the start, (T,), with their unit, or numbers of samples."""
     numbers = torch.arange(samples, dtype=torch.float64)
     if times is None:
         return numbers, "samples"
@@ -209,5 +212,5 @@ def _teeth(arrays: Arrays, start: str, truth: Tensor, time: Tensor, inertia: flo
     sample = torch.arange(len(time)).repeat_interleave(2)[1:]
     changed = ((mean[1:] != mean[:-1]) | (deviation[1:] != deviation[:-1])).any(-1)
     after = torch.cat((torch.zeros(1, dtype=torch.bool), changed & (sample[1:] == sample[:-1])))
-    columns = (velocities(x, inertia) for x in (truth[int(number), sample], mean, deviation))
-    return Teeth(time[sample], *columns, after, int(number))
+    exact, mean, deviation = (velocities(x, inertia) for x in (truth[int(number), sample], mean, deviation))
+    return Teeth(time[sample], exact, mean, deviation, after, int(number))

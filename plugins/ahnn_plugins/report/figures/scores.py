@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple, get_args
 
 import torch
@@ -16,7 +16,9 @@ from ahnn_plugins.report.figures.task import file_name
 
 BESIDE = 0.17
 """How far left of its place a model stands, and how far right of it the same model with a filter."""
+SIDES = "Left without measurements, right of it with the UKF. "
 DOTS = "Dots are means over seeds, lines their range. "
+MEANING = "RMSE: mean over test trajectories of the rms vector norm; floor: what perfect knowledge scores."
 
 
 class Dot(NamedTuple):
@@ -32,7 +34,7 @@ def score_drawings(collection: Collection, system: str, slots: dict[str, int]) -
     models = ordered(list(dict.fromkeys(entry.model for entry in entries)))
     groups = [[e for e in entries if e.model == model] for model in models]
     found = [_of_start(system, models, groups, start, slots) for start in STARTS]
-    return [drawing for drawing in (*found, _ablation(system, entries)) if drawing is not None]
+    return [drawing for drawing in (*found, _ablation(system, entries, slots)) if drawing is not None]
 
 
 def _of_start(
@@ -45,17 +47,14 @@ def _of_start(
             series += _of_model(runs, start, quantity, i, slots[model])
         paper = [_printed(system, m, start, quantity, i) for i, m in enumerate(models)]
         series += _dots("paper", [dot for several in paper for dot in several], "paper")
-        if any(s.role == "model" for s in series):
+        if _has_model(series):
             label = f"{quantity} RMSE [{_unit(groups[0][0], quantity)}]"
             panels.append(Panel(_merged(series), "", label, log=True, ticks=tuple(models)))
     if not panels:
         return None
-    caption = f"Left without measurements, right of it with the UKF, {start} start. {DOTS}{MEANING}"
+    caption = f"{SIDES}{DOTS}{MEANING}"
     title = f"{system}: RMSE of the models, {start} start"
     return Drawing(f"{file_name(system)}_rmse_{start}", title, caption, tuple(panels), "bars")
-
-
-MEANING = "RMSE: mean over test trajectories of the rms vector norm; floor: what perfect knowledge scores."
 
 
 def _of_model(runs: list[Entry], start: str, quantity: Quantity, place: int, slot: int) -> list[Series]:
@@ -108,7 +107,7 @@ def _dots(label: str, dots: Sequence[Dot], role: Role, slot: int = 0) -> list[Se
 
 
 def _merged(series: Sequence[Series]) -> tuple[Series, ...]:
-    """Return series with those of one label and role made one, in the order of their first."""
+    """Return series with those of floors, and those of the paper, made one and put last."""
     found: dict[tuple[str, Role], Series] = {}
     for each in series:
         key = each.label, each.role
@@ -117,10 +116,10 @@ def _merged(series: Sequence[Series]) -> tuple[Series, ...]:
             found[key] = each
         else:
             found[key] = old._replace(x=torch.cat((old.x, each.x)), y=torch.cat((old.y, each.y)))
-    return tuple(found.values())
+    return tuple(sorted(found.values(), key=lambda each: each.role in ("floor", "paper")))
 
 
-def _ablation(system: str, entries: Sequence[Entry]) -> Drawing | None:
+def _ablation(system: str, entries: Sequence[Entry], slots: dict[str, int]) -> Drawing | None:
     """Return scores over the window W of the loss, of Hamiltonian models that assume the same."""
     groups: dict[int, list[Entry]] = {}
     assumes = next((e.results.assumes for e in entries if "Hamiltonian" in e.results.assumes), None)
@@ -131,26 +130,29 @@ def _ablation(system: str, entries: Sequence[Entry]) -> Drawing | None:
     windows = sorted(groups)
     if len(windows) < 2:
         return None
-    panels = [_over_windows(windows, groups, quantity) for quantity in get_args(Quantity)]
-    kept = tuple(panel for panel in panels if panel.series)
-    names = ", ".join(dict.fromkeys(e.model for w in windows for e in groups[w]))
-    caption = f"Of {names}: {assumes}. {DOTS}{MEANING}"
+    rows = [
+        [e for e in groups[window] if e.model == model]
+        for window in windows
+        for model in dict.fromkeys(e.model for e in groups[window])
+    ]
+    places = [windows.index(row[0].results.training["window"]) for row in rows]
+    ticks = tuple(f"W = {window}" for window in windows)
+    panels = []
+    for start, quantity in ((start, quantity) for start in STARTS for quantity in get_args(Quantity)):
+        several = (
+            _of_model(row, start, quantity, p, slots[row[0].model])
+            for row, p in zip(rows, places, strict=True)
+        )
+        series = _merged([each for found in several for each in found])
+        label = f"{quantity} RMSE [{_unit(rows[0][0], quantity)}], {start} start"
+        panels += [Panel(series, "", label, log=True, ticks=ticks)] if _has_model(series) else []
+    caption = f"Models that assume the same, {assumes}. {SIDES}{DOTS}{MEANING}"
     title = f"{system}: RMSE over the window W of the loss"
-    return Drawing(f"{file_name(system)}_windows", title, caption, kept, "bars")
+    return Drawing(f"{file_name(system)}_windows", title, caption, tuple(panels), "bars")
 
 
-def _over_windows(windows: list[int], groups: dict[int, list[Entry]], quantity: Quantity) -> Panel:
-    series: list[Series] = []
-    for slot, start in enumerate(("true", "perturbed")):
-        for estimator, suffix, role in ((None, "", "model"), ("ukf", " + UKF", "filter")):
-            offset = BESIDE * (slot - 0.5) + (0.06 if estimator else 0.0)
-            dots = [
-                Dot(i + offset, _scores(groups[w], start, quantity, estimator, floor=False))
-                for i, w in enumerate(windows)
-            ]
-            series += _dots(f"{start} start{suffix}", dots, role, slot)
-    label = f"{quantity} RMSE [{_unit(groups[windows[0]][0], quantity)}]"
-    return Panel(tuple(series), "", label, log=True, ticks=tuple(f"W = {w}" for w in windows))
+def _has_model(series: Iterable[Series]) -> bool:
+    return any(each.role == "model" for each in series)
 
 
 def _unit(entry: Entry, quantity: Quantity) -> str:

@@ -38,12 +38,9 @@ def _filtered(task: Task) -> Kept | None:
 
 
 def _score(run: Kept) -> float:
-    """Return the position error of a filter, infinite where it was not scored."""
-    rows = [r for r in run.entry.results.rows if r.who.estimator == "ukf" and not r.who.floor]
-    scores = [r.scores.position for r in rows if r.who.start == "perturbed"] or [
-        r.scores.position for r in rows
-    ]
-    return min((s for s in scores if s == s), default=torch.inf)
+    """Return the least position error of a filter from any start, infinite where it was not scored."""
+    rows = [row for row in run.entry.results.rows if row.who.estimator == "ukf" and not row.who.floor]
+    return min((row.scores.position for row in rows if row.scores.position < torch.inf), default=torch.inf)
 
 
 def _states(task: Task, run: Kept, teeth: Teeth, start: str) -> Drawing:
@@ -51,17 +48,20 @@ def _states(task: Task, run: Kept, teeth: Teeth, start: str) -> Drawing:
     for i, label in enumerate(state_labels(run)):
         truth, mean, wide = teeth.truth[:, i], teeth.mean[:, i], WIDE * teeth.deviation[:, i]
         name, slot = f"{run.entry.model} + UKF, ±{WIDE:g}σ", run.slot
-        band = {"low": mean - wide, "high": mean + wide}
+        band = mean - wide, mean + wide
         series = (
-            curve(name, teeth.time, mean, role="filter", slot=slot, **band),
+            curve(name, teeth.time, mean, role="filter", slot=slot, band=band),
             curve(run.known, teeth.time, truth, role="truth"),
             _marks(teeth, mean),
         )
         panels.append(Panel(series, time_label(run), label, limits=_frame(truth)))
     number = PAPER.get(task.system)
-    paper = f" (figure {number} of the paper)" if number and start == "perturbed" else ""
+    same = number and start == "perturbed" and run.entry.model.upper() == ORDER[-1]
+    paper = f" (figure {number} of the paper)" if same else ""
     title = f"state estimated by {run.entry.model} + UKF, {start} start{paper}"
-    caption = f"{_which(run, teeth)}, before and after every update, with its band of ±{WIDE:g} standard deviations."
+    caption = (
+        f"{_which(run, teeth)}, before and after every update; its band is ±{WIDE:g} standard deviations."
+    )
     return task.drawing("ukf_state", title, caption, panels)
 
 
@@ -70,8 +70,8 @@ def _errors(task: Task, run: Kept, teeth: Teeth, start: str) -> Drawing:
     settled = teeth.updates.cumsum(0) > 0
     for i, label in enumerate(state_labels(run)):
         error, wide = (teeth.mean - teeth.truth)[:, i], WIDE * teeth.deviation[:, i]
-        name, band = f"{run.entry.model} + UKF: estimate - truth, ±{WIDE:g}σ", {"low": -wide, "high": wide}
-        main = curve(name, teeth.time, error, role="filter", slot=run.slot, **band)
+        name, band = f"{run.entry.model} + UKF: estimate - truth, ±{WIDE:g}σ", (-wide, wide)
+        main = curve(name, teeth.time, error, role="filter", slot=run.slot, band=band)
         series = (main, _marks(teeth, error))
         shown = torch.cat((-wide[settled], wide[settled], error[settled]))
         panels.append(Panel(series, time_label(run), f"error of {label}", limits=_frame(shown)))
@@ -90,8 +90,8 @@ def _band(task: Task, run: Kept) -> Drawing:
     deviations = velocities(run.deviations, inertia)
     for i, label in enumerate(state_labels(run)):
         wide = WIDE * deviations[:, i]
-        name, band = f"{run.entry.model}: error, ±{WIDE:g}σ", {"low": -wide, "high": wide}
-        series = (curve(name, run.time, error[:, i], slot=run.slot, **band),)
+        name, band = f"{run.entry.model}: error, ±{WIDE:g}σ", (-wide, wide)
+        series = (curve(name, run.time, error[:, i], slot=run.slot, band=band),)
         panels.append(Panel(series, time_label(run), f"error of {label}"))
     title = f"error of {run.entry.model} in the band of its prediction, true start"
     caption = f"The first test trajectory of {run.entry.folder.name}; the band is of the learned parameters."

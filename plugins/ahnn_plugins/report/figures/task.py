@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from ahnn_plugins.report.drawing import Drawing, Kind, Panel
+from ahnn_plugins.report.figures.curves import Band
 from ahnn_plugins.report.figures.models import ordered
 from ahnn_plugins.report.figures.reading import Kept
 
@@ -69,20 +70,27 @@ def make_task(system: str, runs: list[Kept]) -> Task:
     others = [run.entry.folder.name for run in runs if run not in same]
     names = ordered(list(dict.fromkeys(run.entry.model for run in same)))
     note = f"Left out, since their test trajectories are others: {', '.join(others)}." if others else ""
-    return Task(system, {m: [run for run in same if run.entry.model == m] for m in names}, note)
+    models = {m: sorted((run for run in same if run.entry.model == m), key=_seed) for m in names}
+    return Task(system, models, note)
+
+
+def _seed(run: Kept) -> float:
+    """Return the seed of a training, first of all where it is not known."""
+    seed = run.entry.seed
+    return seed if isinstance(seed, int | float) else -1.0
 
 
 def _same_test(one: Kept, other: Kept) -> bool:
     a, b = (run.path.nan_to_num() for run in (one, other))
-    return one.count == other.count and one.unit == other.unit and torch.equal(a, b)
+    return one.members == other.members and one.unit == other.unit and torch.equal(a, b)
 
 
-def over_seeds(values: Iterable[Tensor]) -> tuple[Tensor, Tensor | None, Tensor | None]:
-    """Return mean, least and greatest of the values (T,) of several seeds; no range of one seed alone."""
+def over_seeds(values: Iterable[Tensor]) -> tuple[Tensor, Band | None]:
+    """Return the mean of the values (T,) of several seeds and their range; one seed alone has none."""
     stack = torch.stack(list(values))
     stack = stack.masked_fill(~stack.isfinite(), torch.nan)
     mean = stack.mean(0)
-    return (mean, None, None) if len(stack) == 1 else (mean, stack.amin(0), stack.amax(0))
+    return mean, None if len(stack) == 1 else (stack.amin(0), stack.amax(0))
 
 
 def file_name(name: str) -> str:
