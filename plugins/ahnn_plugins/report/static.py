@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from ahnn.evaluation import style
 from ahnn_plugins.report.drawing import Drawing, Panel, Series
@@ -21,6 +22,8 @@ DASHES: dict[str, Any] = {
     "longdashdot": (0, (8, 2, 1.2, 2)),
 }
 MARKERS = {"circle": "o", "square": "s", "line": "_", "x": "x"}
+SHORT = 30.0
+"""Greatest to least of an axis that has labels between powers of ten."""
 MANY = 3
 """Panels of one column; more stand in two."""
 
@@ -60,13 +63,23 @@ def _fill(axes: Any, panel: Panel, drawing: Drawing) -> None:
         axes.set_xticks(range(len(panel.ticks)), [_plain(tick) for tick in panel.ticks])
         axes.set_xlim(-0.6, len(panel.ticks) - 0.4)
     if panel.log and _has_positive(panel):
-        axes.set_yscale("log")
+        _logarithmic(axes)
     elif not panel.log:
         axes.ticklabel_format(axis="y", scilimits=(-3, 4))
     if panel.limits is not None:
         axes.set_ylim(*panel.limits)
     if panel.equal:
         axes.set_aspect("equal", adjustable="datalim")
+
+
+def _logarithmic(axes: Any) -> None:
+    """Make the vertical axis logarithmic, with labels at powers of ten, or between them where it is short."""
+    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    if high < SHORT * low:
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
 
 
 def _line(axes: Any, series: Series) -> None:

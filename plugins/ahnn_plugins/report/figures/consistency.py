@@ -17,8 +17,8 @@ def consistency_drawings(task: Task) -> list[Drawing]:
     if not starts:
         return []
     caption = (
-        f"Normalised estimation error squared, mean over {task.lead.members} test trajectories. Above its band "
-        f"the filter is overconfident, below it too cautious. {task.spread()}"
+        f"Normalised estimation error squared, mean over {task.lead.members} test trajectories. Above its "
+        f"band the filter is overconfident, below it too cautious. {task.spread()}"
     )
     panels = [_panel(task, start) for start in starts]
     return [task.drawing("nees", "NEES of the filters over time", caption.strip(), panels)]

@@ -18,9 +18,8 @@ def energy_drawings(task: Task) -> list[Drawing]:
         return []
     truth = system.energy(lead.path)
     floor = lead.first.get(f"floor_{lead.start}")
-    roles: list[tuple[str, Tensor, Role, int]] = [
-        (run.entry.model, run.first[run.start], "model", run.slot) for run in task.drawn
-    ]
+    roles: list[tuple[str, Tensor, Role, int]] = []
+    roles += [(run.entry.model, run.first[run.start], "model", run.slot) for run in task.drawn]
     roles += [] if floor is None else [("floor", floor, "floor", 0)]
     above, below = [], []
     for label, states, role, slot in roles:
