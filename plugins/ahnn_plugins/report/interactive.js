@@ -5,7 +5,7 @@ const ahnnFigures = (() => {
                   modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"]};
   const scheme = window.matchMedia("(prefers-color-scheme: dark)");
   const paint = (figure, dark) => {
-    const ink = dark ? "#e6e6e6" : "#1a1a1a", grid = dark ? "rgba(255,255,255,0.16)" : "rgba(0,0,0,0.12)";
+    const ink = dark ? "#e6e6e6" : "#1a1a1a", grid = dark ? "#3d3d3d" : "#dedede";
     for (const trace of figure.data) {
       if (trace.meta !== "ink") continue;
       for (const part of [trace.line, trace.marker, trace.error_y]) if (part) part.color = ink;

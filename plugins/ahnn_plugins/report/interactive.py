@@ -16,7 +16,7 @@ from ahnn_plugins.report.looks import INK, OPACITY, Look, is_dots, look
 
 SCRIPT = "interactive.js"
 SYMBOLS = {"circle": "circle", "square": "square-open", "line": "line-ew-open", "x": "x-thin-open"}
-ABOVE, BELOW, GAP = 30, 46, 40
+ABOVE, BELOW, GAP = 34, 46, 58
 """Pixels above the first panel, below the last one up to the legend, and between two."""
 TALL, LOW, SPACE = 250, 150, 500
 """Heights of a panel of a few, of a panel of many, and of a scene."""
@@ -48,7 +48,7 @@ def to_html(drawing: Drawing, *, first: bool = False) -> str:
     """
     figure = _scene(drawing) if drawing.kind == "orbit" else _stack(drawing)
     name = html.escape(f"figure_{drawing.name}")
-    content = f"ahnnFigures.add({json.dumps(html.unescape(name))}, {figure.to_json()});"
+    content = f"ahnnFigures.add({json.dumps(f'figure_{drawing.name}')}, {figure.to_json()});"
     return (
         (f"<script>{library()}</script>\n" if first else "")
         + f'<div id="{name}" class="figure" role="img" aria-label="{html.escape(drawing.title)}" '
@@ -69,6 +69,7 @@ def _stack(drawing: Drawing) -> Any:
     height = TALL if count <= 3 else LOW
     inner = count * height + (count - 1) * GAP
     layout: dict[str, Any] = _layout(inner + ABOVE + BELOW + 60, {"y": -BELOW / inner, "yanchor": "top"})
+    layout["annotations"] = []
     shown: set[str] = set()
     traces = []
     for i, panel in enumerate(drawing.panels):
@@ -82,7 +83,14 @@ def _stack(drawing: Drawing) -> Any:
                 legend = trace["showlegend"] and series.label not in shown
                 traces.append(trace | place | {"showlegend": legend})
             shown.add(series.label)
+        layout["annotations"].append(_heading(panel, top))
     return Figure(traces, layout)
+
+
+def _heading(panel: Panel, top: float) -> dict[str, Any]:
+    """Return the label of a vertical axis, over it: a narrow screen has no room beside it."""
+    place = {"xref": "paper", "yref": "paper", "x": 0, "y": top, "xanchor": "left", "yanchor": "bottom"}
+    return {"text": html.escape(panel.y), "showarrow": False, "yshift": 2, **place}
 
 
 def _layout(height: int, legend: dict[str, Any]) -> dict[str, Any]:
@@ -93,7 +101,7 @@ def _layout(height: int, legend: dict[str, Any]) -> dict[str, Any]:
         "paper_bgcolor": clear,
         "plot_bgcolor": clear,
         "font": {"family": "system-ui, sans-serif", "size": 13},
-        "margin": {"l": 66, "r": 12, "t": ABOVE, "b": BELOW},
+        "margin": {"l": 54, "r": 12, "t": ABOVE, "b": BELOW},
         "legend": {"orientation": "h", "x": 0, "bgcolor": clear, "itemwidth": 44, **legend},
         "modebar": {"bgcolor": clear, "color": "#8a8a8a", "activecolor": SKY},
         "hovermode": "closest",
@@ -122,7 +130,6 @@ def _vertical(panel: Panel, number: str, domain: list[float]) -> dict[str, Any]:
     axis: dict[str, Any] = {
         "anchor": f"x{number}",
         "domain": domain,
-        "title": {"text": html.escape(panel.y), "standoff": 4},
         "zeroline": False,
         "exponentformat": "power",
         "automargin": True,

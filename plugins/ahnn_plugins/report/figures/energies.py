@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from torch import Tensor
-
 from ahnn_plugins.report.drawing import Drawing, Panel, Role, Series
 from ahnn_plugins.report.figures.curves import curve
 from ahnn_plugins.report.figures.task import Task, time_label
@@ -18,11 +16,12 @@ def energy_drawings(task: Task) -> list[Drawing]:
         return []
     truth = system.energy(lead.path)
     floor = lead.first.get(f"floor_{lead.start}")
-    roles: list[tuple[str, Tensor, Role, int]] = []
-    roles += [(run.entry.model, run.first[run.start], "model", run.slot) for run in task.drawn]
-    roles += [] if floor is None else [("floor", floor, "floor", 0)]
+    predictions = [(run.entry.model, run.first[run.start], run.slot) for run in task.drawn]
+    predictions += [] if floor is None else [("floor", floor, None)]
     above, below = [], []
-    for label, states, role, slot in roles:
+    for label, states, number in predictions:
+        role: Role = "floor" if number is None else "model"
+        slot = number or 0
         energy = system.energy(states)
         above.append(curve(label, lead.time, energy, role=role, slot=slot))
         off = (energy - truth).abs()
