@@ -217,7 +217,7 @@ def _path(series: Series) -> dict[str, Any]:
     x, y, z = (_numbers(part) for part in (series.x, series.y, series.z))
     main = {"type": "scatter3d", "mode": "lines", "x": x, "y": y, "z": z, "name": html.escape(series.label)}
     ink = {"meta": INK, "line": line} if style.colour == INK else {"line": line | {"color": style.colour}}
-    return main | ink | _hover(series, "%{x:.0f}, %{y:.0f}, %{z:.0f}")
+    return main | ink | {"showlegend": True} | _hover(series, "%{x:.5g}, %{y:.5g}, %{z:.5g}")
 
 
 def _planet(panel: Panel) -> list[dict[str, Any]]:

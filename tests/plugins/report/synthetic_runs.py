@@ -64,7 +64,7 @@ def arrays(system: System, model: str, seed: int) -> dict[str, Tensor]:
 
 
 def teeth(truth: Tensor, deviation: Tensor) -> dict[str, Tensor]:
-    """The filter along trajectory 1: half a deviation off, and exact after the updates at every 20th sample."""
+    """The filter along trajectory 1: half a deviation off, but exact after updates at every 20th sample."""
     twice = truth.repeat_interleave(2, 0)[1:]
     sample = torch.arange(len(truth)).repeat_interleave(2)[1:]
     after = (sample[1:] == sample[:-1]) & (sample[1:] % 20 == 0)

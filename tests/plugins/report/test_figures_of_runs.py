@@ -235,7 +235,7 @@ def test_later_evaluations_of_a_run_are_no_seeds(tmp_path):
     "config",
     [
         "system: {_target_: os.system, command: 'touch here'}",
-        "system: {_target_: ahnn.systems.MassSpring, name: mass_spring, dt: 0.01, steps: 60}",  # of another mass
+        "system: {_target_: ahnn.systems.MassSpring, name: mass_spring, dt: 0.01, steps: 60}",  # other mass
         "system: {_target_: ahnn.systems.MassSpring, name: mass_spring, dt: -1, steps: 60, mass: 2.0}",
         "system: {_target_: ahnn.systems.MassSpring, unknown: 3}",
         "system: {_target_: ahnn.systems.MolniyaGravity, name: g, dt: 60.0, steps: 9, gravity: /etc/passwd}",

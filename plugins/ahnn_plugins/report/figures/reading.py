@@ -140,8 +140,8 @@ def _reduced(arrays: Arrays, entry: Entry, slot: int) -> Kept | None:
     found = Kept(
         *(entry, slot, system, time, unit),
         "test data" if known == "truth" and not _has_floor(entry) else known,
-        *(batch, truth[0], {}, {}, {}, {}, {}),
-        None if sigma is None else sigma[0],
+        *(batch, truth[0].clone(), {}, {}, {}, {}, {}),
+        None if sigma is None else sigma[0].clone(),
     )
     for start in STARTS:
         for key, name in _names(start):
@@ -151,7 +151,7 @@ def _reduced(arrays: Arrays, entry: Entry, slot: int) -> Kept | None:
             # What a filter has lost drops out, as in its own figures; a lost rollout is infinitely wrong.
             error = states - truth if name.startswith("ukf/") else errors(states, truth)
             found.rms[name] = _rms(error, space.inertia)
-            found.first[name] = states[0]
+            found.first[name] = states[0].clone()  # a view would hold the whole array
         nees = arrays.get(f"ukf/{start}_nees", (batch, samples))
         average = arrays.get(f"ukf/{start}_sma_floor", (2, samples))
         teeth = _teeth(arrays, start, truth, time, space.inertia)
