@@ -8,6 +8,7 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from ahnn.evaluation.style import SKY
@@ -20,6 +21,8 @@ ABOVE, BELOW, GAP = 34, 46, 58
 """Pixels above the first panel, below the last one up to the legend, and between two."""
 TALL, LOW, SPACE = 250, 150, 500
 """Heights of a panel of a few, of a panel of many, and of a scene."""
+SHORT, LONG = 30.0, 1e6
+"""Greatest to least of log axes whose labels are set; those of longer ones have room for plotly's own."""
 DISTANCE = 2.3
 """Of the eye from a scene, in sizes of it."""
 
@@ -134,9 +137,17 @@ def _vertical(panel: Panel, number: str, domain: list[float]) -> dict[str, Any]:
         "exponentformat": "power",
         "automargin": True,
     }
-    axis |= {"type": "log"} if panel.log else {}
+    axis |= {"type": "log", **_decades(panel)} if panel.log else {}
     axis |= {"scaleanchor": f"x{number}"} if panel.equal else {}
     return axis | ({"range": list(panel.limits)} if panel.limits else {})
+
+
+def _decades(panel: Panel) -> dict[str, Any]:
+    """Return the labels of a log axis: powers of ten, or 1, 2 and 5 where it is short."""
+    values = torch.cat([series.y for series in panel.series])
+    values = values[(values > 0) & values.isfinite()]
+    ratio = float(values.max() / values.min()) if len(values) else 1.0
+    return {"dtick": "D2"} if ratio < SHORT else {"dtick": 1} if ratio < LONG else {}
 
 
 def _traces(series: Series, drawing: Drawing) -> list[dict[str, Any]]:
@@ -146,7 +157,7 @@ def _traces(series: Series, drawing: Drawing) -> list[dict[str, Any]]:
     main: dict[str, Any] = {
         "type": "scatter",
         "x": _numbers(series.x),
-        "y": _numbers(series.y),
+        "y": _precise(series.y),
         "name": name,
         "legendgroup": name,
         "showlegend": True,
@@ -181,7 +192,7 @@ def _band(series: Series, style: Look, main: dict[str, Any]) -> list[dict[str, A
     edge |= {"mode": "lines", "line": {"width": 0}, "hoverinfo": "skip", "showlegend": False}
     r, g, b = (int(style.colour[k : k + 2], 16) for k in (1, 3, 5))
     fill = {"fill": "tonexty", "fillcolor": f"rgba({r},{g},{b},{OPACITY})"}
-    return [edge | {"y": _numbers(series.low)}, edge | {"y": _numbers(series.high)} | fill]
+    return [edge | {"y": _precise(series.low)}, edge | {"y": _precise(series.high)} | fill]
 
 
 def _hover(series: Series, values: str) -> dict[str, Any]:
@@ -243,6 +254,11 @@ def _camera(panel: Panel) -> dict[str, Any]:
     eye = (normal / size if size > 0 else np.array([0.7, 0.7, 0.0])) + np.array([0.25, 0.25, 0.25])
     eye *= DISTANCE / np.linalg.norm(eye)
     return {"eye": dict(zip("xyz", eye.tolist(), strict=True)), "up": {"x": 0, "y": 0, "z": 1}}
+
+
+def _precise(values: Tensor) -> np.ndarray:
+    """Return values as they are: an energy varies in digits that float32 does not have."""
+    return values.detach().numpy()
 
 
 def _numbers(values: Tensor) -> np.ndarray:

@@ -9,6 +9,7 @@ from synthetic_runs import ORBITS, SPRING, arrays, results, run, write
 
 from ahnn.errors import UserError
 from ahnn.metrics import moving_average
+from ahnn.systems import HenonHeiles, MolniyaGravity, Pendulum
 from ahnn.systems.gravity import ggm05c
 from ahnn.types import Space
 from ahnn_plugins.report.collection import collect
@@ -104,6 +105,8 @@ def test_averages_are_means_over_seeds_of_the_last_240_samples(springs, name, ke
         found.append(moving_average(velocity.square().mean(0).sqrt(), 240))
     mean = torch.stack(found).mean(0)
     series = labelled(figure, "AHNN5 + UKF" if "ukf" in name else "AHNN5", 1)
+    assert series.low is not None
+    assert series.high is not None
     torch.testing.assert_close(series.y[1:], mean[1:])
     torch.testing.assert_close(series.low[1:], torch.stack(found).amin(0)[1:])
     torch.testing.assert_close(series.high[1:], torch.stack(found).amax(0)[1:])
@@ -133,6 +136,8 @@ def test_scores_stand_beside_the_floor_and_the_paper(springs):
     (ours,) = [s for s in panel.series if s.label == "AHNN5"]
     values = [1e-4 * (1 + seed / 1000) for seed in (7, 201)]
     assert ours.y.tolist() == pytest.approx([sum(values) / 2])
+    assert ours.low is not None
+    assert ours.high is not None
     assert ours.low.tolist() + ours.high.tolist() == pytest.approx(values)
     (paper,) = [s for s in panel.series if s.role == "paper"]
     assert 9.173e-3 in paper.y.tolist()
@@ -250,6 +255,21 @@ def test_a_configuration_from_elsewhere_builds_nothing_else(tmp_path, config):
     (folder / "config.yaml").write_text(config)
     (entry,) = collect([tmp_path]).entries
     assert system_of(entry) is None
+
+
+@pytest.mark.parametrize(
+    "system",
+    [
+        Pendulum(name="pendulum", dt=0.01, steps=60, gravity=3.7),
+        HenonHeiles(name="henon_heiles", dt=0.05, steps=60),
+        MolniyaGravity(name="molniya_gravity", dt=60.0, steps=60, degree=4),
+    ],
+)
+def test_the_systems_of_this_library_are_known(tmp_path, system):
+    run(tmp_path, system, "HNN")
+    (entry,) = collect([tmp_path]).entries
+    assert system_of(entry) == system
+    assert f"{system.name}_energy" in drawn(tmp_path)
 
 
 def test_damaged_arrays_are_refused_by_name(tmp_path):

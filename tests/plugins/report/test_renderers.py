@@ -56,7 +56,7 @@ def test_interactive_figures_load_nothing(drawings):
 def test_arrays_are_typed():
     x = torch.tensor([0.0, 1.0, torch.nan, 3.0])
     (trace,) = content(to_html(lines(x)))["data"]
-    assert (trace["x"]["dtype"], trace["mode"]) == ("f4", "lines")
+    assert (trace["x"]["dtype"], trace["y"]["dtype"], trace["mode"]) == ("f4", "f4", "lines")
 
 
 def test_a_page_has_its_library_once():

@@ -32,7 +32,7 @@ def system_of(entry: Entry) -> System | None:
     own, run = (folder / "config.yaml" for folder in (entry.folder, training_folder(entry)))
     options = _options(own if own.is_file() else run)
     kind = KNOWN.get(str(options.pop("_target_", "")))
-    if kind is None or options.get("gravity", "ggm05c") != "ggm05c":
+    if kind is None or (kind is systems.MolniyaGravity and options.get("gravity", "ggm05c") != "ggm05c"):
         return None
     try:
         system = kind(**options)
