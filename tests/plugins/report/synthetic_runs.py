@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import torch
@@ -88,7 +89,7 @@ def write(folder: Path, told: Results, kept: dict[str, Tensor] | None, config: d
 
 def run(folder: Path, system: System, model: str, seed: int = 7) -> Path:
     """A finished run in `folder/MODEL_SEED`."""
-    constants = {key: list(v) if isinstance(v, tuple) else v for key, v in vars(system).items()}
+    constants = {key: list(v) if isinstance(v, tuple) else v for key, v in asdict(system).items()}
     config = {"_target_": f"ahnn.systems.{type(system).__name__}", **constants}
     told = results(system.space, model, seed)
     return write(folder / f"{model}_{seed}", told, arrays(system, model, seed), config)
