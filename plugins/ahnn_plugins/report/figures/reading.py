@@ -156,7 +156,7 @@ def _reduced(arrays: Arrays, entry: Entry, slot: int) -> Kept | None:
         average = arrays.get(f"ukf/{start}_sma_floor", (2, samples))
         teeth = _teeth(arrays, start, truth, time, space.inertia)
         found.nees.update({} if nees is None else {start: nees.nanmean(0)})
-        found.averages.update({} if average is None else {f"ukf/floor_{start}": average})
+        found.averages.update({} if average is None else {f"ukf/floor_{start}": average.clone()})
         found.teeth.update({} if teeth is None else {start: teeth})
     return found
 
