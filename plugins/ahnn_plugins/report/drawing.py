@@ -6,19 +6,21 @@ from typing import Literal, NamedTuple
 
 from torch import Tensor
 
-Role = Literal["model", "truth", "floor", "filter", "measurement", "paper"]
+Role = Literal["model", "truth", "floor", "filter", "measurement", "paper", "term"]
 Kind = Literal["lines", "orbit", "bars"]
 
 
 class Series(NamedTuple):
-    """A curve.
+    """A curve, or the dots of one thing that is compared.
 
     Attributes:
         label: in the legend; series of one label are switched on and off together.
-        x, y: values, (T,).
+        x, y: values, (T,); NaN interrupts a curve.
         z: third coordinate of an orbit, (T,).
-        role: what it is, which decides colour and line together with the label.
-        low, high: a band about it, (T,).
+        role: what it is. A `filter` is a model that assimilates, a `term` a part of a sum.
+        slot: the number of its model in the report, or of its term; role and slot decide colour and dash, so
+            that a model looks the same in every figure.
+        low, high: a band about it, (T,); of dots, their spread.
         hover: further values to show under the pointer, by name with unit, each (T,).
     """
 
@@ -27,19 +29,34 @@ class Series(NamedTuple):
     y: Tensor
     z: Tensor | None = None
     role: Role = "model"
+    slot: int = 0
     low: Tensor | None = None
     high: Tensor | None = None
     hover: dict[str, Tensor] = {}  # noqa: RUF012 - never written to
 
 
 class Panel(NamedTuple):
-    """Axes with curves; labels hold their units."""
+    """Axes with curves.
+
+    Attributes:
+        series: what is drawn, the first below.
+        x, y, z: labels, with their units.
+        log: whether the vertical axis is logarithmic.
+        equal: whether a unit is equally long on both axes.
+        ticks: names of the places 0, 1, ... of a horizontal axis that compares things.
+        radius: of the planet at the origin of an orbit, in the unit of the axes; 0 is none.
+        limits: of the vertical axis; None shows everything.
+    """
 
     series: tuple[Series, ...]
     x: str
     y: str
     z: str = ""
     log: bool = False
+    equal: bool = False
+    ticks: tuple[str, ...] = ()
+    radius: float = 0.0
+    limits: tuple[float, float] | None = None
 
 
 class Drawing(NamedTuple):
@@ -50,7 +67,7 @@ class Drawing(NamedTuple):
         title: one line.
         caption: what it shows and of which runs, with the figure of the paper that it answers to.
         panels: one below another.
-        kind: `lines`; `orbit`, in three dimensions; or `bars`.
+        kind: `lines`; `orbit`, one panel in three dimensions; or `bars`, dots with their spread.
     """
 
     name: str

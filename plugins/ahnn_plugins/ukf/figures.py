@@ -16,7 +16,7 @@ from ahnn.evaluation.case import Start
 from ahnn.evaluation.figures import SMOOTHING
 from ahnn.evaluation.titles import MODEL
 from ahnn_plugins.ukf.outcome import Outcome, name
-from ahnn_plugins.ukf.series import Sawtooth, blocks, rms_over_members, sawtooth, smoothed_rms
+from ahnn_plugins.ukf.series import Sawtooth, blocks, kept, rms_over_members, sawtooth, smoothed_rms
 
 Chosen = dict[tuple[Start, bool], Outcome]
 """The outcomes that are drawn, by start and by whether it is a floor."""
@@ -44,6 +44,7 @@ def ukf_figures(
     arrays |= {f"{s}_sma_{key}": value for s, series in averages.items() for key, value in series.items()}
     start: Start = "perturbed" if "perturbed" in model else "true"
     teeth = sawtooth(model[start])
+    arrays |= {f"{start}_sawtooth_{key}": value for key, value in kept(teeth, _member(model[start])).items()}
     figures = {
         "error_band": error_against_band(case, chosen, start),
         "error": component_errors(case, model[start], teeth),

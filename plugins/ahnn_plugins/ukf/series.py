@@ -38,6 +38,12 @@ def sawtooth(outcome: Outcome) -> Sawtooth:
     return Sawtooth(samples.repeat_interleave(2)[1:], mean, deviation)
 
 
+def kept(teeth: Sawtooth, member: int) -> dict[str, Tensor]:
+    """Return the estimates of one trajectory, its `mean` and `deviation` (2 T + 1, D), and its number."""
+    number = torch.tensor([member])
+    return {"mean": teeth.mean[member], "deviation": teeth.deviation[member], "member": number}
+
+
 def _in_turn(first: Tensor, before: Tensor, after: Tensor) -> Tensor:
     """Return first, before_0, after_0, before_1, ..., (B, 2 T + 1, D)."""
     return torch.cat((first[:, None], torch.stack((before, after), dim=2).flatten(1, 2)), dim=1)

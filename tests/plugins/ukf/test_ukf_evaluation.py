@@ -86,6 +86,11 @@ def test_rows_numbers_arrays_and_figures(spring: Case) -> None:
     assert 0.5 < told["coverage"]["1_sigma"]["share"] <= 1.0
     assert findings.arrays["perturbed_start"].shape == spring.test.states.shape
     assert all(array.isfinite().all() for array in findings.arrays.values())
+    teeth = {key: findings.arrays[f"perturbed_sawtooth_{key}"] for key in ("mean", "deviation", "member")}
+    assert teeth["member"].tolist() == [0]
+    assert torch.equal(teeth["mean"][::2], findings.arrays["perturbed_start"][0])  # after the updates
+    jumps = (teeth["deviation"][1::2] != teeth["deviation"][2::2]).any(-1)
+    assert (jumps.nonzero().flatten() + 1).tolist() == findings.numbers["updates"]
     assert set(findings.figures) == {"state", "error", "error_band", "consistency", "moving_average"}
 
 

@@ -1,0 +1,122 @@
+"""Moving averages of errors over all test trajectories, without and with a filter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from torch import Tensor
+
+from ahnn.evaluation.figures import SMOOTHING
+from ahnn.metrics import moving_average
+from ahnn_plugins.report.drawing import Drawing, Panel, Series
+from ahnn_plugins.report.figures.curves import curve
+from ahnn_plugins.report.figures.reading import STARTS, Kept
+from ahnn_plugins.report.figures.task import Task, over_seeds, state_labels, time_label
+
+PAPER = {
+    ("mass_spring", False): "9",
+    ("mass_spring", True): "10",
+    ("molniya", False): "11",
+    ("molniya", True): "12",
+}
+"""Figures of the paper, by system and by whether there is a filter."""
+
+
+def average_drawings(task: Task) -> list[Drawing]:
+    """Return moving averages from every start without and with a filter, and those of each component.
+
+    Of a single run there are its errors besides as they are, sample by sample.
+    """
+    found = []
+    for prefix in ("", "ukf/"):
+        for start in STARTS:
+            if any(f"{prefix}{start}" in run.rms for run in task.drawn):
+                found.append(_norms(task, prefix, start))
+                # The paper has components of the orbit alone, from one start.
+                if task.lead.space.dof > 1 and start == ("perturbed" if prefix else "true"):
+                    found.append(_components(task, prefix, start))
+    runs = [run for runs in task.models.values() for run in runs]
+    if len(runs) == 1 and task.lead.start:
+        found.insert(0, _unsmoothed(task, task.lead.start))
+    return found
+
+
+def _norms(task: Task, prefix: str, start: str) -> Drawing:
+    dof = task.lead.space.dof
+    panels = [
+        _panel(task, f"{prefix}{start}", 2 * dof + block, f"{name} error [{unit}]", smoothed)
+        for block, (name, unit) in enumerate(_blocks(task.lead))
+    ]
+    name = f"averages_{'ukf_' if prefix else ''}{start}"
+    return task.drawing(name, _title(task, prefix, start, dof == 1), _caption(task, start), panels)
+
+
+def _components(task: Task, prefix: str, start: str) -> Drawing:
+    labels = [f"error of {label}" for label in state_labels(task.lead)]
+    panels = [_panel(task, f"{prefix}{start}", i, label, smoothed) for i, label in enumerate(labels)]
+    name = f"averages_{'ukf_' if prefix else ''}{start}_components"
+    title = f"{_title(task, prefix, start, True)}, by component"
+    return task.drawing(name, title, _caption(task, start, "component"), panels)
+
+
+def _unsmoothed(task: Task, start: str) -> Drawing:
+    dof = task.lead.space.dof
+    panels = [
+        _panel(task, start, 2 * dof + block, f"{name} error [{unit}]", lambda series: series)
+        for block, (name, unit) in enumerate(_blocks(task.lead))
+    ]
+    count = task.lead.members
+    caption = f"Root mean square over {count} test trajectories of the norm of the error, at every sample."
+    return task.drawing(f"error_{start}", f"error over time, {start} start", caption, panels)
+
+
+def smoothed(series: Tensor) -> Tensor:
+    """Return the mean of the last 240 values, (T,) (paper, appendix)."""
+    return moving_average(series, SMOOTHING)
+
+
+def _panel(task: Task, key: str, column: int, label: str, smooth: Callable[[Tensor], Tensor]) -> Panel:
+    lead, series = task.lead, []
+    role = "filter" if key.startswith("ukf/") else "model"
+    for model, runs in task.models.items():
+        there = [smooth(run.rms[key][:, column]) for run in runs if key in run.rms]
+        if there:
+            mean, band = over_seeds(there)
+            name = f"{model} + UKF" if role == "filter" else model
+            series.append(curve(name, lead.time, mean, role=role, slot=runs[0].slot, band=band, log=True))
+    series += _floor(task, key, column, smooth)
+    return Panel(tuple(series), time_label(lead), label, log=True)
+
+
+def _floor(task: Task, key: str, column: int, smooth: Callable[[Tensor], Tensor]) -> list[Series]:
+    """Return what perfect knowledge scores; with a filter the norms alone are kept, as averages."""
+    prefix, _, start = key.rpartition("/")
+    block = column - 2 * task.lead.space.dof
+    for run in task.drawn:
+        floor = run.rms.get(f"floor_{start}") if not prefix else None
+        values = None if floor is None else smooth(floor[:, column])
+        if prefix and block >= 0 and f"{prefix}/floor_{start}" in run.averages:
+            values = run.averages[f"{prefix}/floor_{start}"][block]
+        if values is not None:
+            return [curve("floor + UKF" if prefix else "floor", run.time, values, role="floor", log=True)]
+    return []
+
+
+def _blocks(run: Kept) -> tuple[tuple[str, str], tuple[str, str]]:
+    units = run.space.units
+    return ("position", units.position), ("velocity", units.velocity)
+
+
+def _title(task: Task, prefix: str, start: str, in_paper: bool) -> str:
+    number = PAPER.get((task.system, bool(prefix))) if in_paper else None
+    paper = f" (figure {number} of the paper)" if number and start != "fitted" else ""
+    setting = "with UKF" if prefix else "without measurements"
+    return f"moving average of the error {setting}, {start} start{paper}"
+
+
+def _caption(task: Task, start: str, what: str = "norm") -> str:
+    lead = task.lead
+    return (
+        f"Mean of the last {SMOOTHING} samples of the root mean square over {lead.members} test trajectories "
+        f"of the {what} of the error, {start} start. {task.spread()}"
+    ).strip()

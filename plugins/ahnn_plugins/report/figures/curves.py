@@ -1,0 +1,68 @@
+"""Series from arrays: thinned to what a screen shows, gaps where nothing can be drawn."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ahnn_plugins.report.drawing import Role, Series
+from ahnn_plugins.report.thinning import along, extremes
+
+Band = tuple[Tensor, Tensor]
+"""The lower and the upper edge of a band, each (T,)."""
+
+
+def curve(
+    label: str,
+    x: Tensor,
+    y: Tensor,
+    *,
+    role: Role = "model",
+    slot: int = 0,
+    band: Band | None = None,
+    log: bool = False,
+) -> Series:
+    """Return a curve over time, (T,), whose spikes survive; what is not positive is a gap on a log axis."""
+    columns = [drawable(part, log=log) for part in (y, *(band or ()))]
+    at = extremes(columns)
+    low, high = (column[at] for column in columns[1:]) if band else (None, None)
+    return Series(label, x[at], columns[0][at], role=role, slot=slot, low=low, high=high)
+
+
+def path(
+    label: str,
+    points: Tensor,
+    *,
+    role: Role = "model",
+    slot: int = 0,
+    hover: dict[str, Tensor] | None = None,
+) -> Series:
+    """Return a path through the points (T, 2) or (T, 3), about equally dense everywhere."""
+    points = drawable(points)
+    at = along(points)
+    x, y, *z = points[at].unbind(-1)
+    told = {name: values[at] for name, values in (hover or {}).items()}
+    return Series(label, x, y, z[0] if z else None, role, slot, hover=told)
+
+
+def drawable(values: Tensor, *, log: bool = False) -> Tensor:
+    """Return values with NaN for those that have no place on an axis."""
+    there = values.isfinite() & (values > 0) if log else values.isfinite()
+    return values.masked_fill(~there, torch.nan)
+
+
+def cut(points: Tensor, truth: Tensor, times: float = 3.0) -> Tensor:
+    """Return points (T, n) with NaN from where they first leave the truth far behind.
+
+    Far is `times` the greatest extent of the truth, from its centre: one lost prediction does not shrink all
+    others to a dot.
+    """
+    known = truth[truth.isfinite().all(-1)]
+    if not len(known):
+        return points
+    low, high = known.amin(0), known.amax(0)
+    size = (high - low).clamp(min=torch.finfo(truth.dtype).tiny)
+    away = ((points - (low + high) / 2) / size).abs().amax(-1)
+    lost = ~(away <= times)
+    lost = lost.cumsum(0) > 0 if bool(points.isfinite().all()) else lost
+    return points.masked_fill(lost[:, None], torch.nan)

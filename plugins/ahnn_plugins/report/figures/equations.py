@@ -1,0 +1,61 @@
+"""The equations of a run's system, from its configuration as data: only systems of this library are built."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ahnn import systems
+from ahnn.errors import UserError
+from ahnn.systems import System
+from ahnn_plugins.report.collection import Entry
+from ahnn_plugins.report.figures.models import training_folder
+
+KNOWN: dict[str, type[System]] = {
+    f"ahnn.systems.{name}": each
+    for name, each in vars(systems).items()
+    if inspect.isclass(each) and issubclass(each, System) and not inspect.isabstract(each)
+}
+LARGEST = 200_000
+"""Characters of a configuration; ours have a few thousand."""
+
+
+def system_of(entry: Entry) -> System | None:
+    """Return the system of a run, None where no configuration tells a system of this library.
+
+    A run folder may come from elsewhere: its YAML is read as plain values, a class is one of `KNOWN`, and no
+    file that it names is opened. A system that does not fit the results is none.
+    """
+    own, run = (folder / "config.yaml" for folder in (entry.folder, training_folder(entry)))
+    options = _options(own if own.is_file() else run)
+    kind = KNOWN.get(str(options.pop("_target_", "")))
+    if kind is None or (kind is systems.MolniyaGravity and options.get("gravity", "ggm05c") != "ggm05c"):
+        return None
+    try:
+        system = kind(**options)
+        same = system.space._replace(frame="") == entry.results.space._replace(frame="")
+    except (UserError, TypeError, ValueError):
+        return None
+    return system if same else None
+
+
+def _options(path: Path) -> dict[str, Any]:
+    """Return what a configuration says of the system, nothing where it is not there or no YAML."""
+    try:
+        text = path.read_text()
+        content = yaml.safe_load(text) if len(text) <= LARGEST else None
+    except (OSError, ValueError, yaml.YAMLError, RecursionError):
+        return {}
+    node = content.get("system") if isinstance(content, dict) else None
+    if not isinstance(node, dict) or not all(_is_plain(value) for value in node.values()):
+        return {}
+    return {str(key): value for key, value in node.items()}
+
+
+def _is_plain(value: Any) -> bool:
+    """Return whether a value is one number or text, or a list of them: what nests can grow without limit."""
+    items = value if isinstance(value, list) else [value]
+    return all(item is None or isinstance(item, str | bool | int | float) for item in items)

@@ -1,0 +1,42 @@
+"""The models of a report: their order in legends, and the slot that gives each its colour and dash."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import count
+from pathlib import Path
+
+from ahnn_plugins.report.collection import Collection, Entry
+
+ORDER = ("MLP", "NODE", "HNN", "AHNN3", "AHNN5")
+"""The models of the paper, as its tables have them."""
+SLOTS = {name: slot for slot, name in enumerate(reversed(ORDER))}
+"""AHNN5, which the paper proposes, has the first."""
+
+
+def ordered(models: Sequence[str]) -> list[str]:
+    """Return models in the order of the paper, those that it does not have behind."""
+    known = [m for name in ORDER for m in models if m.upper() == name]
+    return known + [m for m in models if m not in known]
+
+
+def slots(collection: Collection) -> dict[str, int]:
+    """Return the slot of every model of a report, the same for all its systems."""
+    models = ordered(list(dict.fromkeys(entry.model for entry in collection.entries)))
+    taken = {model: SLOTS[model.upper()] for model in models if model.upper() in SLOTS}
+    free = (slot for slot in count() if slot not in taken.values())
+    return {model: taken[model] if model in taken else next(free) for model in models}
+
+
+def one_each(entries: Iterable[Entry]) -> list[Entry]:
+    """Return the first evaluation of every training: a second one says nothing on the spread of seeds."""
+    chosen: dict[Path, Entry] = {}
+    for entry in entries:
+        chosen.setdefault(training_folder(entry), entry)
+    return list(chosen.values())
+
+
+def training_folder(entry: Entry) -> Path:
+    """Return the folder of the run that an evaluation in `RUN/evaluations/NAME` belongs to."""
+    folder = entry.folder
+    return folder.parent.parent if folder.parent.name == "evaluations" else folder

@@ -1,0 +1,159 @@
+"""RMSE of every model with its spread over seeds, beside the floor and what the paper prints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple, get_args
+
+import torch
+
+from ahnn_plugins.report.collection import Collection, Entry
+from ahnn_plugins.report.drawing import Drawing, Panel, Role, Series
+from ahnn_plugins.report.figures.models import one_each, ordered
+from ahnn_plugins.report.figures.published import Quantity, published
+from ahnn_plugins.report.figures.reading import STARTS
+from ahnn_plugins.report.figures.task import file_name
+
+BESIDE = 0.17
+"""How far left of its place a model stands, and how far right of it the same model with a filter."""
+SIDES = "Left without measurements, right of it with the UKF. "
+DOTS = "Dots are means over seeds, lines their range. "
+MEANING = "RMSE: mean over test trajectories of the rms vector norm; floor: what perfect knowledge scores."
+
+
+class Dot(NamedTuple):
+    """A score at a place of an axis, with the range of several seeds."""
+
+    place: float
+    values: tuple[float, ...]
+
+
+def score_drawings(collection: Collection, system: str, slots: dict[str, int]) -> list[Drawing]:
+    """Return the scores from every start, and those over the window of the loss where it varies."""
+    entries = one_each(collection.of(system))
+    models = ordered(list(dict.fromkeys(entry.model for entry in entries)))
+    groups = [[e for e in entries if e.model == model] for model in models]
+    found = [_of_start(system, models, groups, start, slots) for start in STARTS]
+    return [drawing for drawing in (*found, _ablation(system, entries, slots)) if drawing is not None]
+
+
+def _of_start(
+    system: str, models: list[str], groups: list[list[Entry]], start: str, slots: dict[str, int]
+) -> Drawing | None:
+    panels = []
+    for quantity in get_args(Quantity):
+        series: list[Series] = []
+        for i, (model, runs) in enumerate(zip(models, groups, strict=True)):
+            series += _of_model(runs, start, quantity, i, slots[model])
+        paper = [_printed(system, m, start, quantity, i) for i, m in enumerate(models)]
+        series += _dots("paper", [dot for several in paper for dot in several], "paper")
+        if _has_model(series):
+            label = f"{quantity} RMSE [{_unit(groups[0][0], quantity)}]"
+            panels.append(Panel(_merged(series), "", label, log=True, ticks=tuple(models)))
+    if not panels:
+        return None
+    caption = f"{SIDES}{DOTS}{MEANING}"
+    title = f"{system}: RMSE of the models, {start} start"
+    return Drawing(f"{file_name(system)}_rmse_{start}", title, caption, tuple(panels), "bars")
+
+
+def _of_model(runs: list[Entry], start: str, quantity: Quantity, place: int, slot: int) -> list[Series]:
+    model, found = runs[0].model, []
+    kinds: tuple[tuple[str | None, str, Role, Role, float], ...] = (
+        (None, "", "model", "floor", -BESIDE),
+        ("ukf", " + UKF", "filter", "floor", BESIDE),
+    )
+    for estimator, suffix, role, floor_role, offset in kinds:
+        scores = _scores(runs, start, quantity, estimator, floor=False)
+        floors = _scores(runs, start, quantity, estimator, floor=True)
+        found += _dots(f"{model}{suffix}", [Dot(place + offset, scores)], role, slot)
+        found += _dots("floor", [Dot(place + offset, floors[:1])], floor_role)
+    return found
+
+
+def _scores(
+    runs: Sequence[Entry], start: str, quantity: Quantity, estimator: str | None, *, floor: bool
+) -> tuple[float, ...]:
+    """Return the scores of the whole span, one for each run that has one."""
+    found = []
+    for run in runs:
+        for row in run.results.rows:
+            who = row.who
+            if (who.start, who.estimator, who.floor, who.span) == (start, estimator, floor, "whole"):
+                value = getattr(row.scores, quantity)
+                found += [] if value is None else [float(value)]
+                break
+    return tuple(found)
+
+
+def _printed(system: str, model: str, start: str, quantity: Quantity, place: int) -> list[Dot]:
+    both = ((False, -BESIDE), (True, BESIDE))
+    values = ((published(system, model, start, quantity, ukf=ukf), place + offset) for ukf, offset in both)
+    return [Dot(where, (value,)) for value, where in values if value is not None]
+
+
+def _dots(label: str, dots: Sequence[Dot], role: Role, slot: int = 0) -> list[Series]:
+    """Return one series of means with ranges, none where nothing is finite and positive."""
+    rows = []
+    for dot in dots:
+        values = [v for v in dot.values if 0 < v < torch.inf]
+        if values:
+            rows.append((dot.place, sum(values) / len(values), min(values), max(values)))
+    if not rows:
+        return []
+    x, y, low, high = torch.tensor(rows, dtype=torch.float64).unbind(-1)
+    several = bool((high > low).any())
+    return [Series(label, x, y, None, role, slot, low if several else None, high if several else None)]
+
+
+def _merged(series: Sequence[Series]) -> tuple[Series, ...]:
+    """Return series with those of floors, and those of the paper, made one and put last."""
+    found: dict[tuple[str, Role], Series] = {}
+    for each in series:
+        key = each.label, each.role
+        old = found.get(key)
+        if old is None or each.role in ("model", "filter"):
+            found[key] = each
+        else:
+            found[key] = old._replace(x=torch.cat((old.x, each.x)), y=torch.cat((old.y, each.y)))
+    return tuple(sorted(found.values(), key=lambda each: each.role in ("floor", "paper")))
+
+
+def _ablation(system: str, entries: Sequence[Entry], slots: dict[str, int]) -> Drawing | None:
+    """Return scores over the window W of the loss, of Hamiltonian models that assume the same."""
+    groups: dict[int, list[Entry]] = {}
+    assumes = next((e.results.assumes for e in entries if "Hamiltonian" in e.results.assumes), None)
+    for entry in entries:
+        window = entry.results.training.get("window")
+        if entry.results.assumes == assumes and isinstance(window, int):
+            groups.setdefault(window, []).append(entry)
+    windows = sorted(groups)
+    if len(windows) < 2:
+        return None
+    rows = [
+        [e for e in groups[window] if e.model == model]
+        for window in windows
+        for model in dict.fromkeys(e.model for e in groups[window])
+    ]
+    places = [windows.index(row[0].results.training["window"]) for row in rows]
+    ticks = tuple(f"W = {window}" for window in windows)
+    panels = []
+    for start, quantity in ((start, quantity) for start in STARTS for quantity in get_args(Quantity)):
+        several = (
+            _of_model(row, start, quantity, p, slots[row[0].model])
+            for row, p in zip(rows, places, strict=True)
+        )
+        series = _merged([each for found in several for each in found])
+        label = f"{quantity} RMSE [{_unit(rows[0][0], quantity)}], {start} start"
+        panels += [Panel(series, "", label, log=True, ticks=ticks)] if _has_model(series) else []
+    caption = f"Models that assume the same, {assumes}. {SIDES}{DOTS}{MEANING}"
+    title = f"{system}: RMSE over the window W of the loss"
+    return Drawing(f"{file_name(system)}_windows", title, caption, tuple(panels), "bars")
+
+
+def _has_model(series: Iterable[Series]) -> bool:
+    return any(each.role == "model" for each in series)
+
+
+def _unit(entry: Entry, quantity: Quantity) -> str:
+    return getattr(entry.results.space.units, quantity)

@@ -1,0 +1,117 @@
+"""What a model believes along one trajectory, beside what was true: the filter's band, the prediction's."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ahnn_plugins.report.drawing import Drawing, Panel, Series
+from ahnn_plugins.report.figures.curves import curve
+from ahnn_plugins.report.figures.models import ORDER
+from ahnn_plugins.report.figures.reading import Kept, Teeth, velocities
+from ahnn_plugins.report.figures.task import Task, state_labels, time_label
+
+WIDE = 3.0
+"""Half width of the bands, in standard deviations."""
+PAPER = {"mass_spring": "6", "molniya": "8"}
+ROOM = 1.08
+"""Of the frame to what it shows."""
+
+
+def state_drawings(task: Task) -> list[Drawing]:
+    """Return the state that a filter estimates and its error, and the error in the band of a prediction.
+
+    The filter is that of AHNN5, as in the paper; without it, of the model whose filter is the best.
+    """
+    found = []
+    run = _filtered(task)
+    if run is not None:
+        start = "perturbed" if "perturbed" in run.teeth else next(iter(run.teeth))
+        found += [_states(task, run, run.teeth[start], start), _errors(task, run, run.teeth[start], start)]
+    return found + [_band(task, each) for each in task.drawn if each.deviations is not None]
+
+
+def _filtered(task: Task) -> Kept | None:
+    runs = [run for several in task.models.values() for run in several if run.teeth]
+    proposed = [run for run in runs if run.entry.model.upper() == ORDER[-1]]
+    return min(proposed[:1] or runs, key=_score, default=None)
+
+
+def _score(run: Kept) -> float:
+    """Return the least position error of a filter from any start, infinite where it was not scored."""
+    rows = [row for row in run.entry.results.rows if row.who.estimator == "ukf" and not row.who.floor]
+    return min((row.scores.position for row in rows if row.scores.position < torch.inf), default=torch.inf)
+
+
+def _states(task: Task, run: Kept, teeth: Teeth, start: str) -> Drawing:
+    panels = []
+    for i, label in enumerate(state_labels(run)):
+        truth, mean, wide = teeth.truth[:, i], teeth.mean[:, i], WIDE * teeth.deviation[:, i]
+        name, slot = f"{run.entry.model} + UKF, ±{WIDE:g}σ", run.slot
+        band = mean - wide, mean + wide
+        series = (
+            curve(name, teeth.time, mean, role="filter", slot=slot, band=band),
+            curve(run.known, teeth.time, truth, role="truth"),
+            _marks(teeth, mean),
+        )
+        panels.append(Panel(series, time_label(run), label, limits=_frame(truth)))
+    number = PAPER.get(task.system)
+    same = number and start == "perturbed" and run.entry.model.upper() == ORDER[-1]
+    paper = f" (figure {number} of the paper)" if same else ""
+    title = f"state estimated by {run.entry.model} + UKF, {start} start{paper}"
+    caption = (
+        f"{_which(run, teeth)}, before and after every update; its band is ±{WIDE:g} standard deviations."
+    )
+    return task.drawing("ukf_state", title, caption, panels)
+
+
+def _errors(task: Task, run: Kept, teeth: Teeth, start: str) -> Drawing:
+    panels = []
+    settled = teeth.updates.cumsum(0) > 0
+    for i, label in enumerate(state_labels(run)):
+        error, wide = (teeth.mean - teeth.truth)[:, i], WIDE * teeth.deviation[:, i]
+        name, band = f"{run.entry.model} + UKF: estimate - truth, ±{WIDE:g}σ", (-wide, wide)
+        main = curve(name, teeth.time, error, role="filter", slot=run.slot, band=band)
+        series = (main, _marks(teeth, error))
+        shown = torch.cat((-wide[settled], wide[settled], error[settled]))
+        panels.append(Panel(series, time_label(run), f"error of {label}", limits=_frame(shown)))
+    caption = (
+        f"{_which(run, teeth)}: its error and its band. The scale is that of the time after the first update."
+    )
+    title = f"error of {run.entry.model} + UKF in its band, {start} start"
+    return task.drawing("ukf_error", title, caption, panels)
+
+
+def _band(task: Task, run: Kept) -> Drawing:
+    """Draw the error of a prediction in the band that the covariance of its parameters gives."""
+    assert run.deviations is not None
+    inertia, panels = run.space.inertia, []
+    error = velocities(run.first["true"], inertia) - velocities(run.path, inertia)
+    deviations = velocities(run.deviations, inertia)
+    for i, label in enumerate(state_labels(run)):
+        wide = WIDE * deviations[:, i]
+        name, band = f"{run.entry.model}: error, ±{WIDE:g}σ", (-wide, wide)
+        series = (curve(name, run.time, error[:, i], slot=run.slot, band=band),)
+        panels.append(Panel(series, time_label(run), f"error of {label}"))
+    title = f"error of {run.entry.model} in the band of its prediction, true start"
+    caption = f"The first test trajectory of {run.entry.folder.name}; the band is of the learned parameters."
+    return task.drawing(f"band_{run.slot}", title, caption, panels)
+
+
+def _marks(teeth: Teeth, values: Tensor) -> Series:
+    """Return the estimates right after an update."""
+    return Series("updates", teeth.time[teeth.updates], values[teeth.updates], role="measurement")
+
+
+def _frame(values: Tensor) -> tuple[float, float] | None:
+    """Return limits that hold finite values, with a margin."""
+    values = values[values.isfinite()]
+    if not len(values) or float(values.max()) <= float(values.min()):
+        return None
+    low, high = float(values.min()), float(values.max())
+    margin = (ROOM - 1) * (high - low)
+    return low - margin, high + margin
+
+
+def _which(run: Kept, teeth: Teeth) -> str:
+    return f"Test trajectory {teeth.member + 1} of {run.entry.folder.name}"

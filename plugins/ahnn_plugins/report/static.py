@@ -1,0 +1,161 @@
+"""Drawings as pictures, by matplotlib: for print, and for those who take a figure along."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from ahnn.evaluation import style
+from ahnn_plugins.report.drawing import Drawing, Panel, Series
+from ahnn_plugins.report.looks import INK, OPACITY, is_dots, look
+
+DASHES: dict[str, Any] = {
+    "solid": "-",
+    "dash": (0, (4, 2)),
+    "dot": (0, (1.2, 1.4)),
+    "dashdot": (0, (5, 1.5, 1.2, 1.5)),
+    "longdash": (0, (8, 2.5)),
+    "longdashdot": (0, (8, 2, 1.2, 2)),
+}
+MARKERS = {"circle": "o", "square": "s", "line": "_", "x": "x"}
+SHORT = 30.0
+"""Greatest to least of an axis that has labels between powers of ten."""
+MANY = 3
+"""Panels of one column; more stand in two."""
+
+
+def to_matplotlib(drawing: Drawing) -> Figure:
+    """Return a figure with its title, in the style of all pictures of this library."""
+    if drawing.kind == "orbit":
+        return _space(drawing)
+    count = len(drawing.panels)
+    columns = 2 if count > MANY else 1
+    rows = math.ceil(count / columns)
+    figure = style.canvas(11 if columns > 1 else 8, 1.2 + (2.3 if count > MANY else 3.0) * rows)
+    square = drawing.panels[0].equal or (count == 1 and drawing.name.endswith("phase_portrait"))
+    if square:
+        figure.set_size_inches(6.4, 6.0)
+    grid = figure.subplots(rows, columns, sharex=not drawing.panels[0].equal, squeeze=False)
+    # By columns: positions stand left of velocities.
+    places = list(grid.T.flat)
+    for axes in places[count:]:
+        axes.set_visible(False)
+    for axes, panel in zip(places, drawing.panels, strict=False):
+        _fill(axes, panel, drawing)
+    for column in grid.T:
+        column[-1].set_xlabel(_plain(drawing.panels[0].x))
+    _legend(figure, places[:count])
+    figure.suptitle(_plain(drawing.title), fontsize=11)
+    return figure
+
+
+def _fill(axes: Any, panel: Panel, drawing: Drawing) -> None:
+    """Draw a panel."""
+    for series in panel.series:
+        (_dots if is_dots(series, drawing.kind) else _line)(axes, series)
+    axes.set_ylabel(_plain(panel.y))
+    axes.grid(alpha=0.3)
+    if panel.ticks:
+        axes.set_xticks(range(len(panel.ticks)), [_plain(tick) for tick in panel.ticks])
+        axes.set_xlim(-0.6, len(panel.ticks) - 0.4)
+    if panel.log and _has_positive(panel):
+        _logarithmic(axes)
+    elif not panel.log:
+        axes.ticklabel_format(axis="y", scilimits=(-3, 4))
+    if panel.limits is not None:
+        axes.set_ylim(*panel.limits)
+    if panel.equal:
+        axes.set_aspect("equal", adjustable="datalim")
+
+
+def _logarithmic(axes: Any) -> None:
+    """Make the vertical axis logarithmic, with labels at powers of ten, or between them where it is short."""
+    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    if high < SHORT * low:
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _line(axes: Any, series: Series) -> None:
+    """Draw a curve over its band."""
+    options = _line_options(series)
+    if series.low is not None and series.high is not None:
+        band = {"color": options["color"], "alpha": OPACITY + 0.05, "lw": 0}
+        axes.fill_between(series.x.numpy(), series.low.numpy(), series.high.numpy(), **band)
+    axes.plot(series.x.numpy(), series.y.numpy(), label=_label(series), **options)
+
+
+def _line_options(series: Series) -> dict[str, Any]:
+    found = look(series)
+    order = {"truth": 4, "floor": 3}.get(series.role, 2)
+    return {"color": _colour(found.colour), "ls": DASHES[found.dash], "lw": found.width, "zorder": order}
+
+
+def _dots(axes: Any, series: Series) -> None:
+    """Draw dots with their spread."""
+    found, spread = look(series), None
+    colour = _colour(found.colour)
+    if series.low is not None and series.high is not None:
+        spread = np.stack([(series.y - series.low).numpy(), (series.high - series.y).numpy()])
+    face = "none" if found.symbol == "square" else colour
+    small = series.role == "measurement"
+    size = 3 if small else 12 if found.symbol == "line" else 6
+    mark = {"marker": MARKERS[found.symbol], "ms": size, "mfc": face, "mew": 0.8 if small else 1.6}
+    axes.errorbar(
+        *(series.x.numpy(), series.y.numpy(), spread),
+        **{"ls": "none", "color": colour, "capsize": 2, "label": _label(series), "zorder": 3, **mark},
+    )
+
+
+def _space(drawing: Drawing) -> Figure:
+    """Draw an orbit in space, the planet to scale."""
+    panel = drawing.panels[0]
+    figure = style.canvas(8, 6.8)
+    axes: Any = figure.add_subplot(projection="3d", computed_zorder=False)
+    if panel.radius > 0:
+        u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 37), np.linspace(0, np.pi, 19))
+        sphere = (np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v))
+        ball = {"color": style.SKY, "alpha": 0.35, "linewidth": 0, "rasterized": True, "zorder": 1}
+        axes.plot_surface(*(panel.radius * part for part in sphere), **ball)
+    for series in panel.series:
+        assert series.z is not None
+        parts = (part.numpy() for part in (series.x, series.y, series.z))
+        axes.plot(*parts, label=_label(series), **_line_options(series))
+    axes.set_aspect("equal")
+    for name, text in zip("xyz", (panel.x, panel.y, panel.z), strict=True):
+        getattr(axes, f"set_{name}label")(_plain(text), labelpad=8)
+        axes.tick_params(axis=name, labelsize=8)
+        axes.locator_params(axis=name, nbins=4)
+    axes.tick_params(axis="z", pad=6)
+    _legend(figure, [axes])
+    figure.suptitle(_plain(drawing.title), fontsize=11)
+    return figure
+
+
+def _legend(figure: Figure, panels: list[Any]) -> None:
+    if any(axes.get_legend_handles_labels()[1] for axes in panels):
+        style.legend_below(figure, *panels)
+
+
+def _colour(name: str) -> str:
+    return style.BLACK if name == INK else name
+
+
+def _label(series: Series) -> str:
+    """Return the label of a series; matplotlib leaves out one that begins with an underscore."""
+    return _plain(f" {series.label}" if series.label.startswith("_") else series.label)
+
+
+def _plain(text: str) -> str:
+    """Return a text that is not taken for a formula."""
+    return text.replace("$", r"\$")
+
+
+def _has_positive(panel: Panel) -> bool:
+    return any(bool((series.y > 0).any()) for series in panel.series)
