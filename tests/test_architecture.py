@@ -46,7 +46,18 @@ MAY_IMPORT = {
     "pretrained": OPEN | {"checkpoints"},
     "runs": GROUND | {"dynamics", "pretrained", "evaluation", "prediction", "uncertainty"},
 }
-ENTRIES = {"train", "evaluate", "predict", "export", "assimilate", "fitting", "cli", "__init__", "__main__"}
+ENTRIES = {
+    "train",
+    "evaluate",
+    "predict",
+    "export",
+    "assimilate",
+    "reproduce",
+    "fitting",
+    "cli",
+    "__init__",
+    "__main__",
+}
 """The doors of the house: they may import every room, and no room imports them."""
 
 
