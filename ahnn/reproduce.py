@@ -1,8 +1,8 @@
-"""Reproduce the paper's tables: `python -m ahnn.reproduce system=mass_spring|molniya budget=smoke|laptop|paper`.
+"""Reproduce the paper's tables: `python -m ahnn.reproduce system=mass_spring budget=laptop`.
 
-MLP, NODE, HNN, AHNN3 and AHNN5 with the seeds 7, 201 and 719, each without and with the unscented Kalman filter, from
-the true and from a perturbed start: 15 trainings of equally many steps, each in a folder of its own, and a table.
-The same command goes on where it was stopped; docs/reproduction.md says what the budgets take.
+MLP, NODE, HNN, AHNN3 and AHNN5 with the seeds 7, 201 and 719, each without and with the unscented Kalman
+filter, from the true and from a perturbed start: 15 trainings of equally many steps, each in a folder of its
+own, and a table. The same command goes on where it was stopped.
 
 system=mass_spring        Table 1; system=molniya is Table 2
 budget=smoke              does it run, a minute or two; laptop: two cores; paper: a GPU
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("ahnn")
 
-USAGE = "usage: python -m ahnn.reproduce system=mass_spring|molniya budget=smoke|laptop|paper [run=DIR] [KEY=VALUE]"
+USAGE = "usage: python -m ahnn.reproduce system=. budget=. [run=DIR] [GROUP=OPTION] [KEY=VALUE]"
 
 
 def reproduce(arguments: list[str]) -> None:
@@ -45,7 +45,7 @@ def reproduce(arguments: list[str]) -> None:
     Raises:
         UserError: a command that makes no reproduction, or a folder with another one.
     """
-    from ahnn.cli.reproduction import plan, require_same_settings
+    from ahnn.reproduction import plan, require_same_settings
 
     os.environ["HYDRA_FULL_ERROR"] = "1"  # makes Hydra raise, so that the messages are ours
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
@@ -57,9 +57,12 @@ def reproduce(arguments: list[str]) -> None:
         from ahnn.evaluation.terminal import show
     log.info(made.announcement())
     sys.argv[1:] = ["--multirun", *made.overrides]
-    with ended("the same command goes on where it was stopped"):
-        start(one, "train")
-    show(summary(made.folder, made.jobs))
+    try:
+        with ended("the same command goes on where it was stopped"):
+            start(one, "train")
+    finally:  # one that failed leaves the others their table
+        if made.finished():
+            show(summary(made.folder, made.runs))
 
 
 def one(cfg: DictConfig) -> float:
@@ -68,10 +71,10 @@ def one(cfg: DictConfig) -> float:
     A run that is finished is kept, and one that another process works on is left to it.
     """
     from ahnn.cli.before import quiet
-    from ahnn.cli.reproduction import is_finished
     from ahnn.cli.settings import check_settings
     from ahnn.errors import Occupied
     from ahnn.files import claimed
+    from ahnn.reproduction import is_finished
     from ahnn.train import train_once
 
     folder = Path(cfg.folder)
@@ -79,7 +82,7 @@ def one(cfg: DictConfig) -> float:
     check_settings(cfg)
     try:
         with claimed(folder, ".turn"):
-            if is_finished(folder, cfg.evaluation.save_predictions):
+            if is_finished(folder, cfg):
                 log.info("%s: finished", folder.name)
                 return math.nan
             cfg.ckpt = "last" if (folder / "checkpoints" / "last.ckpt").exists() else None
