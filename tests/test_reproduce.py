@@ -83,30 +83,24 @@ def test_finished_runs_are_kept_and_an_evaluation_that_was_cut_is_made_again(cop
     assert f"2 runs of 20 optimiser steps of 16 windows in {copied}, 1 of them finished" in caplog.text
     assert "NODE_7: finished" in printed.err
     table = printed.out[printed.out.rindex("true start   ") :]
-    assert [line.split()[0] for line in table.splitlines() if line.startswith("  ")] == [
-        "NODE",
-        "AHNN5",
-        "floor",
-    ] * 2
+    lines = [line.split()[0] for line in table.splitlines() if line.startswith("  ") and line[2] != " "]
+    assert lines == ["NODE", "AHNN5", "floor"] * 2
     assert max(map(len, printed.out.splitlines())) <= 80
     assert f"python -m ahnn.report {copied}" in table
 
 
 def test_a_training_that_was_cut_goes_on_to_the_same_bits(whole, tmp_path, monkeypatch, capsys):
     def cut(cfg, trainer, *others):
-        if cfg.label == "AHNN5":
-            trainer.callbacks.append(CutAfter(13, ctrl_c=True))
+        trainer.callbacks.append(CutAfter(13, ctrl_c=True))
         return fit(cfg, trainer, *others)
 
-    fit, folder = ahnn.train.fit, tmp_path / "cut"
+    fit, folder, alone = ahnn.train.fit, tmp_path / "cut", ["experiment=paper_ahnn5"]
     with monkeypatch.context() as patch:
         patch.setattr("ahnn.train.fit", cut)
-        assert reproduce(folder) == 130
+        assert reproduce(folder, *alone) == 130
     assert capsys.readouterr().err.endswith("the same command goes on where it was stopped\n")
     assert read_checkpoint(folder / "AHNN5_7" / "checkpoints" / "last.ckpt")["global_step"] >= 10
-    kept = content(folder / "NODE_7")
-    assert reproduce(folder) == 0
-    assert content(folder / "NODE_7") == kept
+    assert reproduce(folder, *alone) == 0
     assert "AHNN5_7: goes on" in capsys.readouterr().err
     expected = weights(whole / "AHNN5_7")
     assert all(torch.equal(value, expected[key]) for key, value in weights(folder / "AHNN5_7").items())
@@ -151,10 +145,10 @@ def test_all_models_take_equal_steps_on_all_windows_that_the_longest_has():
 
 
 def test_the_rows_are_those_of_the_paper():
-    made = plan(["system=mass_spring", "budget=paper", "seed=7,201"], "usage")
+    made = plan(["system=mass_spring", "budget=paper", "seed=7"], "usage")
     labels = ["MLP", "NODE", "HNN", "AHNN3", "AHNN5"]
-    assert [*made.runs] == [f"{label}_{seed}" for label in labels for seed in (7, 201)]
-    first = [cfg for cfg in made.runs.values() if cfg.seed == 7]
+    assert [*made.runs] == [f"{label}_7" for label in labels]
+    first = [*made.runs.values()]
     assert [cfg.window for cfg in first] == [1, 1, 1, 3, 5]
     assert [cfg.optimizer.lr for cfg in first] == [1e-3, 1e-4, 1e-3, 1e-3, 1e-3]
     assert {(cfg.scheduler.upper_bound, cfg.trainer.max_epochs) for cfg in first} == {(350, 250)}
@@ -169,8 +163,8 @@ def test_the_rows_are_those_of_the_paper():
         (["system=molniya", "budget=tiny"], "budget: expected one of smoke, laptop, paper; received tiny"),
         (["system=molniya", "ckpt=last"], "ckpt: expected none"),
         ([*TINY, "data.windows_per_epoch=100000"], "expected equal steps for all models; received"),
-        ([*TINY, "optimizer.lrr=1"], "did you mean 'optimizer.lr'?"),
-        ([*TINY, "experiment=paper_hmm"], "did you mean 'paper_hnn'?"),
+        ([*TINY, "optimizer.lrr=1"], "unknown key 'optimizer.lrr'"),
+        ([*TINY, "experiment=paper_hmm"], "experiment: unknown option 'paper_hmm'"),
     ],
 )
 def test_a_command_that_makes_no_reproduction_is_refused(overrides, message):
