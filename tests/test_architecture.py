@@ -53,6 +53,7 @@ ENTRIES = {
     "export",
     "assimilate",
     "reproduce",
+    "reproduction",
     "fitting",
     "cli",
     "__init__",
