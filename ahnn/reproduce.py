@@ -5,7 +5,7 @@ filter, from the true and from a perturbed start: 15 trainings of equally many s
 own, and a table. The same command goes on where it was stopped.
 
 system=mass_spring        Table 1; system=molniya is Table 2
-budget=smoke              does it run, a minute or two; laptop: two cores; paper: a GPU
+budget=smoke              does it run?  laptop: two cores; paper: a GPU
 run=DIR                   of the runs; runs/reproduce/SYSTEM_BUDGET without it
 experiment=paper_hnn,...  some of paper_mlp, paper_node, paper_hnn, paper_ahnn3, paper_ahnn5
 seed=7                    some of the seeds
