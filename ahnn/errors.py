@@ -9,6 +9,10 @@ class UserError(ValueError):
     """A mistake in what the user asked for; the message says who, expected, received and the remedy."""
 
 
+class Occupied(UserError):
+    """Another process works there."""
+
+
 class TrainingError(RuntimeError):
     """Training cannot go on (for example a non-finite loss); the message says where it stopped."""
 

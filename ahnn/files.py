@@ -15,7 +15,7 @@ from uuid import uuid4
 
 from filelock import FileLock, Timeout
 
-from ahnn.errors import UserError
+from ahnn.errors import Occupied, UserError
 
 UNFINISHED = re.compile(r"\..+\.[0-9a-f]{32}\.tmp")
 """Name of a temporary file."""
@@ -67,22 +67,26 @@ def _remove_unfinished(folder: Path) -> None:
 
 
 @contextlib.contextmanager
-def claimed(folder: Path) -> Iterator[None]:
+def claimed(folder: Path, name: str = ".claim") -> Iterator[None]:
     """Hold a folder for this process alone; the claim ends with the process, however that ends.
 
+    Args:
+        folder: to hold.
+        name: of the file that is locked; claims of different names do not exclude each other.
+
     Raises:
-        UserError: another process holds it.
+        Occupied: another process holds it.
     """
-    lock = FileLock(folder / ".claim", timeout=0)
+    lock = FileLock(folder / name, timeout=0)
     try:
         with lock:
             try:
                 yield
             finally:
-                (folder / ".claim").unlink(missing_ok=True)
+                (folder / name).unlink(missing_ok=True)
     except Timeout as error:
         message = f"folder {folder}: expected one of its own; received one that another process writes into"
-        raise UserError(message) from error
+        raise Occupied(message) from error
 
 
 def require_writable(folder: Path) -> None:

@@ -53,6 +53,8 @@ ENTRIES = {
     "export",
     "assimilate",
     "report",
+    "reproduce",
+    "reproduction",
     "fitting",
     "cli",
     "__init__",

@@ -19,6 +19,7 @@ from ahnn.cli import commandline
 from ahnn.cli.again import Request, run_config
 from ahnn.cli.compose import compose_job
 from ahnn.cli.help import ABOUT
+from ahnn.reproduction import plan
 from ahnn.train import stored
 
 ROOT = Path(__file__).parents[1]
@@ -53,6 +54,7 @@ NOT_RUN = {
     "sweep=paper": "needs a GPU and days",
     "-m ahnn.train model=ahnn window=5 system=molniya": "ten minutes of training, and the filter",
     "-m ahnn.train system=molniya model=ahnn": "ten minutes of training, and the filter",
+    "-m ahnn.reproduce system=mass_spring budget=laptop": "fifteen trainings of 6,000 steps",
     "bench_time_to_accuracy": "twenty minutes: the plain way is given twelve times as long",
     "sweep=quick trainer=ddp": "forty trials of two processes each, over ten minutes on two cores",
     "mutate.py": "hours: the suite runs once for each change",
@@ -145,6 +147,8 @@ def test_a_documented_command_names_what_there_is(command, tmp_path, monkeypatch
         cfg = compose_job(["experiment=molniya_central_body", "plugins=ukf"], tmp_path)
         (tmp_path / "config.yaml").write_bytes(stored(cfg))
         run_config(tmp_path, request)
+    elif words[:3] == ["python", "-m", "ahnn.reproduce"] and words[3:] != ["--help"]:
+        assert plan(words[3:], "usage").steps
 
 
 SHOWN = {

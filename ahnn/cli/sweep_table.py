@@ -21,13 +21,14 @@ class SweepTable(Callback):
     """Collects the results in every job folder of the sweep."""
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Print the table, jobs in order, a job without results marked."""
+        """Print the table, jobs in order, a job without results marked; folders with names have another."""
         del kwargs
         from ahnn.evaluation.terminal import show
 
         folder = Path(config.hydra.sweep.dir)
         jobs = sorted((f for f in folder.iterdir() if f.name.isdigit()), key=lambda f: int(f.name))
-        show(sweep_table(folder, jobs))
+        if jobs:
+            show(sweep_table(folder, jobs))
 
 
 def sweep_table(folder: Path, jobs: list[Path]) -> Table:
