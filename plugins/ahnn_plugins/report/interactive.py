@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+import math
 from importlib.resources import files
 from typing import Any
 
@@ -143,11 +144,18 @@ def _vertical(panel: Panel, number: str, domain: list[float]) -> dict[str, Any]:
 
 
 def _decades(panel: Panel) -> dict[str, Any]:
-    """Return the labels of a log axis: powers of ten, or 1, 2 and 5 where it is short."""
+    """Return the labels of a log axis: powers of ten, or whole numbers between them where it is short."""
     values = torch.cat([series.y for series in panel.series])
     values = values[(values > 0) & values.isfinite()]
-    ratio = float(values.max() / values.min()) if len(values) else 1.0
-    return {"dtick": "D2"} if ratio < SHORT else {"dtick": 1} if ratio < LONG else {}
+    if not len(values) or float(values.max() / values.min()) >= LONG:
+        return {}
+    low, high = float(values.min()), float(values.max())
+    if high >= SHORT * low:
+        return {"dtick": 1}
+    # plotly would label these with a digit that does not say its power.
+    decades = range(math.floor(math.log10(low)) - 2, math.ceil(math.log10(high)) + 3)
+    ticks = [float(f"{digit}e{decade}") for decade in decades for digit in (1, 2, 5)]
+    return {"tickvals": ticks, "ticktext": [f"{tick:g}" for tick in ticks]}
 
 
 def _traces(series: Series, drawing: Drawing) -> list[dict[str, Any]]:

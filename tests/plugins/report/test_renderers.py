@@ -59,6 +59,18 @@ def test_arrays_are_typed():
     assert (trace["x"]["dtype"], trace["y"]["dtype"], trace["mode"]) == ("f4", "f4", "lines")
 
 
+@pytest.mark.parametrize(("greatest", "expected"), [(9.0, ("2", "0.05")), (900.0, 1), (1e9, None)])
+def test_labels_of_log_axes(greatest, expected):
+    x = torch.tensor([1.0, 2.0])
+    panel = Panel((Series("mine", x, torch.tensor([0.5, greatest])),), "x", "y", log=True)
+    axis = content(to_html(Drawing("name", "title", "", (panel,))))["layout"]["yaxis"]
+    if isinstance(expected, tuple):
+        assert dict(zip(axis["ticktext"], axis["tickvals"], strict=True))["2"] == 2.0
+        assert set(expected) <= set(axis["ticktext"])
+    else:
+        assert axis.get("dtick") == expected
+
+
 def test_a_page_has_its_library_once():
     script = library()
     assert "</script" not in script
