@@ -19,7 +19,7 @@ PLATEAU = 0.2
 NORMAL = 0.6745
 """Median absolute value of a standard normal number."""
 LOW, LOW_NORMAL = 0.2, 0.2533
-"""A share of the differences that few outliers reach, and the absolute value that bounds it of normal ones."""
+"""A share of the differences that few outliers reach, and what bounds it of standard normal ones."""
 FAR = 6.0
 """Standard deviations of a difference beyond which what it is centred on does not count."""
 SHARE = 1e-4

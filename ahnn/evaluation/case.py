@@ -44,6 +44,7 @@ class Case:
             P0 is known.
         folder: where results are written.
         measured: measurements of the test trajectories, where training saw nothing else.
+        learned_from: measurements of the training trajectories, from their first sample on.
         uncertainty: covariance of the learned parameters, where the training left one.
         novelty: distance (...) of states (..., D) from the training data, where it is known.
         fitted: (B, D) starts from which the model meets the measurements of the test trajectories best, where
@@ -64,6 +65,7 @@ class Case:
     perturbation: Tensor | None
     folder: Path
     measured: Segment | None = None
+    learned_from: Segment | None = None
     uncertainty: Uncertainty | None = None
     novelty: Callable[[Tensor], Tensor] | None = None
     fitted: Tensor | None = None

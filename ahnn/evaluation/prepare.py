@@ -60,6 +60,7 @@ def make_case(
         perturbation=None if truth is None else perturbations(truth, len(test.states), seed),
         folder=folder,
         measured=measured,
+        learned_from=None if data.sensor is None else Segment(*data.measured("train"), data.instrument()),
         uncertainty=uncertainty,
         novelty=None if domain is None else partial(domain.novelty, dynamics),
         fitted=fitted,
