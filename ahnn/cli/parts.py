@@ -105,7 +105,7 @@ def build_recorded(options: dict[str, Any], source: Files) -> Recorded | None:
 def build_model(cfg: DictConfig, data: WindowDataModule) -> AbstractModel:
     """Build the model, with the factories of its optimiser, and what checkpoints say of it."""
     from ahnn.models import Optimisation
-    from ahnn.training.identifiability import require_identifiable
+    from ahnn.training.identifiability import require_identifiable, require_unbiased
 
     space = data.source.space
     given = {"dof": space.dof, "inertia": space.inertia, "window": cfg.window}
@@ -114,6 +114,7 @@ def build_model(cfg: DictConfig, data: WindowDataModule) -> AbstractModel:
         method.require(data.source.truth)  # the floor goes through the integrator of the model
     if data.sensor is not None:
         require_identifiable(model.dynamics, data.sensor, windows=model.curriculum.span is not None)
+        require_unbiased(cfg.loss.get("balance", 0.0))
     if model.curriculum.span is not None:
         data.require_span(model.curriculum.span)
     else:

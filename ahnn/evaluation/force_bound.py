@@ -1,4 +1,4 @@
-"""The Cramer-Rao bound of the true force: what measurements allow where only constants and starts are unknown.
+"""The Cramer-Rao bound of the true force: what measurements allow if constants and starts are unknown.
 
 Residuals r(theta, x_0) in standard deviations have the Fisher information J^T J. With the starts of all
 trajectories eliminated it is
