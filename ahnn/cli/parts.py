@@ -16,6 +16,7 @@ from ahnn.data.recorded import Recorded
 from ahnn.data.sensor import Sensor
 from ahnn.errors import UserError
 from ahnn.runs import about_space
+from ahnn.shooting.robust import ROBUST, RobustName
 from ahnn.systems import System
 
 if TYPE_CHECKING:
@@ -160,6 +161,19 @@ def report_options(cfg: DictConfig) -> dict[str, Any]:
     asked = cfg.evaluation
     detail = asked.get("detail", False)  # runs of earlier versions do not have it
     return {"predictions": asked.save_predictions, "figures": asked.figures, "detail": detail}
+
+
+def robust_of(cfg: DictConfig) -> RobustName:
+    """Return the loss of single residuals that a training takes.
+
+    Raises:
+        UserError: there is no such loss.
+    """
+    name = OmegaConf.select(cfg, "loss.robust", default="none")
+    if name not in ROBUST:
+        message = f"loss.robust: expected one of {', '.join(ROBUST)}; received {name!r}"
+        raise UserError(message)
+    return name
 
 
 def build_trainer(cfg: DictConfig) -> Trainer:

@@ -28,7 +28,7 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
     """
     findings = open_loop(case)
     if case.measured is not None:
-        explained = explain(cast(Any, case.flow), case.measured)
+        explained = explain(cast(Any, case.flow), case.measured, case.robust)
         findings.rows[0] = findings.rows[0]._replace(note=explained.sentence())
         findings.numbers["measurements"] = explained.numbers()
         add_force_bound(case, findings)
