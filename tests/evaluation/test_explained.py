@@ -57,7 +57,7 @@ def test_outliers_are_left_out_where_the_training_weighed_them_down(robust):
     assert found.outliers == pytest.approx(0.05, abs=0.02)
     assert "left out as outliers" in found.sentence()
     assert found.numbers()["outliers"] == found.outliers
-    assert explain(Spring(SPRING), batch).lost > 0.8 * len(batch.values)
+    assert explain(Spring(SPRING), batch).lost > 0.6 * len(batch.values)
     assert explain(Spring(SPRING), measured()).outliers == 0
 
 
