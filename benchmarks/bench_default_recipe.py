@@ -26,6 +26,7 @@ from ahnn.errors import TrainingError, UserError
 from ahnn.metrics import errors, rmse_norm
 from ahnn.paths import conf_dir
 from ahnn.rollouts import rollout
+from ahnn.statistics import sampling_interval
 from ahnn.train import prepare
 
 ORBIT = ["system=molniya", "inputs=isotropic"]
@@ -73,8 +74,10 @@ def trained(overrides: list[str], seconds: float) -> float:
             done = (time.process_time() - begun) / seconds
             if int(done * EPOCHS) != epoch:
                 break
-    truth = data.splits["test"].states[:50]
-    prediction = rollout(model.flow(), truth[:, 0], statistics.dt, truth.shape[1])
+    test = data.splits["test"].part(slice(50))
+    truth = test.states
+    # measurements may lie further apart than the samples that are scored
+    prediction = rollout(model.flow(), truth[:, 0], sampling_interval(test), truth.shape[1])
     error = float(rmse_norm(errors(prediction, truth)[..., : data.source.space.dof]))
     return error if math.isfinite(error) else math.inf
 
