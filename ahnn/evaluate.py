@@ -36,7 +36,7 @@ def evaluate(arguments: list[str]) -> None:
     """
     with held():
         from ahnn.cli.again import Request, run_config
-        from ahnn.cli.parts import build_plugins, build_sensor, build_source, report_options
+        from ahnn.cli.parts import build_plugins, build_sensor, build_source, report_options, robust_of
         from ahnn.cli.settings import check_again
         from ahnn.data import SplitData
         from ahnn.evaluation import evaluation_folder, load_results, report
@@ -59,7 +59,7 @@ def evaluate(arguments: list[str]) -> None:
     training = load_results(run.folder).training if (run.folder / "metrics.json").exists() else {}
     options = report_options(cfg)
     folder = evaluation_folder(request.folder, request.name)
-    learned = {"uncertainty": run.uncertainty, "domain": run.domain}
+    learned = {"uncertainty": run.uncertainty, "domain": run.domain, "robust": robust_of(cfg)}
     case = make_case(
         run.dynamics, splits, label=cfg.label, seed=cfg.evaluation.seed, folder=folder, **learned
     )

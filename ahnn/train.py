@@ -185,12 +185,13 @@ def announce(label: str, trainer: Trainer, data: WindowDataModule, model: Abstra
     epochs = range(done // per_epoch, int(trainer.max_epochs or 1))
     seconds = expected_seconds(trainer, data, model, per_epoch, epochs)
     log.info(
-        "training %s on %s: %s optimiser steps of %d windows in %d epochs, about %s on this machine",
+        "training %s on %s: %s optimiser steps of %d windows in %d epochs%s, about %s on this machine",
         label,
         data.source.space.name,
         f"{per_epoch * epochs.stop - done:,}",
         data.batch_size,
         len(epochs),
+        f" and at most {last} last steps on all" if (last := model.curriculum.closing) else "",
         f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.1f} min",
     )
 
@@ -225,7 +226,7 @@ def judge(
     """Evaluate the best weights of a run, write and show the results, and return the validation loss."""
     from lightning.pytorch.loggers import TensorBoardLogger
 
-    from ahnn.cli.parts import report_options
+    from ahnn.cli.parts import report_options, robust_of
     from ahnn.evaluation import report
     from ahnn.evaluation.prepare import make_case
     from ahnn.evaluation.sinks import TensorBoardSink
@@ -235,7 +236,8 @@ def judge(
     run = load(folder)
     loss = math.nan if run.about["val_loss"] is None else float(run.about["val_loss"])
     options = {"label": cfg.label, "seed": cfg.evaluation.seed, "folder": folder, "domain": run.domain}
-    case = make_case(run.dynamics, data.splits, uncertainty=run.uncertainty, **options)
+    learned = {"uncertainty": run.uncertainty, "robust": robust_of(cfg)}
+    case = make_case(run.dynamics, data.splits, **learned, **options)
     boards = [logger for logger in trainer.loggers if isinstance(logger, TensorBoardLogger)]
     sinks = [TensorBoardSink(board, searched_settings(cfg)) for board in boards]
     report(case, plugins, {**training, "val_loss": loss}, more=sinks, **report_options(cfg))

@@ -121,6 +121,25 @@ def test_a_mistake_is_one_message_and_leaves_nothing(mistake, tmp_path, capfd, m
     assert not GlobalHydra.instance().is_initialized()
 
 
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["data.noise=0.01"], "data.noise: expected a recipe that learns from measurements"),
+        (["experiment=molniya_mechanical", "data.noise=0.1"], "data.noise: expected a recipe that"),
+        (["system=molniya", "sensor=orbit_states", "recipe=eccentric"], "loss.balance: expected 0 with"),
+        (["data.noise=0.1", "recipe=second_order", "loss.balance=0.5"], "loss.balance: expected 0 with"),
+    ],
+)
+def test_no_recipe_learns_noise_unless_it_is_named(given, said, tmp_path, capfd, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert call("ahnn.train", *given, "budget=smoke", "plugins=none", "run=run") == 2
+    out, err = capfd.readouterr()
+    assert err.startswith(f"ahnn: {said}")
+    assert err.count("\n") == 1
+    assert not out
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_key_like_no_other_lists_the_top_level_alone(tmp_path, capfd, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert call("ahnn.train", "foo=1") == 2

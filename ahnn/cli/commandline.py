@@ -157,14 +157,33 @@ def compose(loader: ConfigLoaderImpl, name: str, overrides: list[str]) -> DictCo
             hint = nearest_key(key, {*plain, *flatten(plain), *loader.list_groups("")})
             message = f"configuration: unknown key {key!r}{hint}"
         raise UserError(message) from error
+    check_recipe(cfg, overrides)
+    return cfg
+
+
+def check_recipe(cfg: DictConfig, overrides: Iterable[str]) -> None:
+    """Refuse noise for a recipe that takes samples as exact and that nobody named, and windows for stretches.
+
+    Raises:
+        UserError: what is named, and the recipe that was not.
+    """
     named = [text for text in overrides if text.startswith("window=")]
-    if named and "stages" in (OmegaConf.select(cfg, "loss") or {}):
+    noise = OmegaConf.select(cfg, "data.noise")
+    if "stages" in (OmegaConf.select(cfg, "loss") or {}):
+        if named:
+            message = (
+                "window: expected none, since loss.stages says how long stretches are; received "
+                f"{named[-1]!r}. Set loss.stages, or choose a recipe for exact states, such as "
+                "recipe=second_order"
+            )
+            raise UserError(message)
+    elif noise is not None and not any(text.startswith(("recipe=", "loss=")) for text in overrides):
         message = (
-            f"window: expected none, since loss.stages says how long stretches are; received {named[-1]!r}. "
-            "Set loss.stages, or choose a recipe for exact states, such as recipe=second_order"
+            "data.noise: expected a recipe that learns from measurements; received noise for one that takes "
+            "samples as exact. Use recipe=measurements, for whole states that come densely "
+            "recipe=noisy_states, on orbits recipe=dense_states, or an option of sensor, which brings its own"
         )
         raise UserError(message)
-    return cfg
 
 
 def nearest_key(wrong: str, known: Iterable[str]) -> str:

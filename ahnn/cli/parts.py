@@ -16,6 +16,7 @@ from ahnn.data.recorded import Recorded
 from ahnn.data.sensor import Sensor
 from ahnn.errors import UserError
 from ahnn.runs import about_space
+from ahnn.shooting.robust import ROBUST, RobustName
 from ahnn.systems import System
 
 if TYPE_CHECKING:
@@ -105,7 +106,7 @@ def build_recorded(options: dict[str, Any], source: Files) -> Recorded | None:
 def build_model(cfg: DictConfig, data: WindowDataModule) -> AbstractModel:
     """Build the model, with the factories of its optimiser, and what checkpoints say of it."""
     from ahnn.models import Optimisation
-    from ahnn.training.identifiability import require_identifiable
+    from ahnn.training.identifiability import require_identifiable, require_unbiased
 
     space = data.source.space
     given = {"dof": space.dof, "inertia": space.inertia, "window": cfg.window}
@@ -114,6 +115,7 @@ def build_model(cfg: DictConfig, data: WindowDataModule) -> AbstractModel:
         method.require(data.source.truth)  # the floor goes through the integrator of the model
     if data.sensor is not None:
         require_identifiable(model.dynamics, data.sensor, windows=model.curriculum.span is not None)
+        require_unbiased(cfg.loss.get("balance", 0.0))
     if model.curriculum.span is not None:
         data.require_span(model.curriculum.span)
     else:
@@ -159,6 +161,19 @@ def report_options(cfg: DictConfig) -> dict[str, Any]:
     asked = cfg.evaluation
     detail = asked.get("detail", False)  # runs of earlier versions do not have it
     return {"predictions": asked.save_predictions, "figures": asked.figures, "detail": detail}
+
+
+def robust_of(cfg: DictConfig) -> RobustName:
+    """Return the loss of single residuals that a training takes.
+
+    Raises:
+        UserError: there is no such loss.
+    """
+    name = OmegaConf.select(cfg, "loss.robust", default="none")
+    if name not in ROBUST:
+        message = f"loss.robust: expected one of {', '.join(ROBUST)}; received {name!r}"
+        raise UserError(message)
+    return name
 
 
 def build_trainer(cfg: DictConfig) -> Trainer:

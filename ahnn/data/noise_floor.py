@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from ahnn.statistics import sampling_interval
 from ahnn.types import Trajectories
@@ -17,6 +18,10 @@ PLATEAU = 0.2
 """Change from one order to the next beyond which it is the motion that is seen."""
 NORMAL = 0.6745
 """Median absolute value of a standard normal number."""
+LOW, LOW_NORMAL = 0.2, 0.2533
+"""A share of the differences that few outliers reach, and what bounds it of standard normal ones."""
+FAR = 6.0
+"""Standard deviations of a difference beyond which what it is centred on does not count."""
 SHARE = 1e-4
 """Noise in increments from which objectives that compare windows of samples learn it."""
 TWICE = 2.0
@@ -27,22 +32,44 @@ def noise_floor(trajectories: Trajectories) -> Tensor:
     """Return the standard deviation of the noise of each component, (D,); NaN where it cannot be told.
 
     The k-th difference of independent noise has the variance (2k over k) sigma^2, and of a smooth motion
-    goes to zero with k. Medians leave out events such as the passage of a periapsis.
+    goes to zero with k. Medians leave out events such as the passage of a periapsis, and outliers, as long as
+    these are not more than about a tenth of the samples, are taken out before.
 
     Args:
         trajectories: sampled about evenly; absent samples are NaN.
     """
-    difference, found = trajectories.states, []
-    if difference.shape[1] <= ORDERS[-1]:
-        return difference.new_full(difference.shape[-1:], torch.nan)
+    samples, found = trajectories.states, []
+    if samples.shape[1] <= ORDERS[-1]:
+        return samples.new_full(samples.shape[-1:], torch.nan)
+    difference = without_events(samples)
     for order in range(1, ORDERS[-1] + 1):
         difference = difference.diff(dim=1)
         if order in ORDERS:
             typical = difference.abs().flatten(0, 1).nanmedian(0).values
-            found.append(typical / (NORMAL * math.sqrt(math.comb(2 * order, order))))
+            found.append(typical / (NORMAL * spread(order)))
     level = torch.stack(found)
     changes = (level[1:] / level[:-1] - 1).abs()
     return torch.where((changes <= PLATEAU).all(0), level[0], torch.nan)
+
+
+def spread(order: int) -> float:
+    """Return the standard deviation of the k-th difference of independent noise of unit variance."""
+    return math.sqrt(math.comb(2 * order, order))
+
+
+def without_events(samples: Tensor) -> Tensor:
+    """Return samples (B, T, D) with NaN where a difference that is centred there is far larger than most.
+
+    A single outlier is part of k + 1 differences of order k: a few per cent of outliers would reach so many
+    of them that medians grow, too. Centred on it is the largest of these.
+    """
+    order = ORDERS[0]
+    sizes = samples.diff(n=order, dim=1).abs()
+    values, _ = sizes.flatten(0, 1).nan_to_num(nan=torch.inf).sort(0)
+    there = sizes.flatten(0, 1).isfinite().sum(0, keepdim=True)
+    low = values.gather(0, (LOW * there).long().clamp(max=len(values) - 1))
+    far = sizes > FAR * low / LOW_NORMAL
+    return samples.masked_fill(pad(far, (0, 0, order // 2, order // 2)), torch.nan)
 
 
 def remark_on(samples: Trajectories, names: Sequence[str], stated: Tensor | None) -> str | None:

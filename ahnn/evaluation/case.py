@@ -14,6 +14,7 @@ from torch import Tensor
 from ahnn.integrators import Integrator
 from ahnn.measurements import Segment
 from ahnn.metrics import Scores, score
+from ahnn.shooting.robust import RobustName
 from ahnn.systems import System
 from ahnn.types import Flow, Space, TimeStep, Trajectories
 from ahnn.uncertainty import Uncertainty
@@ -44,6 +45,8 @@ class Case:
             P0 is known.
         folder: where results are written.
         measured: measurements of the test trajectories, where training saw nothing else.
+        robust: the loss of single residuals that the training took.
+        learned_from: measurements of the training trajectories, from their first sample on.
         uncertainty: covariance of the learned parameters, where the training left one.
         novelty: distance (...) of states (..., D) from the training data, where it is known.
         fitted: (B, D) starts from which the model meets the measurements of the test trajectories best, where
@@ -64,6 +67,8 @@ class Case:
     perturbation: Tensor | None
     folder: Path
     measured: Segment | None = None
+    robust: RobustName = "none"
+    learned_from: Segment | None = None
     uncertainty: Uncertainty | None = None
     novelty: Callable[[Tensor], Tensor] | None = None
     fitted: Tensor | None = None

@@ -12,11 +12,13 @@ from ahnn.estimation.consistency import band
 from ahnn.measurements import Segment
 from ahnn.measurements.smoothing import guess
 from ahnn.shooting.paths import Steps, steps_between
-from ahnn.shooting.robust import ROBUST
+from ahnn.shooting.robust import ROBUST, RobustName
 from ahnn.shooting.starts import Fitted, Trial, fit_starts
 
 NORMAL95 = 1.959963984540054
 """Standard deviations within which a normal number lies with 95 %."""
+OUTLYING = 6.0
+"""Standard deviations beyond which a number is an outlier, where the training weighed these down."""
 LOST = 25.0
 """Mean squared residual of a segment that its measurements were not met in."""
 
@@ -31,6 +33,7 @@ class Explained(NamedTuple):
         correlation_band: within which that lies with 95 %, on either side of 0.
         lost: trajectories that no start explains, which do not count in the others.
         trajectories: how many were tried.
+        outliers: share of the measured numbers that were taken for outliers and left out.
     """
 
     chi_square: float
@@ -39,6 +42,7 @@ class Explained(NamedTuple):
     correlation_band: float
     lost: int
     trajectories: int
+    outliers: float = 0.0
 
     @property
     def consistent(self) -> bool:
@@ -56,6 +60,7 @@ class Explained(NamedTuple):
             f"(1 to within {low - 1:+.1g} and {high - 1:+.1g}), "
             f"residuals in a row correlate by {self.correlation:+.1g}"
         )
+        text += f"; {100 * self.outliers:.2g} % left out as outliers" if self.outliers else ""
         return text + (
             f"; {self.lost} of {self.trajectories} trajectories not explained" if self.lost else ""
         )
@@ -66,28 +71,41 @@ class Explained(NamedTuple):
 
 
 @torch.no_grad()
-def fit_to(dynamics: nn.Module, segment: Segment) -> tuple[Fitted, Steps]:
+def fit_to(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") -> tuple[Fitted, Steps]:
     """Return the starts from which dynamics meet measurements best, and the steps of the paths from there.
 
     Args:
         dynamics: float64, with a method `increment`.
         segment: measurements that the dynamics were not trained on.
+        robust: the loss of single residuals.
     """
     rough: Any = copy.deepcopy(dynamics).float()
     exact: Any = dynamics
     steps = steps_between(segment.times, segment.instrument.longest)
-    trial = Trial(exact.increment, rough.increment, ROBUST["none"])
+    trial = Trial(exact.increment, rough.increment, ROBUST[robust])
     return fit_starts(trial, guess(segment), segment, steps), steps
 
 
 @torch.no_grad()
-def explain(dynamics: nn.Module, segment: Segment) -> Explained:
+def without_outliers(dynamics: nn.Module, segment: Segment, robust: RobustName) -> Segment:
+    """Return measurements without those that are far from the path that a robust loss fits to all."""
+    fitted, steps = fit_to(dynamics, segment, robust)
+    far = segment.residuals(fitted.states[:, steps.ends]).abs() > OUTLYING
+    return segment._replace(values=segment.values.masked_fill(far, torch.nan))
+
+
+@torch.no_grad()
+def explain(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") -> Explained:
     """Return how well dynamics explain measurements, each trajectory from the start that fits it best.
 
     Args:
         dynamics: float64, with a method `increment`.
         segment: measurements that the dynamics were not trained on.
+        robust: the loss of the training; one that weighs outliers down leaves them out here.
     """
+    measured = int(segment.measured.sum())
+    if robust != "none":
+        segment = without_outliers(dynamics, segment, robust)
     fitted, steps = fit_to(dynamics, segment)
     degrees = segment.measured - 2 * segment.instrument.dof
     met = (degrees > 0) & (fitted.sums <= LOST * segment.measured)
@@ -105,6 +123,7 @@ def explain(dynamics: nn.Module, segment: Segment) -> Explained:
         correlation_band=NORMAL95 / max(pairs, 1) ** 0.5 + spent,
         lost=int((~met).sum()),
         trajectories=len(met),
+        outliers=1 - int(segment.measured.sum()) / max(measured, 1),
     )
 
 

@@ -15,6 +15,7 @@ from ahnn.dynamics import Dynamics, HasEnergy
 from ahnn.evaluation.case import Case, perturbations
 from ahnn.evaluation.explained import fit_to
 from ahnn.measurements import Segment
+from ahnn.shooting.robust import RobustName
 from ahnn.statistics import sampling_interval
 from ahnn.types import Trajectories
 from ahnn.uncertainty import Domain, Uncertainty
@@ -29,6 +30,7 @@ def make_case(
     folder: Path,
     uncertainty: Uncertainty | None = None,
     domain: Domain | None = None,
+    robust: RobustName = "none",
 ) -> Case:
     """Return the case of learned dynamics on the test trajectories of its data.
 
@@ -40,11 +42,12 @@ def make_case(
         folder: where the results are written.
         uncertainty: of the parameters of the dynamics, if it is known.
         domain: where the dynamics were learned, if that is known.
+        robust: the loss of single residuals that they were learned with.
     """
     source, truth, measured = data.source, data.source.truth, measured_test(data)
     fitted, test = None, data["test"]
     if measured is not None and isinstance(data.sensor, Recorded):
-        fitted, test = fit_to(dynamics, measured)[0].starts, as_test(measured)
+        fitted, test = fit_to(dynamics, measured, robust)[0].starts, as_test(measured)
     return Case(
         label=label,
         assumes=dynamics.assumes,
@@ -60,6 +63,8 @@ def make_case(
         perturbation=None if truth is None else perturbations(truth, len(test.states), seed),
         folder=folder,
         measured=measured,
+        robust=robust,
+        learned_from=None if data.sensor is None else Segment(*data.measured("train"), data.instrument()),
         uncertainty=uncertainty,
         novelty=None if domain is None else partial(domain.novelty, dynamics),
         fitted=fitted,

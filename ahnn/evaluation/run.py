@@ -9,6 +9,7 @@ from ahnn.evaluation.bands import band_figure, banded
 from ahnn.evaluation.case import Case, EvaluationPlugin, Findings, Row
 from ahnn.evaluation.explained import explain
 from ahnn.evaluation.figures import open_loop_figures
+from ahnn.evaluation.force_bound import force_bound
 from ahnn.evaluation.open_loop import open_loop
 from ahnn.uncertainty import Uncertainty
 
@@ -27,9 +28,10 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
     """
     findings = open_loop(case)
     if case.measured is not None:
-        explained = explain(cast(Any, case.flow), case.measured)
+        explained = explain(cast(Any, case.flow), case.measured, case.robust)
         findings.rows[0] = findings.rows[0]._replace(note=explained.sentence())
         findings.numbers["measurements"] = explained.numbers()
+        add_force_bound(case, findings)
     if figures:
         findings.figures |= open_loop_figures(case, findings.arrays)
     if case.uncertainty is not None and case.fitted is None:  # a band says nothing of measurements
@@ -55,6 +57,15 @@ def add_band(case: Case, uncertainty: Uncertainty, findings: Findings, *, figure
     findings.arrays["true_start_deviations"] = band.deviations
     if figures:
         findings.figures["band"] = band_figure(case, prediction, band.deviations)
+
+
+def add_force_bound(case: Case, findings: Findings) -> None:
+    """Add the bound of the true force to the row of the prediction from the true start, where it is known."""
+    bound = None if case.fitted is not None else force_bound(case, findings.arrays["true_start"])
+    if bound is not None:
+        row = findings.rows[0]
+        extra = {**row.extra, "force_bound": bound.numbers()}
+        findings.rows[0] = row._replace(note=f"{row.note}; {bound.sentence()}", extra=extra)
 
 
 def distinct(rows: Iterable[Row], taken: Iterable[Row], name: str) -> list[Row]:

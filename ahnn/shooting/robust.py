@@ -26,10 +26,12 @@ class Robust(NamedTuple):
     Attributes:
         cost: e -> 2 rho(e), e^2 for squares.
         weight: e -> rho'(e) / e.
+        approach: name of the convex loss that a fit begins with, where this one has minima that depend on it.
     """
 
     cost: Callable[[Tensor], Tensor]
     weight: Callable[[Tensor], Tensor]
+    approach: RobustName | None = None
 
 
 def _huber(e: Tensor) -> Tensor:
@@ -43,5 +45,6 @@ ROBUST: dict[str, Robust] = {
     "student": Robust(
         lambda e: (FREEDOM + 1) * torch.log1p(e * e / FREEDOM),
         lambda e: (FREEDOM + 1) / (FREEDOM + e * e),
+        approach="huber",
     ),
 }

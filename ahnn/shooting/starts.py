@@ -14,7 +14,7 @@ from torch import Tensor
 
 from ahnn.measurements import Segment
 from ahnn.shooting.paths import Increment, Steps, path, pointwise_jacobian, step_jacobians, transitions
-from ahnn.shooting.robust import Robust
+from ahnn.shooting.robust import ROBUST, Robust
 
 SHORTEST = 4
 """Intervals over which starts are fitted first, at least."""
@@ -106,18 +106,24 @@ def fit_starts(
     """Return the fit of each segment, begun at `start`, shape (B, D), over growing spans.
 
     A segment that does not meet its measurements over one span, within a mean squared residual of `hopeless`,
-    is not tried over longer ones.
+    is not tried over longer ones. An outlier among the first samples spoils where a fit begins: a loss that
+    forgets what is far off would stay there, and follows a convex one.
     """
     intervals, start = len(steps.ends) - 1, start.clone()
+    name = trial.robust.approach
+    first = trial if name is None else trial._replace(robust=ROBUST[name])
     alive = torch.arange(len(start))
     for span in growing(intervals):
         part, grid = segment.rows(alive).first(span), steps.rows(alive).first(span)
-        fitted = refine(trial, start[alive], part, grid, ROUGHLY)
+        fitted = refine(first, start[alive], part, grid, ROUGHLY)
         start[alive] = fitted.starts
         alive = alive[fitted.sums <= hopeless * part.measured]
     states = start.new_full((len(start), steps.lengths.shape[1] + 1, start.shape[1]), torch.nan)
     sums = start.new_full((len(start),), torch.inf)
-    fitted = refine(trial, start[alive], segment.rows(alive), steps.rows(alive), ITERATIONS)
+    part, grid = segment.rows(alive), steps.rows(alive)
+    if name is not None:
+        start[alive] = refine(first, start[alive], part, grid, ITERATIONS).starts
+    fitted = refine(trial, start[alive], part, grid, ITERATIONS)
     states[:, 0], states[alive], sums[alive] = start, *fitted
     return Fitted(states, sums)
 

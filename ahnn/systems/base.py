@@ -47,6 +47,7 @@ class System(ABC):
         integrator: name of the method that generates the truth.
         noise: default standard deviations for a filter.
         mass: in the unit of the system.
+        constants: fields of which the force is a function besides the position; the mass apart.
     """
 
     name: str
@@ -58,6 +59,7 @@ class System(ABC):
     units: ClassVar[Units]
     integrator: ClassVar[str]
     noise: ClassVar[FilterNoise]
+    constants: ClassVar[tuple[str, ...]] = ()
     mass: Positive = 1.0
 
     def __post_init__(self) -> None:

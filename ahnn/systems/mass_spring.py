@@ -30,6 +30,7 @@ class MassSpring(System):
     components = ("q", "p")
     units = Units(time="s", position="m", velocity="m/s", energy="J")
     integrator = "gl4"
+    constants = ("stiffness",)
     noise = FilterNoise(position=1e-7**0.5, velocity=1e-7**0.5, measurement=1e-7**0.5)
 
     def energy(self, x: Tensor) -> Tensor:

@@ -31,6 +31,7 @@ class Molniya(Satellites):
     j2: Finite = 1.0826e-3
 
     integrator = "kahan_li8"
+    constants = ("mu", "j2")
 
     @property
     def planet(self) -> Planet:

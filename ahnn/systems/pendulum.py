@@ -31,6 +31,7 @@ class Pendulum(System):
     components = ("q", "p")
     units = Units(time="s", position="rad", velocity="rad/s", energy="J")
     integrator = "kahan_li8"
+    constants = ("gravity",)
     noise = FilterNoise(position=1e-3, velocity=1e-3, measurement=1e-3)
 
     def energy(self, x: Tensor) -> Tensor:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor
@@ -29,6 +31,22 @@ def exact_flow(system: System) -> Flow:
         UserError: no admissible number of substeps is accurate.
     """
     return _substeps_flow(system, substeps(system))
+
+
+def varied_flow(system: System, constants: Mapping[str, Tensor]) -> Flow:
+    """Return the exact flow of a system some of whose constants differ from state to state.
+
+    Args:
+        system: says how many substeps its own flow needs, which the others take, too.
+        constants: by name, (B, 1) each for states (B, D).
+
+    Raises:
+        UserError: no admissible number of substeps is accurate.
+    """
+    varied = copy.copy(system)
+    for name, values in constants.items():
+        object.__setattr__(varied, name, values)  # frozen, and its checks expect one number for all
+    return _substeps_flow(varied, substeps(system))
 
 
 def substeps(system: System) -> int:

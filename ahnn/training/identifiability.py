@@ -34,3 +34,20 @@ def require_identifiable(dynamics: Dynamics, sensor: Sensor, *, windows: bool) -
             f"for a {dynamics.assumes.split(',')[0]}. Use hamiltonian=mechanical or central_body"
         )
         raise UserError(message)
+
+
+def require_unbiased(balance: float) -> None:
+    """Refuse windows of measured states that count relative to their own increments, which hold their noise.
+
+    A weight that falls with the noise of the residual it belongs to favours samples by their noise: the fit
+    is biased however many there are.
+
+    Raises:
+        UserError: names the losses that weigh by standard deviations.
+    """
+    if balance:
+        message = (
+            "loss.balance: expected 0 with measured states, whose noise would set the weights; received "
+            f"{balance:g}. Use recipe=noisy_states or dense_states, which weigh by noise, or loss.balance=0"
+        )
+        raise UserError(message)

@@ -46,6 +46,14 @@ def test_absent_samples_do_not_count():
     close(noise_floor(given), torch.full((6,), 0.1), 0.05)
 
 
+@pytest.mark.parametrize(("share", "bound"), [(0.05, 0.05), (0.1, 0.1)])
+def test_outliers_are_no_noise(share, bound):
+    given = noisy(0.1)
+    draw = torch.rand(given.states.shape, generator=generator(8))
+    off = given.states + 50 * 0.1 * torch.where(draw < share / 2, -1.0, 1.0) * (draw < share)
+    close(noise_floor(Trajectories(off, given.times)), torch.full((6,), 0.1), bound)
+
+
 def test_a_motion_that_is_sampled_too_rarely_tells_nothing():
     rare = Trajectories(ORBITS.states[:, ::60], ORBITS.times[:, ::60])
     assert bool(noise_floor(rare).isnan().any())

@@ -49,6 +49,18 @@ def test_a_wrong_model_leaves_more_and_what_it_leaves_is_not_white():
     assert found.correlation > found.correlation_band
 
 
+@pytest.mark.parametrize("robust", ["huber", "student"])
+def test_outliers_are_left_out_where_the_training_weighed_them_down(robust):
+    batch = measured(outliers=0.05)
+    found = explain(Spring(SPRING), batch, robust)
+    assert found.consistent
+    assert found.outliers == pytest.approx(0.05, abs=0.02)
+    assert "left out as outliers" in found.sentence()
+    assert found.numbers()["outliers"] == found.outliers
+    assert explain(Spring(SPRING), batch).lost > 0.6 * len(batch.values)
+    assert explain(Spring(SPRING), measured()).outliers == 0
+
+
 def test_gaps_are_no_residuals_and_what_is_not_met_is_counted():
     batch = measured(gaps=0.3)
     found = explain(Spring(SPRING), batch)

@@ -50,6 +50,19 @@ def test_starts_come_from_the_noise_alone_when_the_model_is_right():
     assert float((starts - truth).square().mean().sqrt()) < 0.5 * 0.02
 
 
+@torch.no_grad()
+def test_an_outlier_among_the_first_samples_holds_no_start_fast():
+    """Student's loss has a minimum for each sample that a start may have been guessed from."""
+    truth, batch = segment(rows=60, sd=0.01, missing=0.0)
+    values = batch.values.clone()
+    values[:, 1] += 50 * 0.01
+    batch = batch._replace(values=values)
+    steps = steps_between(batch.times, batch.instrument.longest)
+    ours = fit_starts(trial(Swing(), "student"), guess(batch), batch, steps)
+    best = fit_starts(trial(Swing(), "student"), truth, batch, steps)
+    assert float((ours.sums <= 1.001 * best.sums + 0.01).double().mean()) == 1
+
+
 def reduced(problem, theta):
     """Residuals at the best starts of theta, flat, by many refits, and their cost."""
     with torch.no_grad():

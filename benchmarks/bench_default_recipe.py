@@ -1,0 +1,142 @@
+"""Is the default good enough under noise? The recipe of a sensor and every other, for equal CPU time.
+
+    python benchmarks/bench_default_recipe.py --seconds 60 --out recipes.csv
+
+Each row is one training: the default is that of the options of a system and its sensor, the others name a
+recipe on the same command line. Stages of a training, given as fractions of the epochs, are fractions of its
+time. The error is that of rollouts of unseen trajectories from their true start, mean of the rms vector norm,
+as in every table. Rows are appended as they are measured, and those that the file has are not measured again.
+At the end of each level of noise stands by what factor the default is worse than the best of the recipes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import itertools
+import math
+import tempfile
+import time
+from pathlib import Path
+
+import torch
+from hydra import compose, initialize_config_dir
+
+from ahnn.errors import TrainingError, UserError
+from ahnn.metrics import errors, rmse_norm
+from ahnn.paths import conf_dir
+from ahnn.rollouts import rollout
+from ahnn.statistics import sampling_interval
+from ahnn.train import prepare
+
+ORBIT = ["system=molniya", "inputs=isotropic"]
+LEVELS = {
+    "spring": (["system=mass_spring", "sensor=spring_states"], ["0.001", "0.01"]),
+    "pendulum": (["system=pendulum_slow", "hamiltonian=mechanical", "sensor=pendulum_angles"], ["0.01"]),
+    "orbit": ([*ORBIT, "hamiltonian=mechanical", "sensor=orbit_states"], ["[0.1,1e-4]", "[1.0,1e-3]"]),
+    "positions": ([*ORBIT, "hamiltonian=central_body", "sensor=orbit_positions"], ["0.1"]),
+}
+"""Overrides of a command, and the standard deviations of its measurements."""
+DEFAULT = "default"
+RECIPES = (
+    DEFAULT,
+    "measurements",
+    "noisy_states",
+    "dense_states",
+    "second_order",
+    "first_order",
+    "eccentric",
+)
+EPOCHS = 20
+"""In which stages are counted; they end when the time does."""
+
+
+def trained(overrides: list[str], seconds: float) -> float:
+    """Return the error of a training that took so many seconds of CPU time; inf where it came to nothing.
+
+    Raises:
+        UserError: a recipe that the measurements do not fit.
+    """
+    with tempfile.TemporaryDirectory() as folder, initialize_config_dir(str(conf_dir()), version_base=None):
+        cfg = compose("train", [f"folder={folder}", f"run={folder}", "data.trajectories=625", *overrides])
+        data, model, *_ = prepare(cfg)
+    statistics = data.statistics()
+    model.calibrate(statistics)
+    loader, optimizer = data.train_dataloader(), model.configure_optimizers()
+    optimizer = optimizer["optimizer"] if isinstance(optimizer, dict) else optimizer
+    data.epochs, begun, done = EPOCHS, time.process_time(), 0.0
+    while done < 1:
+        epoch = int(done * EPOCHS)
+        loader.set_epoch(epoch)
+        for batch in loader:
+            objective = model.curriculum.at(epoch, EPOCHS)
+            step(model, objective, batch, optimizer)
+            done = (time.process_time() - begun) / seconds
+            if int(done * EPOCHS) != epoch:
+                break
+    test = data.splits["test"].part(slice(50))
+    truth = test.states
+    # measurements may lie further apart than the samples that are scored
+    prediction = rollout(model.flow(), truth[:, 0], sampling_interval(test), truth.shape[1])
+    error = float(rmse_norm(errors(prediction, truth)[..., : data.source.space.dof]))
+    return error if math.isfinite(error) else math.inf
+
+
+def step(model, objective, batch, optimizer) -> None:
+    """Take one step of a stepper; the trainer does the rest of those that leave it to it."""
+    loss = model.stepper.step(objective, model.loss, model.dynamics, batch, optimizer)
+    if model.stepper.automatic:
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+
+
+def measured(overrides: list[str], seconds: float) -> str:
+    """Return the error of a training as text, `refused` where the measurements do not fit the recipe."""
+    try:
+        return f"{trained(overrides, seconds):.4g}"
+    except UserError:
+        return "refused"
+    except TrainingError:
+        return "inf"
+
+
+def factor(rows: dict[str, str]) -> float:
+    """Return by what factor the error of the default exceeds the least of all recipes."""
+    known = {name: float(error) for name, error in rows.items() if error != "refused"}
+    return known[DEFAULT] / min(known.values()) if DEFAULT in known else math.inf
+
+
+def main() -> None:
+    """Measure what the file does not have, and print the factors."""
+    kind = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=kind)
+    parser.add_argument("--seconds", type=float, default=60, help="CPU time of each training")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[7, 201, 719])
+    parser.add_argument("--systems", nargs="+", default=list(LEVELS), choices=LEVELS)
+    parser.add_argument("--recipes", nargs="+", default=list(RECIPES), choices=RECIPES)
+    parser.add_argument("--out", type=Path, default=Path("recipes.csv"))
+    args = parser.parse_args()
+    torch.set_num_threads(1)
+    known = {(*row[:4],): row[4] for row in csv.reader(args.out.open())} if args.out.exists() else {}
+    for seed, system in itertools.product(args.seeds, args.systems):
+        common, levels = LEVELS[system]
+        for noise in levels:
+            rows = {}
+            for recipe in args.recipes:
+                named = [] if recipe == DEFAULT else [f"recipe={recipe}"]
+                key = system, noise, recipe, str(seed)
+                if key not in known:
+                    asked = [f"data.noise={noise}", f"seed={seed}", *named]
+                    known[key] = measured(["model=ahnn", *common, *asked], args.seconds)
+                    with args.out.open("a", newline="") as file:
+                        csv.writer(file).writerow([*key, known[key]])
+                rows[recipe] = known[key]
+                print(*key, rows[recipe], flush=True)
+            print(
+                f"{system} {noise} seed {seed}: the default is {factor(rows):.2f} times the best", flush=True
+            )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,48 @@
+"""The announced time of a training on measurements counts its last steps."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from ahnn.training import outlook
+
+
+class Batches:
+    """Batches of 10 measurements, in the second epoch of 40."""
+
+    size = 10
+
+    def set_epoch(self, epoch):
+        self.size = 10 if epoch < 1 else 40
+
+    def __iter__(self):
+        yield SimpleNamespace(times=torch.zeros(self.size))
+
+
+class Data:
+    """Measurements: 1,000 of the training, 200 of a validation."""
+
+    stages = object()
+
+    def train_dataloader(self):
+        return Batches()
+
+    def val_dataloader(self):
+        return [SimpleNamespace(times=torch.zeros(200))]
+
+    def trajectories(self, split):
+        assert split == "train"
+        return SimpleNamespace(times=torch.zeros(1000))
+
+
+@pytest.mark.parametrize(("closing", "whole"), [(0, 1), (3, 4)])
+def test_last_steps_and_the_covariance_count_by_all_measurements(closing, whole, monkeypatch):
+    """A step of 10 takes 1 s: three of 10 and three of 40, two validations, and passes over all of them."""
+    monkeypatch.setattr(outlook, "_step_seconds", lambda *_: 1.0)
+    curriculum = SimpleNamespace(at=lambda *_: None, closing=closing)
+    model, trainer = SimpleNamespace(curriculum=curriculum), SimpleNamespace(callbacks=[])
+    seconds = outlook.expected_seconds(trainer, Data(), model, 3, range(2))  # pyright: ignore
+    assert seconds == pytest.approx(3 + 12 + 2 * 20 + whole * 100)
