@@ -13,7 +13,9 @@ import torch
 from torch import Tensor, nn
 
 from ahnn.arguments import Positive, checked
+from ahnn.dynamics import written_out
 from ahnn.dynamics.energies import CentralBody, Energy, NetworkEnergy, Quadratic, energy_units
+from ahnn.dynamics.gradients import Layers
 from ahnn.dynamics.inputs import Cartesian, InputName, position_inputs
 from ahnn.dynamics.networks import make_network
 from ahnn.dynamics.scaling import Kind
@@ -58,8 +60,29 @@ class GenericHamiltonian(nn.Module):
         """Return H, shape (...), at the states x, shape (..., D)."""
         return self.unit * self.network(self.seen(x)).squeeze(-1)
 
+    def layers(self) -> Layers | None:
+        """Return the network with scaling and J taken into its first layer, so that the field is delta_1 E.
+
+        None where the positions do not enter by an affine map.
+        """
+        if not isinstance(self.positions, Cartesian):
+            return None
+        maps = self.positions.affine, self.momenta.affine
+        inner = self.network.layers()
+        first = inner.weights[0] / torch.cat([m.scale for m in maps])
+        shift = torch.cat([m.shift for m in maps])
+        of_q, of_p = first.chunk(2, dim=1)
+        return Layers(
+            [first, *inner.weights[1:]],
+            [torch.addmv(inner.biases[0], first, shift, alpha=-1), *inner.biases[1:]],
+            inner.last,
+            self.unit * torch.cat((of_p, -of_q), dim=1),
+        )
+
     def forward(self, x: Tensor) -> Tensor:
         """Return (dH/dp, -dH/dq), shape (..., D), at the states x, shape (..., D)."""
+        if written_out.applies(self.network.activation, x) and (layers := self.layers()):
+            return written_out.network_gradient(x, layers, self.network.activation)
         q, p = x.chunk(2, dim=-1)
         gradient = self.unit * self.network.gradient(self.seen(x))
         split = self.positions.size
