@@ -16,16 +16,20 @@ _DENSITY = 1 / math.sqrt(2 * math.pi)
 
 
 class Kernels(NamedTuple):
-    """Derivatives of an activation in few passes; results are new tensors, which a caller may overwrite.
+    """An activation and its derivatives in few passes; results are new tensors, which a caller may overwrite.
+
+    The derivatives are functions of y, which is the value sigma(z) or z itself.
 
     Attributes:
-        value_and_slope: z -> (sigma, sigma').
-        slope: z -> sigma'.
-        curvature: (z, sigma') -> sigma''.
+        value: z -> sigma(z).
+        by_value: whether y is the value.
+        pull: (u, y) -> u sigma'(z).
+        curvature: (y, sigma'(z)) -> sigma''(z).
     """
 
-    value_and_slope: Callable[[Tensor], tuple[Tensor, Tensor]]
-    slope: Callable[[Tensor], Tensor]
+    value: Callable[[Tensor], Tensor]
+    by_value: bool
+    pull: Callable[[Tensor, Tensor], Tensor]
     curvature: Callable[[Tensor, Tensor], Tensor]
 
 
@@ -51,18 +55,8 @@ def _fast_tanh(z: Tensor) -> Tensor:
     return (z + z).sigmoid_().mul_(2).sub_(1)
 
 
-def _tanh_slope(z: Tensor) -> Tensor:
-    a = _fast_tanh(z)
-    return a.mul_(a).neg_().add_(1)
-
-
-def _tanh_both(z: Tensor) -> tuple[Tensor, Tensor]:
-    a = _fast_tanh(z)
-    return a, (a * a).neg_().add_(1)
-
-
-def _tanh_curvature(z: Tensor, slope: Tensor) -> Tensor:
-    return _fast_tanh(z).mul_(slope).mul_(-2)
+def _tanh_curvature(a: Tensor, slope: Tensor) -> Tensor:
+    return torch.mul(a, slope).mul_(-2)
 
 
 def _gelu(z: Tensor) -> tuple[Tensor, Tensor]:
@@ -71,25 +65,20 @@ def _gelu(z: Tensor) -> tuple[Tensor, Tensor]:
     return z * cumulative, cumulative + z * torch.exp(-0.5 * z * z) * _DENSITY
 
 
-def _gelu_slope(z: Tensor) -> Tensor:
-    return torch.ops.aten.gelu_backward(torch.ones_like(z), z)
+_LOG_PEAK = torch.tensor(math.log(2 * _DENSITY), dtype=torch.float64)
 
 
 def _gelu_curvature(z: Tensor, slope: Tensor) -> Tensor:
     del slope
-    t = (z * z).mul_(-0.5)
-    e = torch.exp(t)
-    return e.addcmul_(e, t).mul_(2 * _DENSITY)  # phi (2 - z^2)
+    square = z * z
+    e = torch.add(_LOG_PEAK, square, alpha=-0.5).exp_()  # 2 phi
+    return e.addcmul_(e, square, value=-0.5)  # phi (2 - z^2)
 
 
 def _silu(z: Tensor) -> tuple[Tensor, Tensor]:
     s = torch.sigmoid(z)
     a = z * s
     return a, s + a * (1 - s)
-
-
-def _silu_slope(z: Tensor) -> Tensor:
-    return torch.ops.aten.silu_backward(torch.ones_like(z), z)
 
 
 def _silu_curvature(z: Tensor, slope: Tensor) -> Tensor:
@@ -107,13 +96,13 @@ def _sine_curvature(z: Tensor, slope: Tensor) -> Tensor:
     return torch.sin(z).neg_()
 
 
+_aten = torch.ops.aten
+
 ACTIVATIONS: dict[str, Activation] = {
-    "gelu": Activation(
-        F.gelu, _gelu, Kernels(lambda z: (F.gelu(z), _gelu_slope(z)), _gelu_slope, _gelu_curvature)
+    "gelu": Activation(F.gelu, _gelu, Kernels(F.gelu, False, _aten.gelu_backward, _gelu_curvature)),
+    "tanh": Activation(torch.tanh, _tanh, Kernels(_fast_tanh, True, _aten.tanh_backward, _tanh_curvature)),
+    "silu": Activation(F.silu, _silu, Kernels(F.silu, False, _aten.silu_backward, _silu_curvature)),
+    "sine": Activation(
+        torch.sin, _sine, Kernels(torch.sin, False, lambda u, z: torch.cos(z).mul_(u), _sine_curvature)
     ),
-    "tanh": Activation(torch.tanh, _tanh, Kernels(_tanh_both, _tanh_slope, _tanh_curvature)),
-    "silu": Activation(
-        F.silu, _silu, Kernels(lambda z: (F.silu(z), _silu_slope(z)), _silu_slope, _silu_curvature)
-    ),
-    "sine": Activation(torch.sin, _sine, Kernels(_sine, torch.cos, _sine_curvature)),
 }

@@ -129,9 +129,9 @@ class HamiltonianDynamics(_Integrated):
         """Return the integrator's increment along the field, shape (B, D)."""
         field, method = self.field, self.integrator
         if isinstance(field, GenericHamiltonian) and isinstance(method, ExplicitRungeKutta):
-            activation = field.network.activation
-            if x.ndim == 2 and written_out.applies(activation, x) and (layers := field.layers()):
-                scheme = written_out.Scheme(method.tableau, column(dt), activation)
+            layers = field.layers(x) if x.ndim == 2 else None
+            if layers is not None:
+                scheme = written_out.Scheme(method.tableau, column(dt), field.network.activation)
                 return written_out.step(x, layers, scheme)
         return super().increment(x, dt)
 

@@ -35,10 +35,10 @@ class Layers(NamedTuple):
     leave: Tensor
 
     def zeros(self) -> Layers:
-        """Return zeros of the same shapes, matrices stored by columns as `_add` wants them."""
-        weights = [torch.zeros_like(w.T).T for w in self.weights]
+        """Return zeros for gradients, matrices transposed: (F, H), as `reverse` adds to them."""
+        weights = [torch.zeros_like(w.T) for w in self.weights]
         biases = [torch.zeros_like(b) for b in self.biases]
-        return Layers(weights, biases, torch.zeros_like(self.last), torch.zeros_like(self.leave.T).T)
+        return Layers(weights, biases, torch.zeros_like(self.last), torch.zeros_like(self.leave.T))
 
 
 class Record(NamedTuple):
@@ -69,73 +69,69 @@ def plain_gradient(x: Tensor, layers: Layers, activation: Activation) -> Tensor:
     return delta @ layers.leave
 
 
+def _upwards(x: Tensor, layers: Layers, kernels: Kernels) -> tuple[list[Tensor], list[Tensor]]:
+    """Return a_{l-1} and y_l of each hidden layer, y as the kernels of the activation want it."""
+    entered, seen = [], []
+    last = len(layers.weights) - 1
+    for k, (weight, bias) in enumerate(zip(layers.weights, layers.biases, strict=True)):
+        z = torch.addmm(bias, x, weight.T)
+        entered.append(x)
+        x = kernels.value(z) if kernels.by_value or k < last else z
+        seen.append(x if kernels.by_value else z)
+    return entered, seen
+
+
 def gradient(x: Tensor, layers: Layers, kernels: Kernels) -> Tensor:
     """Return f, shape (B, F), at the inputs x, shape (B, F)."""
-    slopes, a = [], x
-    for weight, bias in zip(layers.weights[:-1], layers.biases[:-1], strict=True):
-        a, slope = kernels.value_and_slope(torch.addmm(bias, a, weight.T))
-        slopes.append(slope)
-    z = torch.addmm(layers.biases[-1], a, layers.weights[-1].T)
-    delta = kernels.slope(z).mul_(layers.last)
-    for weight, slope in zip(layers.weights[:0:-1], reversed(slopes), strict=True):
-        delta = torch.mm(delta, weight).mul_(slope)
+    _, seen = _upwards(x, layers, kernels)
+    ones = torch.ones_like(seen[-1])
+    delta = kernels.pull(ones, seen[-1]).mul_(layers.last)
+    for weight, y in zip(layers.weights[:0:-1], seen[-2::-1], strict=True):
+        delta = kernels.pull(ones, y).mul_(torch.mm(delta, weight))
     return _narrow(delta, layers.leave)
 
 
 def recorded_gradient(x: Tensor, layers: Layers, kernels: Kernels) -> tuple[Tensor, list[Record]]:
     """Return f, shape (B, F), at the inputs x, shape (B, F), and what `reverse` needs of each layer."""
-    passed, a = [], x
-    for weight, bias in zip(layers.weights[:-1], layers.biases[:-1], strict=True):
-        z = torch.addmm(bias, a, weight.T)
-        value, slope = kernels.value_and_slope(z)
-        passed.append((a, z, slope))
-        a = value
-    z = torch.addmm(layers.biases[-1], a, layers.weights[-1].T)
-    passed.append((a, z, kernels.slope(z)))
+    entered, seen = _upwards(x, layers, kernels)
+    ones = torch.ones_like(seen[-1])
     records, u = [], layers.last
-    for weight, (a, z, slope) in zip(reversed(layers.weights), reversed(passed), strict=True):
-        delta = u * slope
-        records.append(Record(a, slope, delta, kernels.curvature(z, slope).mul_(u)))
-        if a is not x:
-            u = torch.mm(delta, weight)
+    for k in reversed(range(len(seen))):
+        slope = kernels.pull(ones, seen[k])
+        bend = kernels.curvature(seen[k], slope).mul_(u)
+        records.append(Record(entered[k], slope, slope * u, bend))
+        if k > 0:
+            u = torch.mm(records[-1].delta, layers.weights[k])
     return _narrow(records[-1].delta, layers.leave), records[::-1]
 
 
-def reverse(
-    v: Tensor, records: list[Record], layers: Layers, sums: Layers, inwards: bool = True
-) -> Tensor | None:
+def reverse(v: Tensor, records: list[Record], layers: Layers, sums: Layers) -> Tensor:
     """Return v . df/dx, shape (B, F), and add v . df/dparameters to `sums`, in place.
 
     Args:
         v: (B, F), gradient of a scalar with respect to f.
         records: of `recorded_gradient`.
         layers: what it was given.
-        sums: gradients of the same scalar with respect to the parameters.
-        inwards: whether v . df/dx is wanted; None is returned where it is not.
+        sums: gradients of the same scalar with respect to the parameters, begun by `layers.zeros()`.
     """
-    _add(sums.leave, records[0].delta, v)
+    sums.leave.addmm_(v.T, records[0].delta)
     along, bends = torch.mm(v, layers.leave.T), []
     for k, record in enumerate(records):
         if k > 0:
-            _add(sums.weights[k], record.delta, along)
+            sums.weights[k].addmm_(along.T, record.delta)
             along = torch.mm(along, layers.weights[k].T)
         bends.append(record.bend * along)
         along.mul_(record.slope)
     sums.last.add_(along.sum(0))
     back = bends[-1]
     for k in reversed(range(len(records))):
-        _add(sums.weights[k], back, records[k].entered)
+        sums.weights[k].addmm_(records[k].entered.T, back)
         sums.biases[k].add_(back.sum(0))
         if k > 0:
             back = bends[k - 1].addcmul_(torch.mm(back, layers.weights[k]), records[k - 1].slope)
-    return _narrow(back, layers.weights[0]) if inwards else None
+    return _narrow(back, layers.weights[0])
 
 
 def _narrow(x: Tensor, matrix: Tensor) -> Tensor:
     """Return x @ matrix, by columns: where the result has few of them, BLAS takes a third of the time."""
     return torch.mm(matrix.T, x.T).T
-
-
-def _add(total: Tensor, left: Tensor, right: Tensor) -> None:
-    """Add left^T right, the right factor perhaps narrow, to a matrix stored by columns."""
-    total.T.addmm_(right.T, left)

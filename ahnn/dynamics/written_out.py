@@ -79,7 +79,12 @@ def combined(weights: tuple[float, ...], slopes: list[Tensor], h: float | Tensor
 
 def moved(x: Tensor, weights: tuple[float, ...], slopes: list[Tensor], h: float | Tensor) -> Tensor:
     """Return x + h sum_i weights_i slopes_i."""
-    return x + combined(weights, slopes, h) if weights else x
+    if isinstance(h, Tensor):
+        return x + combined(weights, slopes, h) if weights else x
+    for weight, slope in zip(weights, slopes, strict=True):
+        if weight != 0.0:
+            x = x.add(slope, alpha=weight * h)
+    return x
 
 
 def layers_of(tensors: Sequence[Tensor]) -> Layers:
@@ -121,7 +126,7 @@ class _Step(Function):
             moved_by = reverse(combined(column, later, h), ctx.records[i], layers, sums)
             total.add_(moved_by)
             later.append(moved_by)
-        return None, total, *sums.weights, *sums.biases, sums.last, sums.leave
+        return None, total, *(w.T for w in sums.weights), *sums.biases, sums.last, sums.leave.T
 
 
 def _differentiable(ctx: Any, v: Tensor, inputs: tuple[Tensor, ...]) -> list[Tensor | None]:
