@@ -1,4 +1,5 @@
-# `make run` trains and judges the default model; `make test` checks everything; `make bench` measures. Each sets up .venv by itself.
+# `make run` trains and judges the default model; `make test` checks everything; `make bench` measures.
+# Each sets up .venv by itself.
 PYTHON ?= python3
 BIN := .venv/bin
 

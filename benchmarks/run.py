@@ -14,25 +14,26 @@ from pathlib import Path
 from statistics import median
 
 import torch
-
-from ahnn.files import write_atomically
 from timing import Row, ratio, settle
 from works import missing, rollouts, training
+
+from ahnn.files import write_atomically
 
 DOCS = Path(__file__).parent.parent / "docs"
 PEERS = ("autograd.grad", "torchdiffeq", "JAX")
 OPENING = """# Benchmarks
 
-`make bench` measures ahnn and its peers on the same work, in turn (A B A B), on one thread, and writes this page. Times
-are CPU milliseconds, medians; ratios are medians of the ratios of each repeat, below 1 where ahnn is faster. The floor is
-the time that the multiply-adds of the network take as plain matrix products on the same machine.
+`make bench` measures ahnn and its peers on the same work, in turn (A B A B), on one thread, and writes this
+page. Times are CPU milliseconds, medians; ratios are medians of the ratios of each repeat, below 1 where
+ahnn is faster. The floor is the time that the multiply-adds of the network take as plain matrix products.
 
 - **autograd.grad**: plain PyTorch, the field as `autograd.grad` of the energy with its graph.
 - **torchdiffeq**: the same field through `odeint(method="rk4")`, its 3/8 rule.
 - **JAX**: Equinox and Optax, a whole step or a whole rollout jitted; compilation is not counted.
 
-All follow a Hamiltonian network of three degrees of freedom through steps of a Runge-Kutta method of order four. A training
-step is the Huber loss of the recursive predictions over a window, its gradient and AdamW, in float32, without Lightning.
+All follow a generic Hamiltonian network of three degrees of freedom by Runge-Kutta steps of order four. A
+training step is the Huber loss of the recursive predictions over a window, its gradient and AdamW, in float32, without
+Lightning.
 """
 
 
@@ -53,7 +54,8 @@ def table(rows: list[Row], what: str) -> str:
     for row in rows:
         own, floor = row.times["ahnn"], row.floor
         assert floor is not None
-        cells = [row.name, f"{1e3 * median(own):.4g}", f"{1e3 * median(floor):.3g}", f"{ratio(own, floor):.1f}"]
+        times = (f"{1e3 * median(own):.4g}", f"{1e3 * median(floor):.3g}")
+        cells = [row.name, *times, f"{ratio(own, floor):.1f}"]
         cells += [f"{ratio(own, row.times[peer]):.2f}" if peer in row.times else "" for peer in PEERS]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
