@@ -32,8 +32,8 @@ ahnn is faster. The floor is the time that the multiply-adds of the network take
 - **JAX**: Equinox and Optax, a whole step or a whole rollout jitted; compilation is not counted.
 
 All follow a generic Hamiltonian network of three degrees of freedom by Runge-Kutta steps of order four. A
-training step is the Huber loss of the recursive predictions over a window, its gradient and AdamW, in float32,
-without Lightning.
+training step is the Huber loss of the recursive predictions over a window, its gradient and AdamW, in
+float32, without Lightning.
 """
 
 
