@@ -33,7 +33,8 @@ ahnn is faster. The floor is the time that the multiply-adds of the network take
 
 All follow a generic Hamiltonian network of three degrees of freedom by Runge-Kutta steps of order four. A
 training step is the Huber loss of the recursive predictions over a window, its gradient and AdamW, in
-float32, without Lightning.
+float32, without Lightning; the optimiser of ahnn is fused, as `recipe=first_order` has it, that of the
+peers in PyTorch is the default one.
 """
 
 
