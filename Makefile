@@ -1,8 +1,9 @@
-# `make run` trains and judges the default model; `make test` checks everything. Each sets up .venv by itself.
+# `make run` trains and judges the default model; `make test` checks everything; `make bench` measures.
+# Each sets up .venv by itself.
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test
+.PHONY: run test bench
 
 run: .venv/installed
 	$(BIN)/python -m ahnn.train
@@ -12,6 +13,10 @@ test: .venv/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
+
+bench: .venv/installed
+	$(BIN)/pip install --quiet -c constraints.txt -e '.[dev,bench]'
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/run.py
 
 .venv/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv

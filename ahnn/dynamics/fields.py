@@ -7,12 +7,13 @@ from typing import Any, cast, final
 import torch
 from torch import Tensor, nn
 
+from ahnn.dynamics import written_out
 from ahnn.dynamics.base import Dynamics
-from ahnn.dynamics.hamiltonians import Structure, make_hamiltonian
+from ahnn.dynamics.hamiltonians import GenericHamiltonian, Structure, make_hamiltonian
 from ahnn.dynamics.inputs import Cartesian, InputName
 from ahnn.dynamics.networks import make_network
 from ahnn.dynamics.scaling import Kind
-from ahnn.integrators import make_integrator
+from ahnn.integrators import ExplicitRungeKutta, column, make_integrator
 from ahnn.statistics import Statistics
 from ahnn.types import TimeStep
 
@@ -123,6 +124,16 @@ class HamiltonianDynamics(_Integrated):
         )
         super().__init__(field, integrator)
         self.assumes = f"{hamiltonian} Hamiltonian, {inputs} inputs"
+
+    def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
+        """Return the integrator's increment along the field, shape (B, D)."""
+        field, method = self.field, self.integrator
+        if isinstance(field, GenericHamiltonian) and isinstance(method, ExplicitRungeKutta):
+            layers = field.layers(x) if x.ndim == 2 else None
+            if layers is not None:
+                scheme = written_out.Scheme(method.tableau, column(dt), field.network.activation)
+                return written_out.step(x, layers, scheme)
+        return super().increment(x, dt)
 
     def energy(self, x: Tensor) -> Tensor:
         """Return the learned H, shape (...), at the states x, shape (..., D); a constant is free."""

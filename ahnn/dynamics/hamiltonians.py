@@ -13,9 +13,11 @@ import torch
 from torch import Tensor, nn
 
 from ahnn.arguments import Positive, checked
+from ahnn.dynamics import written_out
 from ahnn.dynamics.energies import CentralBody, Energy, NetworkEnergy, Quadratic, energy_units
+from ahnn.dynamics.gradients import Layers
 from ahnn.dynamics.inputs import Cartesian, InputName, position_inputs
-from ahnn.dynamics.networks import make_network
+from ahnn.dynamics.networks import Perceptron, make_network
 from ahnn.dynamics.scaling import Kind
 from ahnn.errors import UserError
 from ahnn.statistics import Statistics
@@ -58,8 +60,32 @@ class GenericHamiltonian(nn.Module):
         """Return H, shape (...), at the states x, shape (..., D)."""
         return self.unit * self.network(self.seen(x)).squeeze(-1)
 
+    def layers(self, x: Tensor) -> Layers | None:
+        """Return the network with scaling and J taken into its first layer, so that the field is delta_1 E.
+
+        None where the positions do not enter by an affine map, the energy is no perceptron, or the states x
+        meet what needs single operations.
+        """
+        positions, network = self.positions, self.network
+        if not (isinstance(positions, Cartesian) and isinstance(network, Perceptron)):
+            return None
+        if not written_out.applies(network.activation, x):
+            return None
+        maps, inner = (positions.affine, self.momenta.affine), network.layers()
+        first = inner.weights[0] / torch.cat([m.scale for m in maps])
+        shift = torch.cat([m.shift for m in maps])
+        of_q, of_p = first.chunk(2, dim=1)
+        return Layers(
+            [first, *inner.weights[1:]],
+            [torch.addmv(inner.biases[0], first, shift, alpha=-1), *inner.biases[1:]],
+            inner.last,
+            self.unit * torch.cat((of_p, -of_q), dim=1),
+        )
+
     def forward(self, x: Tensor) -> Tensor:
         """Return (dH/dp, -dH/dq), shape (..., D), at the states x, shape (..., D)."""
+        if layers := self.layers(x):
+            return written_out.network_gradient(x, layers, self.network.activation)
         q, p = x.chunk(2, dim=-1)
         gradient = self.unit * self.network.gradient(self.seen(x))
         split = self.positions.size

@@ -7,54 +7,16 @@ Hamiltonian then needs a single backward pass, and evaluation needs no autograd:
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable
-from typing import Any, Literal, NamedTuple, cast
+from collections.abc import Iterable
+from typing import Any, cast
 
-import torch
 from torch import Tensor, nn
-from torch.nn import functional as F
 
 from ahnn.arguments import Count, check_arguments, checked
+from ahnn.dynamics import written_out
+from ahnn.dynamics.activations import ACTIVATIONS, ActivationName
+from ahnn.dynamics.gradients import Layers, plain_gradient
 from ahnn.memory import require_memory
-
-ActivationName = Literal["gelu", "tanh", "silu", "sine"]
-
-
-class Activation(NamedTuple):
-    """A smooth activation as one function z -> (value, derivative)."""
-
-    value: Callable[[Tensor], Tensor]
-    value_and_slope: Callable[[Tensor], tuple[Tensor, Tensor]]
-
-
-def _tanh(z: Tensor) -> tuple[Tensor, Tensor]:
-    a = torch.tanh(z)
-    return a, 1 - a * a
-
-
-def _gelu(z: Tensor) -> tuple[Tensor, Tensor]:
-    # x Phi(x) with the normal distribution Phi (Hendrycks & Gimpel 2016); its slope is Phi + x phi.
-    cumulative = torch.special.ndtr(z)
-    return z * cumulative, cumulative + z * torch.exp(-0.5 * z * z) * (1 / math.sqrt(2 * math.pi))
-
-
-def _silu(z: Tensor) -> tuple[Tensor, Tensor]:
-    s = torch.sigmoid(z)
-    a = z * s
-    return a, s + a * (1 - s)
-
-
-def _sine(z: Tensor) -> tuple[Tensor, Tensor]:
-    return torch.sin(z), torch.cos(z)
-
-
-ACTIVATIONS: dict[str, Activation] = {
-    "gelu": Activation(F.gelu, _gelu),
-    "tanh": Activation(torch.tanh, _tanh),
-    "silu": Activation(F.silu, _silu),
-    "sine": Activation(torch.sin, _sine),
-}
 
 
 @checked
@@ -89,18 +51,17 @@ class Perceptron(nn.Module):
             z = self.activation.value(layer(z))
         return self.output(z)
 
+    def layers(self) -> Layers:
+        """Return the parameters as the gradient of a single output uses them."""
+        hidden = list(cast(Iterable[nn.Linear], self.hidden))
+        weights = [layer.weight for layer in hidden]
+        return Layers(weights, [layer.bias for layer in hidden], self.output.weight[0], weights[0])
+
     def gradient(self, z: Tensor) -> Tensor:
         """Return the gradient of the single output with respect to z, shape (..., inputs)."""
-        slopes = []
-        layers = cast(Iterable[nn.Linear], self.hidden)
-        parts = [(layer.weight, layer.bias) for layer in layers]
-        for weight, bias in parts:
-            z, slope = self.activation.value_and_slope(F.linear(z, weight, bias))
-            slopes.append(slope)
-        g = self.output.weight[0] * slopes[-1]
-        for (weight, _), slope in zip(parts[:0:-1], slopes[-2::-1], strict=True):
-            g = (g @ weight) * slope
-        return g @ parts[0][0]
+        if written_out.applies(self.activation, z):
+            return written_out.network_gradient(z, self.layers(), self.activation)
+        return plain_gradient(z, self.layers(), self.activation)
 
 
 def make_network(inputs: int, outputs: int, options: dict[str, Any]) -> Perceptron:

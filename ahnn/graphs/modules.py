@@ -10,7 +10,8 @@ import torch
 from torch import Tensor, nn
 
 from ahnn.dynamics import Dynamics, HasEnergy
-from ahnn.dynamics.networks import Activation, Perceptron
+from ahnn.dynamics.activations import Activation
+from ahnn.dynamics.networks import Perceptron
 from ahnn.errors import UserError
 from ahnn.integrators import GaussLegendre4
 

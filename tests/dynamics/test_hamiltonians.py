@@ -8,8 +8,9 @@ import pytest
 import torch
 from helpers import MOLNIYA, SPRING, TINY, close, data_module, generator, random_states
 
+from ahnn.dynamics.activations import ACTIVATIONS
 from ahnn.dynamics.hamiltonians import make_hamiltonian
-from ahnn.dynamics.networks import ACTIVATIONS, Perceptron
+from ahnn.dynamics.networks import Perceptron
 from ahnn.errors import UserError
 
 STRUCTURES = ["generic", "separable", "mechanical", "central_body"]

@@ -1,0 +1,142 @@
+"""Explicit Runge-Kutta steps along the gradient of a network as one operation of autograd.
+
+The reverse of a step is written out, stage by stage, around the reverse of the gradient. Between states and
+parameters autograd then has one node for each step in place of several hundred.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.autograd import Function
+
+from ahnn.dynamics.activations import Activation
+from ahnn.dynamics.gradients import Layers, Record, gradient, plain_gradient, recorded_gradient, reverse
+from ahnn.integrators.tableaus import EULER, ButcherTableau
+
+
+class Scheme(NamedTuple):
+    """What of a step is not a tensor to be differentiated: method, its step h, activation."""
+
+    tableau: ButcherTableau
+    h: float | Tensor
+    activation: Activation
+
+
+def applies(activation: Activation, x: Tensor) -> bool:
+    """Return whether plain tensors meet an activation with kernels.
+
+    Transforms of functions (torch.func), graphs and autocast need operations that they can see through.
+    """
+    return (
+        activation.kernels is not None
+        and not torch.compiler.is_compiling()
+        and not torch._C._are_functorch_transforms_active()
+        and not torch.is_autocast_enabled(x.device.type)
+    )
+
+
+def network_gradient(x: Tensor, layers: Layers, activation: Activation) -> Tensor:
+    """Return f, shape (..., F), at the inputs x, shape (..., F)."""
+    flat = x.reshape(-1, x.shape[-1])
+    return step(flat, layers, Scheme(EULER, 1.0, activation)).view_as(x)
+
+
+def step(x: Tensor, layers: Layers, scheme: Scheme) -> Tensor:
+    """Return the increment of one step, shape (B, D), along the field f of `layers`.
+
+    Args:
+        x: states, (B, D).
+        layers: of f, as `gradients` has it.
+        scheme: h is a number or a (B, 1) tensor.
+    """
+    x = x.T.contiguous().T  # by columns, as fields come
+    tensors = (*layers.weights, *layers.biases, layers.last, layers.leave)
+    if torch.is_grad_enabled() and any(t.requires_grad for t in (x, *tensors)):
+        found = _Step.apply(scheme, x, *tensors)
+        assert isinstance(found, Tensor)
+        return found
+    kernels = scheme.activation.kernels
+    assert kernels is not None
+    slopes: list[Tensor] = []
+    for row in ((), *scheme.tableau.a):
+        slopes.append(gradient(moved(x, row, slopes, scheme.h), layers, kernels))
+    return combined(scheme.tableau.b, slopes, scheme.h)
+
+
+def combined(weights: tuple[float, ...], slopes: list[Tensor], h: float | Tensor) -> Tensor:
+    """Return h sum_i weights_i slopes_i without touching slopes of zero weight."""
+    (first, slope), *others = [(w, k) for w, k in zip(weights, slopes, strict=True) if w != 0.0]
+    by = 1.0 if isinstance(h, Tensor) else h
+    total = slope * (first * by)
+    for weight, other in others:
+        total = total.add_(other, alpha=weight * by)
+    return total * h if isinstance(h, Tensor) else total
+
+
+def moved(x: Tensor, weights: tuple[float, ...], slopes: list[Tensor], h: float | Tensor) -> Tensor:
+    """Return x + h sum_i weights_i slopes_i."""
+    if isinstance(h, Tensor):
+        return x + combined(weights, slopes, h) if weights else x
+    for weight, slope in zip(weights, slopes, strict=True):
+        if weight != 0.0:
+            x = x.add(slope, alpha=weight * h)
+    return x
+
+
+def layers_of(tensors: Sequence[Tensor]) -> Layers:
+    """Return the layers that were flattened to weights, biases, last and leave."""
+    depth = len(tensors) // 2 - 1
+    return Layers(list(tensors[:depth]), list(tensors[depth:-2]), *tensors[-2:])
+
+
+class _Step(Function):
+    """`step` with gradients with respect to x and the tensors of the layers."""
+
+    @staticmethod
+    def forward(ctx: Any, scheme: Scheme, x: Tensor, *tensors: Tensor) -> Tensor:
+        layers, kernels = layers_of(tensors), scheme.activation.kernels
+        assert kernels is not None
+        slopes: list[Tensor] = []
+        records: list[list[Record]] = []
+        for row in ((), *scheme.tableau.a):
+            slope, record = recorded_gradient(moved(x, row, slopes, scheme.h), layers, kernels)
+            slopes.append(slope)
+            records.append(record)
+        ctx.scheme, ctx.records = scheme, records
+        ctx.save_for_backward(x, *tensors)
+        return combined(scheme.tableau.b, slopes, scheme.h)
+
+    @staticmethod
+    def backward(ctx: Any, *cotangents: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        x, *tensors = ctx.saved_tensors
+        if torch.is_grad_enabled():  # the backward pass shall itself have a graph, which autograd makes
+            return None, *_differentiable(ctx, cotangents[0], (x, *tensors))
+        layers, (a, b), h = layers_of(tensors), ctx.scheme.tableau, ctx.scheme.h
+        sums, total = layers.zeros(), torch.zeros_like(x)
+        later: list[Tensor] = [cotangents[0]]  # that of the increment, then those of the stages from the last
+        for i in reversed(range(len(b))):
+            column = (b[i], *(row[i] for row in reversed(a[i:])))
+            if not any(column):
+                later.append(torch.zeros_like(total))
+                continue
+            moved_by = reverse(combined(column, later, h), ctx.records[i], layers, sums)
+            total.add_(moved_by)
+            later.append(moved_by)
+        return None, total, *(w.T for w in sums.weights), *sums.biases, sums.last, sums.leave.T
+
+
+def _differentiable(ctx: Any, v: Tensor, inputs: tuple[Tensor, ...]) -> list[Tensor | None]:
+    """Return v . d(increment)/d(inputs), with a graph; None for inputs that ask for none."""
+    inputs = tuple(t.view_as(t) for t in inputs)  # one may be made from another, which is not asked here
+    asked = [t for t, needed in zip(inputs, ctx.needs_input_grad[1:], strict=True) if needed]
+    layers, scheme = layers_of(inputs[1:]), ctx.scheme
+    slopes: list[Tensor] = []
+    for row in ((), *scheme.tableau.a):
+        slopes.append(plain_gradient(moved(inputs[0], row, slopes, scheme.h), layers, scheme.activation))
+    increment = combined(scheme.tableau.b, slopes, scheme.h)
+    found = iter(torch.autograd.grad(increment, asked, v, create_graph=True, allow_unused=True))
+    return [next(found) if needed else None for needed in ctx.needs_input_grad[1:]]
