@@ -40,12 +40,10 @@ def library() -> str:
     return f"{get_plotlyjs()}\n{own}".replace("</script", "<\\/script")
 
 
-def to_html(drawing: Drawing, *, first: bool = False) -> str:
+def to_html(drawing: Drawing) -> str:
     """Return a figure as a `div` with its script, without title and caption.
 
-    Args:
-        drawing: what to draw; its texts may come from anywhere.
-        first: whether to put the `library` in front, which a page must have once before its figures.
+    A page must have the `library` once before its figures. The texts of a drawing may come from anywhere.
 
     Raises:
         ImportError: plotly is not installed (the extra `report`).
@@ -54,8 +52,7 @@ def to_html(drawing: Drawing, *, first: bool = False) -> str:
     name = html.escape(f"figure_{drawing.name}")
     content = f"ahnnFigures.add({json.dumps(f'figure_{drawing.name}')}, {figure.to_json()});"
     return (
-        (f"<script>{library()}</script>\n" if first else "")
-        + f'<div id="{name}" class="figure" role="img" aria-label="{html.escape(drawing.title)}" '
+        f'<div id="{name}" class="figure" role="img" aria-label="{html.escape(drawing.title)}" '
         + f'style="height:{figure.layout.height}px"></div>\n<script>{_in_script(content)}</script>\n'
     )
 

@@ -81,6 +81,14 @@ def printed() -> dict[Place, Printed]:
     return {key: number._replace(doubt=doubts.get(key, "")) for key, number in numbers.items()}
 
 
+def printed_value(system: str, model: str, start: str, quantity: str, *, ukf: bool = False) -> float | None:
+    """Return a printed number of a model, its name in any capitals; None where the paper has none."""
+    if start not in STARTS.values():
+        return None
+    number = printed().get(Place(system, model.upper(), ukf, start, quantity))
+    return None if number is None else number.value
+
+
 def read_numbers(text: str) -> dict[Place, Printed]:
     """Return the numbers of a table of the columns `COLUMNS`.
 

@@ -43,23 +43,23 @@ def require_plotly() -> None:
 
 def library() -> str:
     """Return the source of plotly.js."""
-    from ahnn_plugins.report.interactive import library as source  # pyright: ignore[reportMissingImports]
+    from ahnn_plugins.report.interactive import library as source
 
     return source()
 
 
 def pictures(collection: Collection) -> list[Picture]:
     """Return all figures of a collection; plotly.js itself is not in them."""
-    from ahnn_plugins.report.figures import draw  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
-    from ahnn_plugins.report.interactive import to_html  # pyright: ignore[reportMissingImports]
-    from ahnn_plugins.report.static import to_matplotlib  # pyright: ignore[reportMissingImports]
+    from ahnn_plugins.report.figures import draw
+    from ahnn_plugins.report.interactive import to_html
+    from ahnn_plugins.report.static import to_matplotlib
 
     drawings = draw(collection)
     made = []
     for drawing in track(drawings, "drawing figures", len(drawings)):
         figure = to_matplotlib(drawing)
         files = {suffix: drawn(figure, suffix) for suffix in FORMATS}
-        made.append(Picture(drawing, Markup(to_html(drawing, first=False)), files))
+        made.append(Picture(drawing, Markup(to_html(drawing)), files))
     return made
 
 

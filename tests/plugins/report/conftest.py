@@ -23,10 +23,9 @@ def draw(collection):
     ]
 
 
-def to_html(drawing, *, first=False):
+def to_html(drawing):
     import plotly.graph_objects as go
 
-    assert not first
     (series,) = drawing.panels[0].series
     points = [axis.tolist() for axis in (series.x, series.y, series.z) if axis is not None]
     trace = go.Scatter3d if len(points) == 3 else go.Scatter

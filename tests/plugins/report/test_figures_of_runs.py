@@ -18,7 +18,7 @@ from ahnn_plugins.report.figures import draw
 from ahnn_plugins.report.figures.accelerations import reference_orbit, terms
 from ahnn_plugins.report.figures.equations import system_of
 from ahnn_plugins.report.figures.models import slots
-from ahnn_plugins.report.figures.published import published
+from ahnn_plugins.report.paper import printed_value
 
 
 @pytest.fixture(scope="module")
@@ -146,9 +146,9 @@ def test_scores_stand_beside_the_floor_and_the_paper(springs):
 
 
 def test_printed_numbers():
-    assert published("molniya", "ahnn5", "perturbed", "position", ukf=True) == 50.38
-    assert published("mass_spring", "NODE", "true", "energy") == 5.2546e-4
-    assert published("pendulum", "NODE", "true", "position") is None
+    assert printed_value("molniya", "ahnn5", "perturbed", "position", ukf=True) == 50.38
+    assert printed_value("mass_spring", "NODE", "true", "energy") == 5.2546e-4
+    assert printed_value("pendulum", "NODE", "true", "position") is None
 
 
 def test_a_model_has_one_slot_in_every_figure(springs, orbits):

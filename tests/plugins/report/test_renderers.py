@@ -76,7 +76,7 @@ def test_a_page_has_its_library_once():
     assert "</script" not in script
     assert "ahnnFigures" in script
     drawing = lines(torch.arange(3.0))
-    assert to_html(drawing, first=True).count("<script>") == 2
+    assert to_html(drawing).count("<script>") == 1
     assert "Plotly.react" not in to_html(drawing)
 
 

@@ -8,23 +8,26 @@ import numpy as np
 import pytest
 from browser import CHROMIUM, browser
 from PIL import Image
-from runs import reproduction
+from synthetic_runs import ORBITS, SPRING, run
 
 from ahnn_plugins.report import Report
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
 
-CAMERA = "JSON.stringify(document.querySelector('.js-plotly-plot')._fullLayout.scene.camera.eye)"
+ORBIT = "[...document.querySelectorAll('.js-plotly-plot')].find(plot => plot._fullLayout.scene)"
+CAMERA = f"JSON.stringify({ORBIT}._fullLayout.scene.camera.eye)"
 MIDDLE = (
-    "(() => { const plot = document.querySelector('.js-plotly-plot'); plot.scrollIntoView({block: 'center'});"
+    f"(() => {{ const plot = {ORBIT}; plot.scrollIntoView({{block: 'center'}});"
     " const r = plot.getBoundingClientRect(); return [r.x + r.width / 2, r.y + r.height / 2]; })()"
 )
 
 
 @pytest.fixture
-def page(tmp_path, request):
-    request.getfixturevalue("stand_in")
-    Report()([reproduction(tmp_path / "runs", seeds=(7, 201))], tmp_path / "out")
+def page(tmp_path):
+    pytest.importorskip("plotly", reason="the extra `report` is needed")
+    for system, model, seed in ((SPRING, "HNN", 7), (ORBITS, "AHNN5", 7), (ORBITS, "AHNN5", 201)):
+        run(tmp_path / system.name, system, model, seed)
+    Report()([tmp_path / SPRING.name, tmp_path / ORBITS.name], tmp_path / "out")
     with browser(tmp_path / "profile") as shown:
         yield shown
 

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple, get_args
+from typing import Literal, NamedTuple, get_args
 
 import torch
 
 from ahnn_plugins.report.collection import Collection, Entry
 from ahnn_plugins.report.drawing import Drawing, Panel, Role, Series
 from ahnn_plugins.report.figures.models import one_each, ordered
-from ahnn_plugins.report.figures.published import Quantity, published
 from ahnn_plugins.report.figures.reading import STARTS
 from ahnn_plugins.report.figures.task import file_name
+from ahnn_plugins.report.paper import printed_value
+
+Quantity = Literal["position", "velocity", "energy"]
 
 BESIDE = 0.17
 """How far left of its place a model stands, and how far right of it the same model with a filter."""
@@ -88,7 +90,9 @@ def _scores(
 
 def _printed(system: str, model: str, start: str, quantity: Quantity, place: int) -> list[Dot]:
     both = ((False, -BESIDE), (True, BESIDE))
-    values = ((published(system, model, start, quantity, ukf=ukf), place + offset) for ukf, offset in both)
+    values = (
+        (printed_value(system, model, start, quantity, ukf=ukf), place + offset) for ukf, offset in both
+    )
     return [Dot(where, (value,)) for value, where in values if value is not None]
 
 
