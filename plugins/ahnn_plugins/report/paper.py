@@ -83,10 +83,10 @@ def printed() -> dict[Place, Printed]:
 
 def printed_value(system: str, model: str, start: str, quantity: str, *, ukf: bool = False) -> float | None:
     """Return a printed number of a model, its name in any capitals; None where the paper has none."""
-    if start not in STARTS.values():
-        return None
-    number = printed().get(Place(system, model.upper(), ukf, start, quantity))
-    return None if number is None else number.value
+    places = (
+        Place(system, model.upper(), ukf, known, quantity) for known in STARTS.values() if known == start
+    )
+    return next((printed()[place].value for place in places if place in printed()), None)
 
 
 def read_numbers(text: str) -> dict[Place, Printed]:
