@@ -1,9 +1,10 @@
-# `make run` trains and judges the default model; `make test` checks everything; `make bench` measures.
+# `make run` trains and judges the default model; `make test` checks everything; `make reproduce`
+# runs the paper's tables at their smallest budget, with a report; `make bench` measures.
 # Each sets up .venv by itself.
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test bench
+.PHONY: run test reproduce bench
 
 run: .venv/installed
 	$(BIN)/python -m ahnn.train
@@ -13,6 +14,11 @@ test: .venv/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
+
+reproduce: .venv/installed
+	$(BIN)/python -m ahnn.reproduce system=mass_spring budget=smoke
+	$(BIN)/python -m ahnn.reproduce system=molniya budget=smoke
+	$(BIN)/python -m ahnn.report runs/reproduce/mass_spring_smoke runs/reproduce/molniya_smoke output=runs/reproduce/report
 
 bench: .venv/installed
 	$(BIN)/pip install --quiet -c constraints.txt -e '.[dev,bench]'

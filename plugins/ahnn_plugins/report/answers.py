@@ -46,6 +46,27 @@ def badge(answer: Answer) -> Markup:
     return tag("span", sign, " ", answer, class_=f"badge {answer.replace(' ', '-')}")
 
 
+def claims_table(system: str, found: list[Verdict], confidence: float) -> Grid:
+    """Return the claims about a system with their verdicts, one a line."""
+    lines = [
+        Line(verdict.claim.text, (Cell(verdict.answer, "words"), *_ratios(verdict.evidence)))
+        for verdict in found
+    ]
+    return Grid(
+        f"claims_{system}",
+        f"{system}: claims of the paper.",
+        f"The first ratio that a claim demands, ours with its {confidence:.0%} interval, and the paper's.",
+        ((Head("Claim"), Head("Verdict"), Head("Ours"), Head("Paper")),),
+        tuple(lines),
+    )
+
+
+def _ratios(evidence: tuple[Evidence, ...]) -> tuple[Cell, Cell]:
+    first = evidence[0]
+    ours = NONE if first.ratio is None else interval(first.ratio)
+    return Cell(ours), Cell(NONE if first.paper is None else shown(first.paper), "quiet")
+
+
 def claims_html(found: list[Verdict], confidence: float) -> Markup:
     """Return all claims of a system."""
     return tag("div", [_claim(verdict, confidence) for verdict in found], class_="claims")

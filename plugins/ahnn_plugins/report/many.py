@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ahnn_plugins.report.answers import claims_html, tally, verdicts
+from ahnn_plugins.report.answers import claims_html, claims_table, tally, verdicts
 from ahnn_plugins.report.collection import Collection
 from ahnn_plugins.report.comparisons import ablation_table, order_table
 from ahnn_plugins.report.document import Section
@@ -20,6 +20,18 @@ from ahnn_plugins.report.verdicts import Verdict
 def tables(collection: Collection, confidence: float) -> dict[str, list[Grid]]:
     """Return the tables of each system, in the order of the page."""
     return {system: _tables(board(collection, system), confidence) for system in collection.systems()}
+
+
+def with_claims(
+    collection: Collection, grids: dict[str, list[Grid]], confidence: float
+) -> dict[str, list[Grid]]:
+    """Return the tables with one of the paper's claims for each of its systems."""
+    found = verdicts(collection, confidence)
+    return {
+        system: [*tables, *([claims_table(system, own, confidence)] if own else [])]
+        for system, tables in grids.items()
+        for own in [[verdict for verdict in found if verdict.claim.system == system]]
+    }
 
 
 def _tables(scores: Board, confidence: float) -> list[Grid]:

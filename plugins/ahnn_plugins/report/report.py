@@ -16,6 +16,7 @@ from ahnn_plugins.report.collection import Collection, collect
 from ahnn_plugins.report.document import page
 from ahnn_plugins.report.grid import Grid
 from ahnn_plugins.report.layout import grid_latex
+from ahnn_plugins.report.markdown import grid_markdown
 from ahnn_plugins.report.markup import safe_name
 from ahnn_plugins.report.pictures import Picture, library, pictures, require_plotly
 from ahnn_plugins.report.spreadsheet import scores_csv
@@ -27,7 +28,7 @@ FILE = "report.html"
 @checked
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """Writes report.html, tables.csv, tables/*.tex and figures/*.png and *.svg.
+    """Writes report.html, tables.csv, tables/*.tex and *.md, and figures/*.png and *.svg.
 
     Attributes:
         confidence: of the intervals that decide orders and claims.
@@ -73,12 +74,14 @@ class Report:
         else:
             grids = many.tables(collection, self.confidence)
             parts = many.sections(collection, grids, drawings, self.confidence)
+            grids = many.with_claims(collection, grids, self.confidence)
         title, subtitle = headings(collection)
         text = page(title, subtitle, parts, library() if drawings else "")
         files = {FILE: text.encode("utf-8", "replace")}
         files["tables.csv"] = scores_csv(collection).encode("utf-8", "replace")
         for name, grid in named(grids).items():
             files[f"tables/{name}.tex"] = grid_latex(grid).encode("utf-8", "replace")
+            files[f"tables/{name}.md"] = grid_markdown(grid).encode("utf-8", "replace")
         for drawing in drawings:
             for suffix, content in drawing.files.items():
                 files[f"figures/{safe_name(drawing.drawing.name)}{suffix}"] = content
@@ -131,5 +134,6 @@ def clear_earlier(output: Path) -> None:
     tables = output / "tables"
     if tables.is_symlink():
         tables.unlink()
-    for path in tables.glob("*.tex") if tables.is_dir() else ():
-        path.unlink()
+    for path in tables.iterdir() if tables.is_dir() else ():
+        if path.suffix in (".tex", ".md"):
+            path.unlink()

@@ -28,7 +28,8 @@ def test_files_stand_beside_the_page_and_those_of_an_earlier_report_make_way(run
     assert call("ahnn.report", f"run={run}") == 0
     names = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
     pictures_of = {f"figures/{n}{s}" for n in ("mass_spring_orbit", "_curve") for s in (".png", ".svg")}
-    assert names == {"report.html", "tables.csv", "tables/scores_mass_spring.tex", "notes.txt", *pictures_of}
+    table = ("tables/scores_mass_spring.tex", "tables/scores_mass_spring.md")
+    assert names == {"report.html", "tables.csv", *table, "notes.txt", *pictures_of}
     text = (folder / "report.html").read_text()
     assert "A &lt;b&gt;curve&lt;/b&gt;" in text
     assert text.count("Seen from above.") == 1

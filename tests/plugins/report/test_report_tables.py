@@ -14,7 +14,9 @@ from ahnn.evaluation import Row, Who
 from ahnn_plugins.report.collection import collect
 from ahnn_plugins.report.comparisons import ablation_table, agreement, order_table, ordered
 from ahnn_plugins.report.consistency import consistency_table
+from ahnn_plugins.report.grid import Cell, Line
 from ahnn_plugins.report.layout import grid_latex, latex, letter
+from ahnn_plugins.report.markdown import grid_markdown
 from ahnn_plugins.report.overviews import cost_table, ladder_table, score_table
 from ahnn_plugins.report.paper_tables import energy_table, is_of_paper, rmse_table
 from ahnn_plugins.report.remarks import remarks, unfinished
@@ -236,3 +238,19 @@ def test_latex_has_the_columns_that_it_declares_and_no_sign_of_its_own_from_outs
     assert r"4.5962\textsuperscript{b}" in text
     assert latex(r"\input{x} 50% a_b 10⁻⁴") == r"\textbackslash{}input\{x\} 50\% a\_b 10$^{-4}$"
     assert [letter(n) for n in (1, 26, 27, 52, 53)] == ["a", "z", "aa", "az", "ba"]
+
+
+def test_markdown_has_a_cell_in_each_column_and_no_sign_of_its_own_from_outside(orbit):
+    grid = rmse_table(board(orbit, "molniya"))
+    told, _, *rows = grid_markdown(grid).splitlines()
+    table = [row for row in rows if row.startswith("|")]
+    assert len(table) == 2 + len(grid.lines)
+    assert {row.count("|") for row in table} == {grid.columns + 1}
+    assert table[1] == "| --- |" + " --: |" * 12
+    assert "4.5962<sup>b</sup>" in "".join(table)
+    assert any(row.startswith("b: ") for row in rows)
+    evil = grid._replace(title="a|b <b>*c*", lines=(Line("x|y"), Line("z", (Cell("`1|2`"),) * 12)))
+    told, _, *_, group, line = grid_markdown(evil._replace(notes=())).splitlines()
+    assert told.startswith(r"**a\|b &lt;b&gt;\*c\*** ")
+    assert group == r"| x\|y |" + "  |" * 12
+    assert line == "| z |" + r" \`1\|2\` |" * 12
