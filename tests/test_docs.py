@@ -55,6 +55,8 @@ NOT_RUN = {
     "-m ahnn.train model=ahnn window=5 system=molniya": "ten minutes of training, and the filter",
     "-m ahnn.train system=molniya model=ahnn": "ten minutes of training, and the filter",
     "-m ahnn.reproduce system=mass_spring budget=laptop": "fifteen trainings of 6,000 steps",
+    "-m ahnn.reproduce system=molniya budget=laptop": "fifteen trainings of 6,000 steps",
+    "runs/reproduce/mass_spring_laptop": "needs the thirty runs of the two commands before it",
     "bench_time_to_accuracy": "twenty minutes: the plain way is given twelve times as long",
     "sweep=quick trainer=ddp": "forty trials of two processes each, over ten minutes on two cores",
     "mutate.py": "hours: the suite runs once for each change",
