@@ -144,6 +144,7 @@ def test_all_models_take_equal_steps_on_all_windows_that_the_longest_has():
     assert {cfg.model.network.width for cfg in made.runs.values()} == {256}
 
 
+@pytest.mark.slow
 def test_the_rows_are_those_of_the_paper():
     made = plan(["system=mass_spring", "budget=paper", "seed=7"], "usage")
     labels = ["MLP", "NODE", "HNN", "AHNN3", "AHNN5"]
