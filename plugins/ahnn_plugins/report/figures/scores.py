@@ -148,7 +148,7 @@ def _ablation(system: str, entries: Sequence[Entry], slots: dict[str, int]) -> D
             for row, p in zip(rows, places, strict=True)
         )
         series = _merged([each for found in several for each in found])
-        label = f"{quantity} RMSE [{_unit(rows[0][0], quantity)}], {start} start"
+        label = f"{quantity} [{_unit(rows[0][0], quantity)}], {start}"
         panels += [Panel(series, "", label, log=True, ticks=ticks)] if _has_model(series) else []
     caption = f"Models that assume the same, {assumes}. {SIDES}{DOTS}{MEANING}"
     title = f"{system}: RMSE over the window W of the loss"
