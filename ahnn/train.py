@@ -256,7 +256,8 @@ def concluded(cfg: DictConfig, data: WindowDataModule) -> float:
 
     folder, steps, robust = Path(cfg.folder), cfg.loss.closing, cfg.loss.robust
     started, dynamics = time.monotonic(), load(folder).dynamics
-    log.info("at most %d last steps on all measurements, and what they leave open", steps)
+    after = f" after at most {steps} last steps" if steps else ""
+    log.info("what all measurements leave open%s: prior and covariance of the weights", after)
     found = conclude(dynamics, data.whole("train"), data.whole("val"), steps, robust)
     if found is not None:
         loss = Shooting(None, robust).validation(dynamics, next(iter(data.val_dataloader())))["loss"]
