@@ -267,5 +267,5 @@ def _precise(values: Tensor) -> np.ndarray:
 
 
 def _numbers(values: Tensor) -> np.ndarray:
-    """Return values as float32, which plotly embeds as bytes; what it cannot hold is infinite, and not drawn."""
+    """Return values as float32, embedded as bytes; what it cannot hold is infinite and not drawn."""
     return values.detach().float().numpy()
