@@ -10,9 +10,10 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 from uuid import uuid4
 
+import yaml
 from filelock import FileLock, Timeout
 
 from ahnn.errors import Occupied, UserError
@@ -116,3 +117,20 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     except BaseException:
         shutil.rmtree(place, ignore_errors=True)
         raise
+
+
+def plain_yaml(text: str) -> Any:
+    """Return the plain values of a YAML text, of whatever source; nothing that it names is built.
+
+    Raises:
+        yaml.YAMLError: damaged, a tag of an object, or an alias: that could make a small file a huge value.
+    """
+    return yaml.load(text, _Plain)
+
+
+class _Plain(yaml.SafeLoader):
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            message = "an alias"
+            raise yaml.YAMLError(message)
+        return super().compose_node(parent, index)

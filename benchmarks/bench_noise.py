@@ -11,17 +11,10 @@ from __future__ import annotations
 import argparse
 import csv
 import itertools
-import tempfile
-import time
 from pathlib import Path
 
 import torch
-from hydra import compose, initialize_config_dir
-
-from ahnn.metrics import errors, rmse_norm
-from ahnn.paths import conf_dir
-from ahnn.rollouts import rollout
-from ahnn.train import prepare
+from bench_default_recipe import trained
 
 SYSTEMS = {
     "spring": (["system=mass_spring", "network=tanh_16"], ["0.001", "0.01", "0.1"]),
@@ -35,8 +28,6 @@ STAGES = {
     "orbit": "[[8,0.3],[32,0.6],[128,1.0]]",
 }
 WINDOWS = (1, 3, 5, 10, 20, 50)
-EPOCHS = 20
-"""In which stages are counted; they end when the time does."""
 
 
 def methods(system: str) -> dict[str, list[str]]:
@@ -49,29 +40,6 @@ def methods(system: str) -> dict[str, list[str]]:
         "weak": ["recipe=noisy_states", "loss.stages=[[weak,1.0]]", "data.batch_size=20"],
         "shooting": ["recipe=measurements", *noisy],
     }
-
-
-def trained(overrides: list[str], seconds: float) -> float:
-    """Return the error of a training that took so many seconds of CPU time."""
-    with tempfile.TemporaryDirectory() as folder, initialize_config_dir(str(conf_dir()), version_base=None):
-        cfg = compose("train", [f"folder={folder}", f"run={folder}", "data.trajectories=625", *overrides])
-        data, model, *_ = prepare(cfg)
-    statistics = data.statistics()
-    model.calibrate(statistics)
-    loader, optimizer = data.train_dataloader(), model.configure_optimizers()
-    data.epochs, begun, done = EPOCHS, time.process_time(), 0.0
-    while done < 1:
-        epoch = int(done * EPOCHS)
-        loader.set_epoch(epoch)
-        for batch in loader:
-            objective = model.curriculum.at(epoch, EPOCHS)
-            model.stepper.step(objective, model.loss, model.dynamics, batch, optimizer)
-            done = (time.process_time() - begun) / seconds
-            if int(done * EPOCHS) != epoch:
-                break
-    truth = data.splits["test"].states[:50]
-    prediction = rollout(model.flow(), truth[:, 0], statistics.dt, truth.shape[1])
-    return float(rmse_norm(errors(prediction, truth)[..., : data.source.space.dof]))
 
 
 def main() -> None:

@@ -18,6 +18,7 @@ import yaml
 from hydra.utils import get_object
 
 from ahnn.errors import UserError
+from ahnn.files import plain_yaml
 
 LARGEST = 2_000_000
 """Characters of a configuration; ours have a few thousand."""
@@ -33,16 +34,6 @@ NEEDED = {
 """What a class must have one of to be built for a node."""
 
 
-class _Plain(yaml.SafeLoader):
-    """YAML of plain values; an alias could make a small file a huge value."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            message = "an alias"
-            raise yaml.YAMLError(message)
-        return super().compose_node(parent, index)
-
-
 def read_plain(path: Path) -> dict[str, Any]:
     """Return a YAML file of plain values.
 
@@ -51,7 +42,7 @@ def read_plain(path: Path) -> dict[str, Any]:
     """
     try:
         text = path.read_text()
-        content = yaml.load(text, _Plain) if len(text) <= LARGEST else f"{len(text)} characters"
+        content = plain_yaml(text) if len(text) <= LARGEST else f"{len(text)} characters"
     except OSError as error:
         message = f"{path}: expected the configuration of a run; received: {error.strerror}"
         raise UserError(message) from error

@@ -7,20 +7,11 @@ from typing import Any
 
 import yaml
 
+from ahnn.files import plain_yaml
 from ahnn_plugins.report.collection import SETTINGS
 
 LARGEST = 2_000_000
 """Characters of a configuration that is read; ours have a few thousand."""
-
-
-class _Plain(yaml.SafeLoader):
-    """YAML of plain values; an alias could make a small file a huge value."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            message = "an alias"
-            raise yaml.YAMLError(message)
-        return super().compose_node(parent, index)
 
 
 def text_of(folder: Path) -> str:
@@ -35,7 +26,7 @@ def text_of(folder: Path) -> str:
 def values_of(folder: Path) -> dict[str, Any]:
     """Return the configuration of a run as nested values; an empty one where it cannot be read."""
     try:
-        content = yaml.load(text_of(folder), _Plain)
+        content = plain_yaml(text_of(folder))
     except (yaml.YAMLError, ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}
