@@ -25,20 +25,47 @@ if __name__ == "__main__":  # until `guard` listens, Ctrl-C ends this process wi
 import logging
 import sys
 from contextlib import closing, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, cast
+from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Literal, cast
 
+from ahnn.arguments import Count, Finite, Positive, Within
 from ahnn.cli.guard import run_command
 from ahnn.cli.stops import ended, held
 
 if TYPE_CHECKING:
     from ahnn.assimilation.journal import Journal
-    from ahnn.cli.stream import Options
     from ahnn.types import Space
 
 log = logging.getLogger("ahnn")
 
 USAGE = "usage: python -m ahnn.assimilate run=DIR | pretrained=NAME measurements=FILE|- start=FILE|[..]"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """The keys of conf/assimilate.yaml."""
+
+    measurements: str
+    output: str
+    format: Literal["csv", "json"] | None = None
+    state: str | None = None
+    every: Count
+    start: str | list[float] | None = None
+    start_sd: list[Positive] | None = None
+    time: Finite
+    sensors: dict[str, Any]
+    window: Annotated[float, Within(0)]
+    lines: Count
+    gap: Positive | None = None
+    watch: bool
+    figures: str | None = None
+    oem: str | None = None
+    object: str
+    epoch: str
+    frame: str
+    center: str
+    time_system: str
 
 
 def assimilate(arguments: list[str]) -> None:
@@ -59,11 +86,15 @@ def assimilate(arguments: list[str]) -> None:
         from ahnn.cli import stream
         from ahnn.cli.again import run_config
         from ahnn.cli.settings import check_again
+        from ahnn.errors import UserError
         from ahnn.runs import load
 
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
     log.setLevel(logging.INFO)
-    options, nodes, request = stream.asked(arguments, USAGE)
+    options, nodes, request = stream.asked(arguments, Asked, USAGE)
+    if options.output == "-" and (options.figures or options.oem):
+        message = "output: expected a FILE, of which figures and oem are made; received -"
+        raise UserError(message)
     run = load(request.source, request.ckpt)
     cfg = run_config(run.folder, request)
     check_again(cfg)
@@ -73,7 +104,8 @@ def assimilate(arguments: list[str]) -> None:
         require_new(options.output)
     with closing(Lines(_opened(options.measurements, state))) as lines:
         filtering = stream.build_assimilation(options, nodes, cfg, run)
-        rows = Rows(run.space.components, filtering.sensors, stream.kind_of(options))
+        kind = options.format or ("json" if Path(options.output).suffix in (".json", ".jsonl") else "csv")
+        rows = Rows(run.space.components, filtering.sensors, kind)
         clock = Clock.of(run.space.units.time, options.epoch, options.time_system)
         session = Session(filtering, lines, rows, options.output, state, options.every, clock)
         view = View(run.space) if options.watch else None
@@ -93,7 +125,7 @@ def _opened(path: str, state: Path | None) -> BinaryIO | Journal:
     return pipe if state is None else Journal(pipe.raw, Path(f"{state}.lines"))
 
 
-def _pictures(options: Options, space: Space) -> None:
+def _pictures(options: Asked, space: Space) -> None:
     """Make figures and message of the output, if they are asked for."""
     if not (options.figures or options.oem):
         return

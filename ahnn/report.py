@@ -31,15 +31,14 @@ def report(arguments: list[str]) -> None:
         UserError: no runs, an unknown key, or a folder of something else.
     """
     with held():
-        from ahnn.cli import commandline
         from ahnn.cli.build import build
+        from ahnn.cli.compose import composed
         from ahnn.errors import UserError
         from ahnn.evaluation.results import FILE
         from ahnn.evaluation.terminal import show
 
     given = [text for text in arguments if "=" not in text or Path(text).is_dir()]
-    pairs = [commandline.parse(text).input_line for text in arguments if text not in given]
-    cfg = commandline.compose(commandline.config_loader(), "report", [str(pair) for pair in pairs])
+    cfg = composed("report", [text for text in arguments if text not in given])
     if (cfg.run is None) == (not given):
         message = f"{USAGE}; received {'both' if given else 'neither'}"
         raise UserError(message)

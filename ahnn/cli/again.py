@@ -92,25 +92,19 @@ def chosen_again(cfg: DictConfig, texts: list[str]) -> DictConfig:
     Raises:
         UserError: an override is no key=value, names no option, or acts on no finished run.
     """
-    from ahnn.cli import commandline
+    from ahnn.cli.commandline import pair
+    from ahnn.cli.compose import composed
 
-    overrides = [commandline.parse(text) for text in texts]
-    for override in overrides:
-        if override.is_sweep_override() or override.get_key_element() != override.key_or_group:
-            message = f"override {override.input_line!r}: expected key=value with one value"
-            raise UserError(message)
-    if groups := [o for o in overrides if o.key_or_group in GROUPS]:
-        loader = commandline.config_loader()
-        options = [text for o in groups for text in commandline.alternatives(o, loader)]
-        anew = commandline.compose(loader, "train", options)
-        for override in groups:
-            cfg[override.key_or_group] = anew[override.key_or_group]
+    pairs = dict(map(pair, texts))
+    if groups := [text for text in texts if pair(text)[0] in GROUPS]:
+        anew = composed("train", groups)
+        for group in pairs.keys() & GROUPS:
+            cfg[group] = anew[group]
     known: Any = flatten(OmegaConf.to_container(cfg))  # pyright: ignore[reportArgumentType]
-    for override in overrides:
-        key, value = override.key_or_group, override.value()
+    for key, value in pairs.items():
         if key in known:
             OmegaConf.update(cfg, key, value)
-        elif override not in groups:
+        elif key not in GROUPS:
             hint = nearest(key, [*known, *GROUPS])
             message = f"{key}: expected a key that acts on a finished run and not on its training{hint}"
             raise UserError(message)

@@ -73,6 +73,19 @@ def parse(text: str) -> Override:
     return override
 
 
+def pair(text: str) -> tuple[str, Any]:
+    """Return key and plain value of KEY=VALUE.
+
+    Raises:
+        UserError: it is something else, such as a sweep over several values.
+    """
+    override = parse(text)
+    if override.is_sweep_override() or override.get_key_element() != override.key_or_group:
+        message = f"{text!r}: expected key=value with one value"
+        raise UserError(message)
+    return override.key_or_group, override.value()
+
+
 def config_loader(folder: str | None = None) -> ConfigLoaderImpl:
     """Return Hydra's loader over the search path, with a folder of one's own before it.
 
@@ -100,16 +113,15 @@ def check(args: Namespace, config_name: str) -> None:
         return
     loader, name = config_loader(args.config_dir), args.config_name or config_name
     overrides = [parse(text) for text in args.overrides]
-    sweeps = args.multirun or any(o.key_or_group == "hydra.mode" for o in overrides)
     values = [alternatives(o, loader) for o in overrides]
+    sweeps = args.multirun or any(o.key_or_group == "hydra.mode" for o in overrides)
     if several := [o for o in overrides if o.is_sweep_override() and not sweeps]:
         message = f"{several[0].input_line!r}: expected one value; received several. Add -m to run them all"
         raise UserError(message)
     first = [options[0] for options in values]
-    compose(loader, name, first)
-    for place, options in enumerate(values):
-        for option in options[1:]:
-            compose(loader, name, [*first[:place], option, *first[place + 1 :]])
+    others = ((place, option) for place, options in enumerate(values) for option in options[1:])
+    for job in (first, *([*first[:place], option, *first[place + 1 :]] for place, option in others)):
+        compose(loader, name, job)
 
 
 def alternatives(override: Override, loader: ConfigLoaderImpl) -> list[str]:

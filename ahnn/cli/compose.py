@@ -1,4 +1,4 @@
-"""One job composed without a command line, or all jobs of a sweep before it starts."""
+"""Jobs composed without a command line: one of any configuration, a training, or all jobs of a sweep."""
 
 from __future__ import annotations
 
@@ -12,29 +12,24 @@ from omegaconf import DictConfig, OmegaConf
 from ahnn.cli.commandline import alternatives, compose, config_loader, parse
 
 
-def compose_job(overrides: Sequence[str], folder: Path) -> DictConfig:
-    """Return the configuration of a training in a folder, without plugins unless they are asked for.
-
-    Raises:
-        UserError: overrides that do not compose.
-    """
+def composed(name: str, overrides: Sequence[str]) -> DictConfig:
+    """Return the configuration NAME of conf/ with overrides; raises UserError where they do not compose."""
     loader = config_loader()
     for text in overrides:
         alternatives(parse(text), loader)
+    return _opened(compose(loader, name, [*overrides]))
+
+
+def compose_job(overrides: Sequence[str], folder: Path) -> DictConfig:
+    """Return a training in a folder, without plugins unless they are asked for; raises as `composed`."""
     defaults = [] if any(text.startswith("plugins=") for text in overrides) else ["plugins=none"]
-    cfg = compose(loader, "train", [*defaults, *overrides])
-    OmegaConf.set_struct(cfg, False)
-    del cfg["hydra"]
+    cfg = composed("train", [*defaults, *overrides])
     cfg.folder = str(folder)
     return cfg
 
 
 def compose_sweep(overrides: Sequence[str]) -> list[DictConfig]:
-    """Return the configuration of each job that Hydra's basic sweeper makes of overrides, in its order.
-
-    Raises:
-        UserError: overrides that do not compose.
-    """
+    """Return the trainings that Hydra's basic sweeper makes of overrides, in order; raises as `composed`."""
     loader = config_loader()
     single = [text for text in overrides if not parse(text).is_sweep_override()]
     for text in overrides:
@@ -42,10 +37,12 @@ def compose_sweep(overrides: Sequence[str]) -> list[DictConfig]:
     params = compose(loader, "train", single).hydra.sweeper.params
     texts = [*(f"{key}={value}" for key, value in params.items()), *overrides]
     parsed = OverridesParser.create(config_loader=loader).parse_overrides(texts)
-    jobs = [
-        compose(loader, "train", job) for batch in BasicSweeper.split_arguments(parsed, None) for job in batch
-    ]
-    for cfg in jobs:
-        OmegaConf.set_struct(cfg, False)
-        del cfg["hydra"]
-    return jobs
+    (jobs,) = BasicSweeper.split_arguments(parsed, None)
+    return [_opened(compose(loader, "train", job)) for job in jobs]
+
+
+def _opened(cfg: DictConfig) -> DictConfig:
+    """Return a configuration that takes further keys, without the part of Hydra."""
+    OmegaConf.set_struct(cfg, False)
+    del cfg["hydra"]
+    return cfg

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, TypeVar
 
-from hydra.core.override_parser.types import QuotedString
-
 from ahnn.arguments import check_arguments
-from ahnn.cli.commandline import parse
+from ahnn.cli.commandline import pair
 from ahnn.errors import UserError
 
 if TYPE_CHECKING:
@@ -30,23 +28,9 @@ def read_pairs(arguments: list[str], schema: type[T], usage: str) -> T:
     if not arguments:
         message = f"{usage}; received nothing"
         raise UserError(message)
-    values = {}
-    for text in arguments:
-        override = parse(text)
-        if override.is_sweep_override() or override.get_key_element() != override.key_or_group:
-            message = f"{text!r}: expected key=value with one value"
-            raise UserError(message)
-        value = override.value()
-        values[override.key_or_group] = value.text if isinstance(value, QuotedString) else plain(value)
+    values = dict(map(pair, arguments))
     check_arguments("", schema, values)
     return schema(**values)
-
-
-def plain(value: object) -> object:
-    """Return nested lists without the marks of quotes."""
-    if isinstance(value, QuotedString):
-        return value.text
-    return [plain(item) for item in value] if isinstance(value, list) else value
 
 
 def named_runs(run: str | list[str] | None, pretrained: str | None, ckpt: str) -> list[Run]:

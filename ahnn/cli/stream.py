@@ -1,21 +1,19 @@
-"""What an assimilation is told: options of conf/assimilate.yaml, and what is built from them and the run."""
+"""What an assimilation is told by conf/assimilate.yaml, and what is built from that and the run."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from ahnn.arguments import Count, Finite, Positive, Within, check_arguments, nearest
+from ahnn.arguments import check_arguments, nearest
 from ahnn.assimilation import Assimilation, Process, Sensor
 from ahnn.assimilation.start import start_of
-from ahnn.cli import commandline
 from ahnn.cli.again import GROUPS, KEYS, NODES, OWN, Request
 from ahnn.cli.build import blaming, build, build_all, plain_config
+from ahnn.cli.compose import composed
 from ahnn.cli.parts import build_sensor, build_source
 from ahnn.cli.trust import read_plain
 from ahnn.data import SplitData
@@ -26,63 +24,36 @@ from ahnn.measurements import reading
 from ahnn.runs import Run
 from ahnn.systems import System
 
+if TYPE_CHECKING:
+    from ahnn.assimilate import Asked
+
+T = TypeVar("T")
+
 FILTER = "plugins=ukf"
 """What filters where a run names no plugin."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Options:
-    """The keys of conf/assimilate.yaml."""
-
-    measurements: str
-    output: str
-    format: Literal["csv", "json"] | None = None
-    state: str | None = None
-    every: Count
-    start: str | list[float] | None = None
-    start_sd: list[Positive] | None = None
-    time: Finite
-    sensors: dict[str, Any]
-    window: Annotated[float, Within(0)]
-    lines: Count
-    gap: Positive | None = None
-    watch: bool
-    figures: str | None = None
-    oem: str | None = None
-    object: str
-    epoch: str
-    frame: str
-    center: str
-    time_system: str
-
-
-def asked(arguments: list[str], usage: str) -> tuple[Options, DictConfig, Request]:
+def asked(arguments: list[str], schema: type[T], usage: str) -> tuple[T, DictConfig, Request]:
     """Return the options of a command line, the nodes of its sensors, and what it asks of the run.
 
     Raises:
-        UserError: no run or no measurements, an unknown key, or a value of another type.
+        UserError: no run, an unknown key, or a value of another type.
     """
     given = ["watch=true" if argument == "--watch" else argument for argument in arguments]
-    loader = commandline.config_loader()
-    own = commandline.compose(loader, "assimilate", [])
-    mine = [text for text in given if _key(text) in own]
-    known = {*own, *OWN, *GROUPS, *NODES, *KEYS} - {"hydra"}
+    own = composed("assimilate", [])
+    known = {*own, *OWN, *GROUPS, *NODES, *KEYS}
     if unknown := [key for text in given if "=" in text and (key := _key(text)) not in known]:
         message = f"unknown key {unknown[0]!r}{nearest(unknown[0], sorted(known))}"
         raise UserError(message)
+    mine = [text for text in given if _key(text) in own]
     request = Request.of([text for text in given if text not in mine], usage)
-    cfg = commandline.compose(loader, "assimilate", mine)
-    OmegaConf.set_struct(cfg, False)
-    cfg.pop("hydra", None)
-    check_arguments("", Options, plain_config(cfg))
-    options = Options(**plain_config(cfg))
-    if options.output == "-" and (options.figures or options.oem):
-        message = "output: expected a FILE, of which figures and oem are made; received -"
-        raise UserError(message)
-    plain = read_plain(request.source / "config.yaml").get("plugins")
-    if not plain and not any(text.startswith("plugins=") for text in request.overrides):
+    cfg = composed("assimilate", mine)
+    options = plain_config(cfg)
+    check_arguments("", schema, options)
+    plugins = read_plain(request.source / "config.yaml").get("plugins")
+    if not plugins and not any(text.startswith("plugins=") for text in request.overrides):
         request = request._replace(overrides=[FILTER, *request.overrides])
-    return options, cfg.sensors, request
+    return schema(**options), cfg.sensors, request
 
 
 def _key(text: str) -> str:
@@ -136,7 +107,7 @@ def build_process(cfg: DictConfig, run: Run, case: Callable[[], Case]) -> Proces
         return plugin.online(run.dynamics, run.dt, run.space, case, novelty)
 
 
-def build_assimilation(options: Options, nodes: DictConfig, cfg: DictConfig, run: Run) -> Assimilation:
+def build_assimilation(asked: Asked, nodes: DictConfig, cfg: DictConfig, run: Run) -> Assimilation:
     """Build the filter of a stream; data are only made where a process noise is fitted to them.
 
     Raises:
@@ -144,19 +115,14 @@ def build_assimilation(options: Options, nodes: DictConfig, cfg: DictConfig, run
     """
     source = cache(lambda: build_source(cfg))
     sensors = build_sensors(nodes, cfg, run, lambda: source().truth)
-    deviations = options.start_sd
-    if deviations is None and not isinstance(options.start, str) and (truth := source().truth) is not None:
+    deviations = asked.start_sd
+    if deviations is None and not isinstance(asked.start, str) and (truth := source().truth) is not None:
         deviations = truth.deviations().tolist()
-    start = start_of(options.start, deviations, run.space)
+    start = start_of(asked.start, deviations, run.space)
 
     def case() -> Case:
         splits = SplitData(source(), list(cfg.data.split), build_sensor(cfg, source()))
         return make_case(run.dynamics, splits, label=cfg.label, seed=cfg.evaluation.seed, folder=run.folder)
 
-    limits = {"window": options.window, "lines": options.lines, "gap": options.gap}
-    return Assimilation(build_process(cfg, run, case), sensors, start, time=options.time, **limits)
-
-
-def kind_of(options: Options) -> Literal["csv", "json"]:
-    """Return the format of the output."""
-    return options.format or ("json" if Path(options.output).suffix in (".json", ".jsonl") else "csv")
+    limits = {"window": asked.window, "lines": asked.lines, "gap": asked.gap}
+    return Assimilation(build_process(cfg, run, case), sensors, start, time=asked.time, **limits)

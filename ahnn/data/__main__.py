@@ -56,12 +56,11 @@ def check(arguments: list[str]) -> None:
 def request(arguments: list[str]) -> tuple[list[Path], dict[str, Any]]:
     """Return the files and the options of a command line; raises UserError for others."""
     from ahnn.arguments import check_values, nearest
-    from ahnn.cli import commandline
+    from ahnn.cli.commandline import pair
     from ahnn.data.files import Files
     from ahnn.errors import UserError
 
-    given = [commandline.parse(argument) for argument in arguments[1:] if "=" in argument]
-    options = {override.key_or_group: override.value() for override in given}
+    options = dict(pair(argument) for argument in arguments[1:] if "=" in argument)
     if unknown := [key for key in options if key not in (*KEYS, "figures")]:
         message = f"check: unknown key {unknown[0]!r}{nearest(unknown[0], (*KEYS, 'figures'))}"
         raise UserError(message)
