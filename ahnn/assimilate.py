@@ -109,7 +109,8 @@ def assimilate(arguments: list[str]) -> None:
         clock = Clock.of(run.space.units.time, options.epoch, options.time_system)
         session = Session(filtering, lines, rows, options.output, state, options.every, clock)
         view = View(run.space) if options.watch else None
-        with ended("" if state is None else "the same command goes on where it was"), view or nullcontext():
+        kept = ended(lambda: "the same command goes on where it was") if state else nullcontext()
+        with kept, view or nullcontext():
             session.run(view)
     log.info("%s lines: %s", f"{session.counted:,}", said(session.counts))
     _pictures(options, run.space)

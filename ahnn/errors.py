@@ -32,3 +32,8 @@ class Stopped(BaseException):
     def code(self) -> int:
         """Exit code of a process that a signal ended, as a shell counts."""
         return 128 + self.signal
+
+    def saying(self, how_to_go_on: str) -> Stopped:
+        """Return the stop with a message for the user."""
+        cause = "Ctrl-C" if self.signal == signal.SIGINT else self.signal.name
+        return Stopped(self.signal, f"stopped by {cause}; {how_to_go_on}")

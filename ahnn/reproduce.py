@@ -58,7 +58,7 @@ def reproduce(arguments: list[str]) -> None:
     log.info(made.announcement())
     sys.argv[1:] = ["--multirun", *made.overrides]
     try:
-        with ended("the same command goes on where it was stopped"):
+        with ended(lambda: "the same command goes on where it was stopped"):
             start(one, "train")
     finally:  # one that failed leaves the others their table
         if made.finished():

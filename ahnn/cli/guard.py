@@ -17,6 +17,8 @@ from typing import Any, NoReturn
 from ahnn.cli.stops import arrived, listen
 from ahnn.errors import Stopped, TrainingError, UserError
 
+OURS = (UserError, TrainingError)
+
 
 def run_command(task: Callable[[list[str]], Any], about: str | None) -> NoReturn:
     """End the process with the exit code of a task on its arguments, or of telling what it is about."""
@@ -38,35 +40,27 @@ def guard(entry: Callable[[], Any]) -> int:
         entry()
     except (Stopped, KeyboardInterrupt) as stop:
         return end(stop)
-    except TrainingError as error:
-        return report(str(error), 3)
-    except UserError as error:
-        return report(str(error), 2)
+    except OURS as error:
+        return report(error)
     except Exception as error:
         if stop := stop_behind(error) or arrived():
             return end(stop)
         if type(error).__module__.partition(".")[0] in ("hydra", "omegaconf"):  # some of them are OSErrors
-            cause = error.__cause__
-            return report(
-                str(cause) if isinstance(cause, UserError | TrainingError) else configured(error), 2
-            )
+            return report(error.__cause__ if isinstance(error.__cause__, OURS) else configured(error))
         if in_library(error):
             said = " ".join(f"{type(error).__name__}: {error}".split())
-            return report(f"environment: a library cannot be imported: {said}. Look at its variables", 2)
+            return report(f"environment: a library cannot be imported: {said}. Look at its variables")
         if not isinstance(error, OSError):
             raise
         place = f"file {error.filename}" if error.filename else "files"
-        return report(f"{place}: {error.strerror or error}", 2)
+        return report(f"{place}: {error.strerror or error}")
     return 0
 
 
 def end(stop: BaseException) -> int:
     """Say what stopped the command and return the exit code."""
     known = stop if isinstance(stop, Stopped) else Stopped(signal.SIGINT)
-    word = "Ctrl-C" if known.signal == signal.SIGINT else known.signal.name
-    return report(
-        str(known) or f"stopped by {word}; the same command starts again from the beginning", known.code
-    )
+    return report(known if str(known) else known.saying("the same command starts again from the beginning"))
 
 
 def stop_behind(error: BaseException) -> BaseException | None:
@@ -93,7 +87,7 @@ def configured(error: Exception) -> str:
     return f"configuration: {first_line(error)}{f' ({key})' if key else ''}"
 
 
-def report(message: str, code: int) -> int:
-    """Write a message to standard error and return the code."""
-    sys.stderr.write(f"ahnn: {message}\n")
-    return code
+def report(said: BaseException | str) -> int:
+    """Write a message to standard error and return its exit code."""
+    sys.stderr.write(f"ahnn: {said}\n")
+    return said.code if isinstance(said, Stopped) else 3 if isinstance(said, TrainingError) else 2

@@ -36,22 +36,22 @@ def arrived() -> Stopped | None:
 
 def listen() -> None:
     """Let signals raise `KeyboardInterrupt` or `Stopped`, unless somebody has them ignored (nohup)."""
+    _hand_to(_raise)
+
+
+def _hand_to(handler: Callable[[int, Any], Any]) -> dict[int, Any]:
+    """Give the signals that nobody has ignored to a handler; return their former ones."""
     if threading.current_thread() is not threading.main_thread():
-        return
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, _raise)
+        return {}
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    return {n: signal.signal(n, handler) for n in numbers if signal.getsignal(n) is not signal.SIG_IGN}
 
 
 @contextlib.contextmanager
 def held() -> Iterator[None]:
     """Let signals wait: an exception in the middle of an import leaves libraries that recurse or abort."""
     waiting: list[int] = []
-    before: dict[int, Any] = {}
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            if signal.getsignal(number) is not signal.SIG_IGN:
-                before[number] = signal.signal(number, lambda number, _: waiting.append(number))
+    before = _hand_to(lambda number, _: waiting.append(number))
     try:
         yield
     finally:
@@ -62,23 +62,26 @@ def held() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def ended(how_to_go_on: str) -> Iterator[None]:
-    """Say how to go on where a signal ends work that keeps its state; "" leaves the message as it is."""
+def ended(how_to_go_on: Callable[[], str], *, speaks: bool = True) -> Iterator[None]:
+    """Say how to go on where a signal ends work that keeps its state; of several processes one speaks.
+
+    Lightning answers Ctrl-C with an exit of its own, code 1.
+    """
     try:
         yield
-    except (KeyboardInterrupt, Stopped) as stop:
-        number = _signal_of(stop)
-        if number is None or not how_to_go_on:
+    except (KeyboardInterrupt, SystemExit, Stopped) as stop:
+        by_ctrl_c = isinstance(stop, KeyboardInterrupt) or isinstance(stop.__context__, KeyboardInterrupt)
+        if not (by_ctrl_c or isinstance(stop, Stopped)):
             raise
-        word = "Ctrl-C" if number == signal.SIGINT else number.name
-        raise Stopped(number, f"stopped by {word}; {how_to_go_on}") from None
+        known = stop if isinstance(stop, Stopped) else Stopped(signal.SIGINT)
+        if not speaks:
+            sys.exit(known.code)
+        raise known.saying(how_to_go_on()) from None
 
 
 @contextlib.contextmanager
 def interruptible(trainer: Trainer, how_to_go_on: Callable[[], str]) -> Iterator[None]:
     """Turn what ends a fit or an evaluation early into one message.
-
-    Lightning answers Ctrl-C with an exit of its own, code 1.
 
     Raises:
         Stopped: with the command that resumes.
@@ -87,23 +90,8 @@ def interruptible(trainer: Trainer, how_to_go_on: Callable[[], str]) -> Iterator
     from lightning.fabric.utilities.exceptions import MisconfigurationException
 
     try:
-        yield
-    except (KeyboardInterrupt, SystemExit, Stopped) as stop:
-        number = _signal_of(stop)
-        if number is None:
-            raise
-        if not trainer.is_global_zero:
-            sys.exit(128 + number)  # of several processes, one speaks
-        word = "Ctrl-C" if number == signal.SIGINT else number.name
-        raise Stopped(number, f"stopped by {word}; {how_to_go_on()}") from None
+        with ended(how_to_go_on, speaks=trainer.is_global_zero):
+            yield
     except MisconfigurationException as error:
         message = f"trainer: {error}"
         raise UserError(message) from error
-
-
-def _signal_of(stop: BaseException) -> signal.Signals | None:
-    """Return the signal behind an exception; None for an exit of somebody else's."""
-    if isinstance(stop, Stopped):
-        return stop.signal
-    by_ctrl_c = isinstance(stop, KeyboardInterrupt) or isinstance(stop.__context__, KeyboardInterrupt)
-    return signal.SIGINT if by_ctrl_c else None

@@ -7,8 +7,8 @@ import math
 import pytest
 from cases import MODEL, make_results, scores
 
-from ahnn.cli.sweep_table import sweep_table
 from ahnn.evaluation import Findings, Row, Who
+from ahnn.evaluation.over_jobs import sweep_table
 from ahnn.evaluation.sinks import MetricsSink
 from ahnn.evaluation.terminal import show
 

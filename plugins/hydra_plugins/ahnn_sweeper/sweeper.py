@@ -95,10 +95,8 @@ class AhnnOptunaSweeper(Sweeper):
         except UserError as error:
             raise HydraException(str(error)) from error
         except (KeyboardInterrupt, Stopped) as stop:
-            number = stop.signal if isinstance(stop, Stopped) else signal.SIGINT
-            word = "Ctrl-C" if number == signal.SIGINT else number.name
-            message = str(stop) or f"stopped by {word}; the same command continues the search"
-            raise Stopped(number, message) from None
+            known = stop if isinstance(stop, Stopped) else Stopped(signal.SIGINT)
+            raise known if str(known) else known.saying("the same command continues the search") from None
         if failed:
             message = f"{failed} of {self.n_trials} trials failed; the table above names them"
             raise HydraException(message)
