@@ -11,8 +11,8 @@ from ahnn.estimation.belief import Belief
 from ahnn.estimation.consistency import deviations
 from ahnn.shooting.paths import pointwise_jacobian
 from ahnn.types import Flow
-from ahnn_plugins.ukf.checks import Grid
 from ahnn_plugins.ukf.kernel import Sensor
+from ahnn_plugins.ukf.steps import Grid
 
 DIFFERENCE = 1e-3
 """Half width of a central difference, in standard deviations of the prior."""

@@ -21,8 +21,9 @@ from ahnn.numbers import Numbers
 from ahnn.shooting.starts import GROWTH, SHORTEST, damped_moves
 from ahnn.types import Flow
 from ahnn_plugins.ukf.arc import Arc, Fit, followed
-from ahnn_plugins.ukf.checks import check_belief, checked_grid, checked_rows, checked_sensor
+from ahnn_plugins.ukf.checks import check_belief, checked_rows, checked_sensor
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
+from ahnn_plugins.ukf.steps import Grid
 
 ROUGHLY, ITERATIONS = 3, 20
 """Steps on a span that is still to grow, and on the last one, at most."""
@@ -86,7 +87,7 @@ def batch_least_squares(
     sensor = checked_sensor(measurement, measurement_noise, belief, SQUARE_ROOT, None)
     shape = (len(belief.mean), "T", len(measurement.names))
     rows = checked_rows(measurements, "measurements", shape, belief.mean.device)
-    grid = checked_grid(dt, rows.shape[1], initial_state(belief, start_time).time)
+    grid = Grid.of(dt, rows.shape[1], initial_state(belief, start_time).time)
     measured = (~rows.isnan()).any(-1).any(0).nonzero().flatten().tolist()
     arc = Arc(flow, grid, rows, measured, sensor, belief)
     start, span = belief.mean, SHORTEST

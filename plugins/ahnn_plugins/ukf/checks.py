@@ -1,13 +1,11 @@
 """Checks at the entrance of the filter, so that its kernel can trust what it is given.
 
-Matrices come in as covariances and go on as factors; numbers of any kind go on as float64 tensors.
+Covariances go on as factors, numbers of any kind as float64 tensors.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -20,22 +18,11 @@ from ahnn.estimation.state import FilterState
 from ahnn.measurements.base import Measurement
 from ahnn.numbers import Numbers, as_float64, described
 from ahnn_plugins.ukf.kernel import Sensor
-from ahnn_plugins.ukf.types import Form, ProcessNoise
-
-
-class Grid(NamedTuple):
-    """Steps in time: their lengths, and the times () at which they end."""
-
-    lengths: list[float]
-    times: list[Tensor]
+from ahnn_plugins.ukf.types import Form
 
 
 def check_belief(belief: Belief) -> None:
-    """Refuse what is no float64 belief.
-
-    Raises:
-        ValueError: another type, dtype or shape.
-    """
+    """Raise ValueError for what is no float64 belief of at least one member."""
     if not isinstance(belief, Belief):
         message = f"belief: expected a Belief; received {described(belief)}; use initial_belief"
         raise UserError(message)
@@ -50,11 +37,7 @@ def check_belief(belief: Belief) -> None:
 
 
 def check_state(state: FilterState) -> None:
-    """Refuse what is no state of the filter.
-
-    Raises:
-        ValueError: another type, or a belief that is none.
-    """
+    """Raise ValueError for what is no state of the filter, or one with a belief that is none."""
     if not isinstance(state, FilterState):
         message = f"state: expected a FilterState; received {described(state)}; use start"
         raise UserError(message)
@@ -62,11 +45,7 @@ def check_state(state: FilterState) -> None:
 
 
 def check_form(form: Form) -> None:
-    """Refuse what is no form.
-
-    Raises:
-        ValueError: another type.
-    """
+    """Raise ValueError for what is no form."""
     if not isinstance(form, Form):
         message = f"form: expected a Form, SQUARE_ROOT or STANDARD; received {form!r}"
         raise UserError(message)
@@ -126,11 +105,7 @@ def checked_rows(values: Numbers, who: str, shape: tuple[int | str, ...], device
 
 
 def checked_time(time: float, name: str) -> float:
-    """Return a time.
-
-    Raises:
-        ValueError: it is not finite.
-    """
+    """Return a time; raises ValueError for one that is not finite."""
     if not isinstance(time, int | float) or not math.isfinite(time):
         message = f"{name}: expected a finite number; received {time}"
         raise ValueError(message)
@@ -138,70 +113,24 @@ def checked_time(time: float, name: str) -> float:
 
 
 def checked_step(dt: Numbers) -> float:
-    """Return the length of one step.
+    """Return the length of one step; raises as `checked_steps`."""
+    return dt if isinstance(dt, float) and 0.0 < dt < math.inf else float(checked_steps(dt))
+
+
+def checked_steps(dt: Numbers, steps: int | None = None) -> Tensor:
+    """Return the length () of every step, or of T = `steps` steps their lengths (T,), as float64.
 
     Raises:
-        ValueError: not one number, or not finite and positive.
-    """
-    if isinstance(dt, float) and 0.0 < dt < math.inf:
-        return dt
-    steps = checked_steps(dt)
-    if steps.ndim > 0:
-        message = f"dt: expected one number; received {described(dt)}"
-        raise ValueError(message)
-    return float(steps)
-
-
-def checked_steps(dt: Numbers) -> Tensor:
-    """Return step lengths as float64.
-
-    Raises:
-        ValueError: one is not finite, or not positive.
+        ValueError: another shape, or a length that is not finite or not positive.
     """
     lengths = as_float64(dt, "dt")
     wrong = lengths[~((lengths > 0.0) & lengths.isfinite())]
     if len(wrong) > 0:
         message = f"dt: expected finite steps > 0; received {float(wrong[0])}"
         raise ValueError(message)
-    return lengths
-
-
-def checked_grid(dt: Numbers, steps: int, start: Tensor) -> Grid:
-    """Return the lengths of T steps from a number or (T,) numbers, and the times at which they end.
-
-    Raises:
-        ValueError: another shape, or steps that are not positive.
-    """
-    lengths = checked_steps(dt)
     if lengths.ndim > 0 and lengths.shape != (steps,):
-        message = f"dt: expected a number or shape ({steps},); received {tuple(lengths.shape)}"
+        one = f"one number; received {described(dt)}"
+        many = f"a number or shape ({steps},); received {tuple(lengths.shape)}"
+        message = f"dt: expected {one if steps is None else many}"
         raise ValueError(message)
-    if lengths.ndim == 0:
-        ends = start + lengths * torch.arange(1, steps + 1, device=start.device)
-        return Grid([float(lengths)] * steps, list(ends.unbind()))
-    return Grid(lengths.tolist(), list((start + lengths.cumsum(0).to(start.device)).unbind()))
-
-
-def process_factor(process_noise: ProcessNoise, belief: Belief) -> Callable[[float], Tensor]:
-    """Return the factor of Q, (B, D, D), as a function of the step; each length is factored once.
-
-    Raises:
-        ValueError: no covariance; from the function for a noise that is one of the step.
-    """
-    batch, size = belief.mean.shape
-
-    def factor(matrix: Covariance) -> Tensor:
-        chol = covariance_factor(matrix, "Q", batch=batch, size=size, definite=False)
-        return chol.to(belief.mean.device).expand(batch, size, size)
-
-    if not callable(process_noise):
-        constant = factor(process_noise)
-        return lambda _: constant
-    known: dict[float, Tensor] = {}
-
-    def of_step(dt: float) -> Tensor:
-        if dt not in known:
-            known[dt] = factor(process_noise(dt))
-        return known[dt]
-
-    return of_step
+    return lengths

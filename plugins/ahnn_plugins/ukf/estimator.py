@@ -26,10 +26,10 @@ from ahnn_plugins.ukf.checks import (
     checked_sensor,
     checked_step,
     checked_time,
-    process_factor,
 )
 from ahnn_plugins.ukf.sigma_points import unscented_weights
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
+from ahnn_plugins.ukf.steps import process_factor
 from ahnn_plugins.ukf.types import Form, ProcessNoise, UnscentedParameters, Updated, Weights
 
 DEFAULTS = UnscentedParameters()

@@ -15,15 +15,14 @@ from ahnn_plugins.ukf.checks import (
     check_belief,
     check_form,
     check_state,
-    checked_grid,
     checked_rows,
     checked_sensor,
     checked_time,
-    process_factor,
 )
 from ahnn_plugins.ukf.loop import StepModel, run
 from ahnn_plugins.ukf.sigma_points import unscented_weights
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
+from ahnn_plugins.ukf.steps import Grid, process_factor
 from ahnn_plugins.ukf.types import (
     FilterResult,
     Form,
@@ -84,7 +83,7 @@ def unscented_filter(
         sensor = checked_sensor(measurement, measurement_noise, state.belief, form, gate)
         (batch, size), device = state.belief.mean.shape, state.belief.mean.device
         rows = checked_rows(measurements, "measurements", (batch, "T", len(measurement.names)), device)
-        grid = checked_grid(dt, rows.shape[1], state.time)
+        grid = Grid.of(dt, rows.shape[1], state.time)
         parameters = UnscentedParameters() if parameters is None else parameters
         weights = unscented_weights(parameters, size, device, batch=batch)
         chol_q = process_factor(process_noise, state.belief)

@@ -21,11 +21,12 @@ from ahnn.estimation.state import initial_state
 from ahnn.measurements.base import Measurement
 from ahnn.numbers import Numbers
 from ahnn.types import Flow
-from ahnn_plugins.ukf.checks import checked_grid, checked_rows, checked_sensor, process_factor
+from ahnn_plugins.ukf.checks import checked_rows, checked_sensor
 from ahnn_plugins.ukf.loop import StepModel, run
 from ahnn_plugins.ukf.regression import linear_flow, linear_sensor, regression_weights
 from ahnn_plugins.ukf.smoother import unscented_smoother
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
+from ahnn_plugins.ukf.steps import Grid, process_factor
 from ahnn_plugins.ukf.types import FilterResult, ProcessNoise, SmootherResult, UnscentedParameters
 
 SETTLED = 1e-2
@@ -95,7 +96,7 @@ def iterated_smoother(
     rows = checked_rows(measurements, "measurements", (batch, steps, len(measurement.names)), device)
     rows = rows.masked_fill(result.rejected.unsqueeze(-1), torch.nan)[there]
     begin = initial_state(_members(result.initial, there), start_time)
-    grid, chol_q = checked_grid(dt, steps, begin.time), process_factor(process_noise, result.initial)
+    grid, chol_q = Grid.of(dt, steps, begin.time), process_factor(process_noise, result.initial)
 
     def relinearised(about: SmootherResult) -> SmootherResult:
         def line(k: int) -> StepModel:

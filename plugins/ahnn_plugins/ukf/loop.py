@@ -12,9 +12,9 @@ from ahnn.estimation.belief import Belief
 from ahnn.estimation.state import FilterState, add_repairs
 from ahnn.types import Flow
 from ahnn_plugins.ukf import kernel
-from ahnn_plugins.ukf.checks import Grid
 from ahnn_plugins.ukf.records import Step, collected
 from ahnn_plugins.ukf.smoother import backward_kernel
+from ahnn_plugins.ukf.steps import Grid
 from ahnn_plugins.ukf.types import Backward, FilterResult, Form, Weights
 
 
