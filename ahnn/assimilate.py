@@ -85,7 +85,6 @@ def assimilate(arguments: list[str]) -> None:
         from ahnn.assimilation.view import View, said
         from ahnn.cli import stream
         from ahnn.cli.again import run_config
-        from ahnn.cli.settings import check_again
         from ahnn.errors import UserError
         from ahnn.runs import load
 
@@ -97,7 +96,6 @@ def assimilate(arguments: list[str]) -> None:
         raise UserError(message)
     run = load(request.source, request.ckpt)
     cfg = run_config(run.folder, request)
-    check_again(cfg)
     torch.set_num_threads(cfg.threads)
     state = None if options.state is None else Path(options.state)
     if state is None or not state.exists():

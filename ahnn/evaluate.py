@@ -37,7 +37,6 @@ def evaluate(arguments: list[str]) -> None:
     with held():
         from ahnn.cli.again import Request, run_config
         from ahnn.cli.parts import build_plugins, build_sensor, build_source, report_options, robust_of
-        from ahnn.cli.settings import check_again
         from ahnn.data import SplitData
         from ahnn.evaluation import evaluation_folder, load_results, report
         from ahnn.evaluation.prepare import make_case
@@ -50,7 +49,6 @@ def evaluate(arguments: list[str]) -> None:
     request = Request.of(arguments, USAGE)
     run = load(request.source, request.ckpt)
     cfg = run_config(run.folder, request)
-    check_again(cfg)
     set_threads(cfg.threads)
     source = build_source(cfg)
     splits = SplitData(source, list(cfg.data.split), build_sensor(cfg, source))  # it needs no windows
@@ -59,7 +57,7 @@ def evaluate(arguments: list[str]) -> None:
     training = load_results(run.folder).training if (run.folder / "metrics.json").exists() else {}
     options = report_options(cfg)
     folder = evaluation_folder(request.folder, request.name)
-    learned = {"uncertainty": run.uncertainty, "domain": run.domain, "robust": robust_of(cfg)}
+    learned = {"uncertainty": run.uncertainty, "domain": run.domain, "robust": robust_of(run)}
     case = make_case(
         run.dynamics, splits, label=cfg.label, seed=cfg.evaluation.seed, folder=folder, **learned
     )

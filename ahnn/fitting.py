@@ -30,9 +30,8 @@ def fit(
     Raises:
         UserError: trajectories or overrides that make no training, or a folder with another one.
     """
-    from ahnn.cli.before import quiet
+    from ahnn.cli.before import quiet, require_new
     from ahnn.cli.compose import compose_job
-    from ahnn.cli.resume import require_new
     from ahnn.cli.settings import check_settings
     from ahnn.data import Given
     from ahnn.runs import about_space, load

@@ -42,8 +42,7 @@ def train(cfg: DictConfig) -> float:
 
     Several `seeds` train in folders of their own, seed_7 and so on, inside the run folder.
     """
-    from ahnn.cli.before import quiet
-    from ahnn.cli.resume import require_new
+    from ahnn.cli.before import quiet, require_new
 
     quiet()
     check_settings(cfg)
@@ -101,7 +100,7 @@ def prepare(cfg: DictConfig, source: Source | None = None) -> Parts:
         build_trainer,
         check_together,
     )
-    from ahnn.cli.resume import resume_point
+    from ahnn.training.restore import resume_point
 
     torch.set_num_threads(cfg.threads)
     seed_everything(cfg.seed, verbose=False)
@@ -236,7 +235,7 @@ def judge(
     run = load(folder)
     loss = math.nan if run.about["val_loss"] is None else float(run.about["val_loss"])
     options = {"label": cfg.label, "seed": cfg.evaluation.seed, "folder": folder, "domain": run.domain}
-    learned = {"uncertainty": run.uncertainty, "robust": robust_of(cfg)}
+    learned = {"uncertainty": run.uncertainty, "robust": robust_of(run)}
     case = make_case(run.dynamics, data.splits, **learned, **options)
     boards = [logger for logger in trainer.loggers if isinstance(logger, TensorBoardLogger)]
     sinks = [TensorBoardSink(board, searched_settings(cfg)) for board in boards]

@@ -10,10 +10,12 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 import yaml
 from entry import SMALL, call
 
 from ahnn.checkpoints import read_checkpoint
+from ahnn.errors import UserError
 from ahnn.evaluation import Who, load_results
 from ahnn.pretrained import HERE, names
 
@@ -169,6 +171,24 @@ def test_ckpt_last_judges_the_last_weights(run):
     fallback = again(run)  # where nothing chose the best weights, the last ones are judged
     assert again(run, "ckpt=last", name="last").rows == fallback.rows
     assert last["global_step"] >= best["global_step"]
+
+
+def test_an_evaluation_weighs_residuals_as_the_training_did(run, capfd, monkeypatch):
+    path, seen = run / "checkpoints" / "best.ckpt", []
+
+    def case(*_, robust, **__):
+        seen.append(robust)
+        message = "as far as this test goes"
+        raise UserError(message)
+
+    monkeypatch.setattr("ahnn.evaluation.prepare.make_case", case)
+    for robust in ("student", "cauchy", ["none"]):
+        content = read_checkpoint(path)
+        content["ahnn"]["settings"]["loss"]["robust"] = robust
+        torch.save(content, path)
+        assert call(EVALUATE, f"run={run}") == 2
+    assert seen == ["student"]
+    assert "received 'cauchy'" in capfd.readouterr().err
 
 
 def test_a_run_that_was_moved_is_the_same_run(run, tmp_path):

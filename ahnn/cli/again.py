@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import flatten, nearest
+from ahnn.cli.settings import check_again
 from ahnn.cli.trust import read_plain, require_trusted
 from ahnn.errors import UserError
 from ahnn.pretrained import shipped
@@ -70,7 +71,8 @@ def run_config(folder: Path, request: Request) -> DictConfig:
     """Return the configuration of a run with what is chosen again.
 
     Raises:
-        UserError: it is missing or damaged, names what is not trusted, or an override has no effect.
+        UserError: it is missing or damaged, names what is not trusted, or an override has no effect or a
+            wrong value.
     """
     path = folder / "config.yaml"
     content = read_plain(path)
@@ -83,7 +85,9 @@ def run_config(folder: Path, request: Request) -> DictConfig:
     if not request.trust:
         require_trusted(path, content, (*NODES, *KEYS))
     cfg = OmegaConf.create({key: content[key] for key in (*NODES, *KEYS)})
-    return chosen_again(cfg, request.overrides) if request.overrides else cfg
+    cfg = chosen_again(cfg, request.overrides) if request.overrides else cfg
+    check_again(cfg)
+    return cfg
 
 
 def chosen_again(cfg: DictConfig, texts: list[str]) -> DictConfig:

@@ -1,11 +1,13 @@
-"""Before the fit: a quiet Lightning."""
+"""Before the fit: a quiet Lightning, and a folder that holds no other training."""
 
 from __future__ import annotations
 
 import logging
 import warnings
+from pathlib import Path
 
 from ahnn.cli.stops import held
+from ahnn.errors import UserError
 
 HINTS = (
     ".*smaller than the logging interval.*",
@@ -29,3 +31,18 @@ def quiet() -> None:
         logging.getLogger("ahnn").setLevel(logging.WARNING)
     for hint in HINTS:
         warnings.filterwarnings("ignore", hint)
+
+
+def require_new(folder: Path, ckpt: str | None) -> None:
+    """Check that a training from the start replaces no other.
+
+    Raises:
+        UserError: the folder holds checkpoints.
+    """
+    found = sorted(path.name for path in (folder / "checkpoints").glob("*.ckpt"))
+    if found and ckpt is None:
+        message = (
+            f"run {folder}: expected a folder without checkpoints; received one with {', '.join(found)}. "
+            "Resume with ckpt=last, or choose another run="
+        )
+        raise UserError(message)

@@ -7,7 +7,7 @@ import functools
 import inspect
 import itertools
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +50,7 @@ def build(node: Any, who: str, kind: type = object, **offered: Any) -> Any:
         made = instantiate(node, _convert_="all", _partial_=True)
     taken = inspect.signature(function).parameters
     passed = {name: value for name, value in offered.items() if name in taken}
-    call = functools.partial(_call, who, made, **passed)
+    call = blaming(who)(functools.partial(made, **passed))
     if partial:
         return call
     thing = call()
@@ -58,11 +58,6 @@ def build(node: Any, who: str, kind: type = object, **offered: Any) -> Any:
         message = f"{who}: expected {kind.__name__}; received {type(thing).__name__}"
         raise UserError(message)
     return thing
-
-
-def _call(who: str, made: Callable[..., Any], /, *arguments: Any, **named: Any) -> Any:
-    with blaming(who):
-        return made(*arguments, **named)
 
 
 @contextlib.contextmanager

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
-from ahnn.arguments import check_arguments
+from ahnn.arguments import check_arguments, flatten
 from ahnn.checkpoints import FORMAT
 from ahnn.cli.build import build, build_all, plain_config
 from ahnn.data import Files, Simulated, Source, SplitData
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from ahnn.data.datamodule import WindowDataModule
     from ahnn.evaluation import EvaluationPlugin
     from ahnn.models import AbstractModel
+    from ahnn.runs import Run
 
 SIMULATION = ("trajectories", "seed", "cache")
 """Keys of `data` that say how many trajectories are simulated, and where they are kept."""
@@ -56,7 +57,8 @@ def build_data(cfg: DictConfig, source: Source) -> WindowDataModule:
 
 def build_sensor(cfg: DictConfig, source: Source) -> Sensor | None:
     """Build what training sees of trajectories, drawn or in files; None where it sees their states."""
-    options = {name: cfg.data.get(name) for name in SENSOR}  # shipped models have none of these
+    data = plain_config(cfg.data)
+    options: dict[str, Any] = {name: data.get(name) for name in SENSOR}  # shipped models have none of these
     if isinstance(source, Files):
         return build_recorded(options, source)
     if options["noise"] is None:
@@ -66,9 +68,7 @@ def build_sensor(cfg: DictConfig, source: Source) -> Sensor | None:
             raise UserError(message)
         return None
     measured = options["measured"] or "state"
-    options["measured"] = measured if isinstance(measured, str) else build(measured, "data.measured")
-    if isinstance(options["noise"], ListConfig):
-        options["noise"] = list(options["noise"])
+    options["measured"] = measured if isinstance(measured, str) else build(cfg.data.measured, "data.measured")
     check_arguments("data", Sensor, options, ("space", "seed"))
     return Sensor(source.space, **options, seed=cfg.data.seed)
 
@@ -97,8 +97,7 @@ def build_recorded(options: dict[str, Any], source: Files) -> Recorded | None:
             f"received {known}"
         )
         raise UserError(message)
-    options = {"measured": measured or ("position" if source.positions_only else "state")}
-    options["noise"] = list(noise) if isinstance(noise, ListConfig) else noise
+    options = {"measured": measured or ("position" if source.positions_only else "state"), "noise": noise}
     check_arguments("data", Recorded, options, ("space", "every", "gaps", "outliers", "seed"))
     return Recorded(source.space, **options)
 
@@ -163,14 +162,14 @@ def report_options(cfg: DictConfig) -> dict[str, Any]:
     return {"predictions": asked.save_predictions, "figures": asked.figures, "detail": detail}
 
 
-def robust_of(cfg: DictConfig) -> RobustName:
-    """Return the loss of single residuals that a training takes.
+def robust_of(run: Run) -> RobustName:
+    """Return the loss of single residuals that a training took, of which its weights tell.
 
     Raises:
         UserError: there is no such loss.
     """
-    name = OmegaConf.select(cfg, "loss.robust", default="none")
-    if name not in ROBUST:
+    name = flatten(run.about).get("settings.loss.robust", "none")
+    if name not in [*ROBUST]:
         message = f"loss.robust: expected one of {', '.join(ROBUST)}; received {name!r}"
         raise UserError(message)
     return name

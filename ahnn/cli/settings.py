@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from inspect import signature
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -53,9 +53,10 @@ class Evaluation:
     detail: bool = False
 
 
-def check_again(cfg: DictConfig) -> None:
-    """Check what an evaluation of a finished run is given; raises UserError for a wrong type or value."""
-    _check({"": Again, "evaluation": Evaluation}, cfg)
+def check_again(cfg: DictConfig, top: type = Again) -> None:
+    """Check what belongs to no object and is asked of finished runs too; raises as `check_settings`."""
+    check_arguments("", top, _part(cfg, top))
+    check_arguments("evaluation", Evaluation, plain_config(cfg.evaluation, "evaluation"))
 
 
 def check_settings(cfg: DictConfig) -> None:
@@ -64,7 +65,8 @@ def check_settings(cfg: DictConfig) -> None:
     Raises:
         UserError: a wrong type, an impossible value, or one that contradicts the chosen model.
     """
-    _check({"": Settings, "trainer": Training, "evaluation": Evaluation}, cfg)
+    check_again(cfg, Settings)
+    check_arguments("trainer", Training, _part(cfg.trainer, Training, "trainer"))
     if cfg.get("seeds") and len({*cfg.seeds}) < len(cfg.seeds):
         message = f"seeds: expected different ones; received {list(cfg.seeds)}"
         raise UserError(message)
@@ -77,13 +79,8 @@ def check_settings(cfg: DictConfig) -> None:
             raise UserError(message)
 
 
-def _check(schemas: dict[str, type], cfg: DictConfig) -> None:
-    for who, schema in schemas.items():
-        node = cfg[who] if who else cfg
-        own = node if schema is Evaluation or not isinstance(node, DictConfig) else _part(node, schema)
-        check_arguments(who, schema, plain_config(own, who))
-
-
-def _part(node: DictConfig, schema: type) -> DictConfig:
+def _part(node: Any, schema: type, who: str = "") -> dict[str, Any]:
     """Return the keys of a node that belong to a schema, where others belong to somebody else."""
-    return OmegaConf.create({key: node[key] for key in signature(schema).parameters if key in node})
+    if isinstance(node, DictConfig):
+        node = OmegaConf.create({key: node[key] for key in signature(schema).parameters if key in node})
+    return plain_config(node, who)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -10,6 +11,7 @@ from lightning.pytorch.utilities.migration.utils import migrate_checkpoint
 from torch import Tensor
 from torch.optim import Optimizer
 
+from ahnn.checkpoints import read_checkpoint, require_same
 from ahnn.errors import UserError
 from ahnn.training.steppers import stepper_of
 
@@ -17,6 +19,29 @@ STATES = "optimizer_states"
 NEEDED = {"state_dict": dict, STATES: list, "lr_schedulers": list, "loops": dict, "callbacks": dict}
 NEEDED |= {"epoch": int, "global_step": int}
 """What Lightning takes from a checkpoint without asking whether it is there."""
+
+
+def resume_point(ckpt: str | None, model: Any, trainer: Any, folder: Path) -> Path | None:
+    """Return the checkpoint to resume from, or None.
+
+    Args:
+        ckpt: None, `last`, `best`, or a path.
+        model: what is going to be trained; the checkpoint must be of the same training.
+        trainer: what is going to train it, with its callbacks.
+        folder: where checkpoints of this run are.
+
+    Raises:
+        UserError: the checkpoint is missing, damaged, or of another training.
+    """
+    if ckpt is None:
+        return None
+    path = folder / f"{ckpt}.ckpt" if ckpt in ("last", "best") else Path(ckpt)
+    content = read_checkpoint(path)
+    parts = ("data", "settings")
+    wanted, received = ({k: known.get(k, {}) for k in parts} for known in (model.about, content["ahnn"]))
+    require_same(f"checkpoint {path}", wanted, received)
+    require_restorable(f"checkpoint {path}", model, trainer, content)
+    return path
 
 
 def require_restorable(who: str, model: Any, trainer: Any, content: dict[str, Any]) -> None:
