@@ -190,6 +190,10 @@ def nearest(name: str, known: Any) -> str:
     return f"; did you mean {close[0]!r}?" if close else f"; it takes {', '.join(names)}"
 
 
+PLAIN = {float: (int, float), int: int, str: str, bool: bool, NoneType: NoneType}
+"""What values of plain types may be; True and False are no numbers."""
+
+
 def fits(value: Any, hint: Any) -> bool:
     """Return whether a plain value is of an annotated type; types other than plain ones always fit."""
     origin, inner = get_origin(hint), get_args(hint)
@@ -200,14 +204,8 @@ def fits(value: Any, hint: Any) -> bool:
         return value in inner
     if origin in (Union, UnionType):
         return any(fits(value, option) for option in inner)
-    if hint is NoneType:
-        return value is None
-    if hint is float:
-        return isinstance(value, int | float) and not isinstance(value, bool)
-    if hint is int:
-        return isinstance(value, int) and not isinstance(value, bool)
-    if hint in (str, bool):
-        return isinstance(value, hint)
+    if hint in PLAIN:
+        return isinstance(value, PLAIN[hint]) and (hint is bool or not isinstance(value, bool))
     if origin in (list, tuple) or hint in (list, tuple):
         if not isinstance(value, list | tuple) or not inner:
             return isinstance(value, list | tuple)

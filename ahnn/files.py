@@ -18,6 +18,8 @@ from filelock import FileLock, Timeout
 
 from ahnn.errors import Occupied, UserError
 
+LARGEST = 2_000_000
+"""Characters of a configuration; ours have a few thousand."""
 UNFINISHED = re.compile(r"\..+\.[0-9a-f]{32}\.tmp")
 """Name of a temporary file."""
 
@@ -117,6 +119,27 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     except BaseException:
         shutil.rmtree(place, ignore_errors=True)
         raise
+
+
+def read_plain(path: Path) -> dict[str, Any]:
+    """Return a YAML file of plain values.
+
+    Raises:
+        UserError: there is none, or it is something else.
+    """
+    try:
+        text = path.read_text()
+        content = plain_yaml(text) if len(text) <= LARGEST else f"{len(text)} characters"
+    except OSError as error:
+        message = f"{path}: expected the configuration of a run; received: {error.strerror}"
+        raise UserError(message) from error
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        message = f"{path}: expected the YAML of a run; received: {' '.join(str(error).split())}"
+        raise UserError(message) from error
+    if not isinstance(content, dict):
+        message = f"{path}: expected keys with values; received {str(content)[:40]!r}"
+        raise UserError(message)
+    return content
 
 
 def plain_yaml(text: str) -> Any:

@@ -9,8 +9,9 @@ from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import flatten, nearest
 from ahnn.cli.settings import check_again
-from ahnn.cli.trust import read_plain, require_trusted
+from ahnn.cli.trust import require_trusted
 from ahnn.errors import UserError
+from ahnn.files import read_plain
 from ahnn.pretrained import shipped
 
 OWN = ("run", "pretrained", "ckpt", "name")
@@ -48,10 +49,10 @@ class Request(NamedTuple):
         Raises:
             UserError: neither a run nor a shipped model is named, or an argument is not key=value.
         """
-        given = [argument for argument in arguments if argument != "--trust"]
-        pairs = [argument.split("=", 1) for argument in given]
-        own = {pair[0]: pair[-1] for pair in pairs if pair[0] in OWN}
-        if not own.keys() & {"run", "pretrained"} or not all(len(pair) == 2 for pair in pairs):
+        given = [text for text in arguments if text != "--trust"]
+        pairs = [text.partition("=") for text in given]
+        own = {key: value for key, _, value in pairs if key in OWN}
+        if not own.keys() & {"run", "pretrained"} or not all(equals for _, equals, _ in pairs):
             message = f"{usage}; received: {' '.join(arguments) or 'nothing'}"
             raise UserError(message)
         name = own.get("pretrained")
@@ -61,7 +62,7 @@ class Request(NamedTuple):
                 f"run {folder}: expected a folder for pretrained={name}; received another run. Name a new one"
             )
             raise UserError(message)
-        overrides = ["=".join(pair) for pair in pairs if pair[0] not in OWN]
+        overrides = ["".join(pair) for pair in pairs if pair[0] not in OWN]
         source = folder if name is None else shipped(name)
         trust = len(given) < len(arguments)
         return cls(source, folder, own.get("ckpt", "best"), own.get("name"), overrides, trust)

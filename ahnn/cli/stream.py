@@ -15,11 +15,11 @@ from ahnn.cli.again import GROUPS, KEYS, NODES, OWN, Request
 from ahnn.cli.build import blaming, build, build_all, plain_config
 from ahnn.cli.compose import composed
 from ahnn.cli.parts import build_sensor, build_source
-from ahnn.cli.trust import read_plain
 from ahnn.data import SplitData
 from ahnn.errors import UserError
 from ahnn.evaluation import Case, EvaluationPlugin
 from ahnn.evaluation.prepare import make_case
+from ahnn.files import read_plain
 from ahnn.measurements import reading
 from ahnn.runs import Run
 from ahnn.systems import System

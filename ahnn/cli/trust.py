@@ -14,14 +14,10 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-import yaml
 from hydra.utils import get_object
 
 from ahnn.errors import UserError
-from ahnn.files import plain_yaml
 
-LARGEST = 2_000_000
-"""Characters of a configuration; ours have a few thousand."""
 LINK = re.compile(r"\$\{measurement(\.\w+)+\}")
 """The one interpolation that we store: what a plugin takes from the group `measurement`."""
 NEEDED = {
@@ -32,27 +28,6 @@ NEEDED = {
     "evaluation": (),
 }
 """What a class must have one of to be built for a node."""
-
-
-def read_plain(path: Path) -> dict[str, Any]:
-    """Return a YAML file of plain values.
-
-    Raises:
-        UserError: there is none, or it is something else.
-    """
-    try:
-        text = path.read_text()
-        content = plain_yaml(text) if len(text) <= LARGEST else f"{len(text)} characters"
-    except OSError as error:
-        message = f"{path}: expected the configuration of a run; received: {error.strerror}"
-        raise UserError(message) from error
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        message = f"{path}: expected the YAML of a run; received: {' '.join(str(error).split())}"
-        raise UserError(message) from error
-    if not isinstance(content, dict):
-        message = f"{path}: expected keys with values; received {str(content)[:40]!r}"
-        raise UserError(message)
-    return content
 
 
 def require_trusted(path: Path, content: dict[str, Any], nodes: tuple[str, ...]) -> None:
