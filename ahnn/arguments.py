@@ -130,16 +130,15 @@ def check_arguments(
     named = [p for p in parameters if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)]
     own = {p.name: p for p in named[int(partial) :] if p.name not in given}
     others = {p.name for p in named} - own.keys()
-    message = None
-    for name in arguments:
-        if name in others or (name not in own and not open_ended):
-            message = message or f"{who}: unknown key {name!r}{nearest(name, own)}"
-    for name, parameter in own.items():
-        if parameter.default is parameter.empty and name not in arguments:
-            received = ", ".join(arguments) or "no key"
-            message = message or f"{who}: expected key {name!r}; received {received}"
-    if message:
-        raise UserError(message.removeprefix(": "))
+    unknown = [n for n in arguments if n in others or (n not in own and not open_ended)]
+    missing = [n for n, p in own.items() if p.default is p.empty and n not in arguments]
+    if unknown:
+        message = f"{who}: unknown key {unknown[0]!r}{nearest(unknown[0], own)}".removeprefix(": ")
+        raise UserError(message)
+    if missing:
+        received = ", ".join(arguments) or "no key"
+        message = f"{who}: expected key {missing[0]!r}; received {received}".removeprefix(": ")
+        raise UserError(message)
     check_values(who, target, arguments)
 
 

@@ -130,6 +130,7 @@ def test_our_own_targets_are_trusted():
     assert is_trusted("ahnn_plugins.ukf.plugin.UKFEvaluation", "plugins")
     assert is_trusted("ahnn.measurements.GroundStation", "measurement")
     assert not is_trusted("ahnn.systems.MassSpring", "plugins")
+    assert not is_trusted("ahnn.systems.MassSpring", "label")
 
 
 class Gadget:

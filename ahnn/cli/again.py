@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import flatten, nearest
+from ahnn.cli.parts import SENSOR, SIMULATION
 from ahnn.cli.settings import check_again
 from ahnn.cli.trust import require_trusted
 from ahnn.errors import UserError
@@ -19,7 +20,7 @@ GROUPS = ("plugins", "measurement")
 NODES = ("system", "data", "evaluation", "plugins", "measurement")
 """Parts of a configuration that an evaluation builds from."""
 KEYS = ("label", "threads")
-DATA = ("trajectories", "split", "seed", "cache", "measured", "noise", "every", "gaps", "outliers")
+DATA = (*SIMULATION, "split", *SENSOR)
 """Keys of `data` that say which trajectories there are and what measures them, not the training."""
 
 

@@ -64,12 +64,11 @@ def show_help(args: Namespace) -> None:
         UserError: no such option.
     """
     loader = config_loader(args.config_dir)
-    pairs = [parse(text) for text in args.overrides]
-    if pairs:
-        for pair in pairs:
-            sys.stdout.write("\n".join(option_text(loader, pair.key_or_group, str(pair.value()))) + "\n")
-        return
-    sys.stdout.write(ABOUT + "\n".join(group_lines(loader)) + "\n" + MORE)
+    for override in map(parse, args.overrides):
+        text = option_text(loader, override.key_or_group, str(override.value()))
+        sys.stdout.write("\n".join(text) + "\n")
+    if not args.overrides:
+        sys.stdout.write(ABOUT + "\n".join(group_lines(loader)) + "\n" + MORE)
 
 
 def group_lines(loader: ConfigLoaderImpl) -> Iterator[str]:

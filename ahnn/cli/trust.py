@@ -25,9 +25,8 @@ NEEDED = {
     "plugins": ("check", "residual"),
     "measurement": ("residual",),
     "data": ("residual",),  # what measures
-    "evaluation": (),
 }
-"""What a class must have one of to be built for a node."""
+"""What a class must have one of to be built for a node; nothing is built for any other."""
 
 
 def require_trusted(path: Path, content: dict[str, Any], nodes: tuple[str, ...]) -> None:
@@ -39,9 +38,10 @@ def require_trusted(path: Path, content: dict[str, Any], nodes: tuple[str, ...])
     suspicious = []
     for node in nodes:
         for name, value in flat(content.get(node), node):
+            role = "system" if name.endswith(".beside._target_") else node  # beside the model of a plugin
             if (
                 (isinstance(value, str) and "${" in value and not LINK.fullmatch(value))
-                or (name.endswith("._target_") and not is_trusted(value, role(name, node)))
+                or (name.endswith("._target_") and not is_trusted(value, role))
                 or name.rpartition(".")[2] in ("_partial_", "_args_", "_recursive_", "_convert_")
             ):
                 suspicious.append(f"{name}: {value}")
@@ -51,11 +51,6 @@ def require_trusted(path: Path, content: dict[str, Any], nodes: tuple[str, ...])
             f"also use {'; '.join(suspicious)}. If you know who wrote it, add --trust"
         )
         raise UserError(message)
-
-
-def role(name: str, node: str) -> str:
-    """Return what a target is for: that of its node, or a system that a plugin puts beside the model."""
-    return "system" if name.endswith(".beside._target_") else node
 
 
 def is_trusted(target: Any, node: str) -> bool:
@@ -68,7 +63,7 @@ def is_trusted(target: Any, node: str) -> bool:
     except Exception:  # whatever the import says: it is not what it should be
         return False
     own = inspect.isclass(found) and found.__module__.partition(".")[0] in packages
-    return own and any(hasattr(found, name) for name in NEEDED[node])
+    return own and any(hasattr(found, name) for name in NEEDED.get(node, ()))
 
 
 def flat(value: Any, name: str) -> Iterator[tuple[str, Any]]:
