@@ -37,6 +37,7 @@ MISTAKES = {
     "model=mlp experiment=molniya_mechanical": "these options do not go together; In 'experiment/",
     "data.noise=-1": "data.noise: expected a standard deviation > 0 for each of q1 [m], p1",
     "data.every=4": "data.noise: expected standard deviations with {'every': 4}; received null",
+    "data.gaps=1": "data.noise: expected standard deviations with {'gaps': 1}; received null",
     "data.measured=position data.noise=0.01": "expected measured states for windows of them; received q1",
     "recipe=measurements": "loss.stages: expected measurements; received exact states",
     "recipe=measurements data.measured=position data.noise=0.01": "Use hamiltonian=mechanical",

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
 SIMULATION = ("trajectories", "seed", "cache")
 """Keys of `data` that say how many trajectories are simulated, and where they are kept."""
-SENSOR = ("measured", "noise", "every", "gaps", "outliers")
-"""Keys of `data` that say what training sees of the trajectories."""
+SENSOR = {"measured": None, "noise": None, "every": 1, "gaps": 0, "outliers": 0}
+"""Keys of `data` that say what training sees of the trajectories, with the values that change nothing."""
 
 
 def build_source(cfg: DictConfig) -> Source:
@@ -62,8 +62,7 @@ def build_sensor(cfg: DictConfig, source: Source) -> Sensor | None:
     if isinstance(source, Files):
         return build_recorded(options, source)
     if options["noise"] is None:
-        given = {name: value for name, value in options.items() if value not in (None, 1, 0)}
-        if given:
+        if given := {name: value for name, value in options.items() if value not in (None, SENSOR[name])}:
             message = f"data.noise: expected standard deviations with {given}; received null"
             raise UserError(message)
         return None
@@ -80,7 +79,7 @@ def build_recorded(options: dict[str, Any], source: Files) -> Recorded | None:
         UserError: positions without their noise, or what is drawn onto simulated measurements alone.
     """
     measured, noise = options.pop("measured"), options.pop("noise")
-    drawn = [f"data.{name}={value}" for name, value in options.items() if value not in (None, 1, 0)]
+    drawn = [f"data.{name}={value}" for name, value in options.items() if value not in (None, SENSOR[name])]
     if drawn or not (measured is None or isinstance(measured, str)):
         message = (
             "data: expected measured=state or position with the measurements of files, onto which nothing is "

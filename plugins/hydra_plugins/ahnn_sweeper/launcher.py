@@ -43,6 +43,7 @@ class ProcessLauncher(Launcher):
         self.config: DictConfig | None = None
         self.hydra_context: HydraContext | None = None
         self._running: set[subprocess.Popen[bytes]] = set()
+        self._ended = False
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:  # noqa: ARG002
         """Take what Hydra hands over; the task is reached through the command line."""
@@ -55,9 +56,11 @@ class ProcessLauncher(Launcher):
         numbers = range(initial_job_idx, initial_job_idx + len(job_overrides))
         folders = [self._folder(n, list(o)) for n, o in zip(numbers, job_overrides, strict=True)]
         pool = ThreadPoolExecutor(self.n_jobs)
+        self._ended = False
         try:
             returns = list(pool.map(self._run, numbers, job_overrides, folders))
         finally:  # an interrupt of the sweep ends its jobs
+            self._ended = True
             pool.shutdown(wait=False, cancel_futures=True)
             for process in list(self._running):
                 process.terminate()
@@ -94,6 +97,8 @@ class ProcessLauncher(Launcher):
                 command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT
             )
         self._running.add(process)
+        if self._ended:  # by an interrupt while the process came up, when nobody knew it
+            process.terminate()
         code = process.wait()
         self._running.discard(process)
         job = JobReturn(overrides=list(overrides), working_dir=os.getcwd(), status=JobStatus.COMPLETED)
