@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all, and YAML of whatever source as plain values."""
 
 from __future__ import annotations
 
