@@ -10,8 +10,8 @@
 
 #define LANES 4
 #define INLINE static inline __attribute__((always_inline))
-#if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__) && !defined(__clang__)
-#define KERNEL __attribute__((target_clones("arch=haswell", "default")))
+#if defined(__x86_64__) && defined(__linux__) && !defined(__clang__) && __GNUC__ >= 12
+#define KERNEL __attribute__((target_clones("arch=x86-64-v3", "default")))
 #else
 #define KERNEL
 #endif
@@ -95,17 +95,27 @@ INLINE void save(double *to, const block *here, long step, long k, lanes x) {
     for (long l = 0; l < here->count; l++) to[here->member[l] * step + k] = x[l];
 }
 
-/* Write the lower factor (columns, columns) of what is triangular. */
-INLINE void save_factor(double *to, const block *here, const lanes *a, const lanes *scale, long rows,
+/* Write the lower factor (columns, columns) of what is triangular; tell whether its variances are positive and
+   finite. */
+INLINE long save_factor(double *to, const block *here, const lanes *a, const lanes *scale, long rows,
                         long columns) {
     const lanes zero = {};
-    for (long c = 0; c < columns; c++)
+    long sound = 1;
+    for (long c = 0; c < columns; c++) {
+        lanes variance = zero;
         for (long r = 0; r < columns; r++) {
             lanes entry = zero;
             if (r <= c) entry = a[c * rows + r] * scale[c];
+            variance += entry * entry;
             save(to, here, columns * columns, c * columns + r, entry);
         }
+        for (long l = 0; l < LANES; l++) sound &= variance[l] > 0.0 && variance[l] < INFINITY;
+    }
+    return sound;
 }
+
+/* What the functions return. */
+enum { SOUND, UNSOUND, NO_MEMORY };
 
 static lanes *workspace(long count) { return aligned_alloc(sizeof(lanes), sizeof(lanes) * (size_t)count); }
 
@@ -124,7 +134,7 @@ KERNEL long ahnn_draw(long batch, long size, const double *mean, const double *c
             }
         }
     }
-    return 0;
+    return SOUND;
 }
 
 /* Mean and lower factor of propagated points (batch, 2 size + 1, size) with process noise. */
@@ -132,8 +142,9 @@ KERNEL long ahnn_predict(long batch, long size, const double *points, const doub
                          const double *recentring, long weight_step, const double *chol_q, long q_step,
                          double *mean, double *chol) {
     long pairs = 2 * size, rows = pairs + size, step = (pairs + 1) * size;
+    long sound = 1;
     lanes *a = workspace((rows + 1) * size), *scale = a + rows * size;
-    if (!a) return 1;
+    if (!a) return NO_MEMORY;
     for (long first = 0; first < batch; first += LANES) {
         block here = block_at(first, batch);
         lanes weight = load(outer, &here, weight_step, 0), kept = load(recentring, &here, weight_step, 0);
@@ -151,10 +162,10 @@ KERNEL long ahnn_predict(long batch, long size, const double *points, const doub
         }
         balance(a, scale, rows, size);
         triangularise(a, rows, size);
-        save_factor(chol, &here, a, scale, rows, size);
+        sound &= save_factor(chol, &here, a, scale, rows, size);
     }
     free(a);
-    return 0;
+    return sound ? SOUND : UNSOUND;
 }
 
 /* Lower factor (batch, width + size, width + size) of measurement and state together, and the mean of the
@@ -164,7 +175,7 @@ KERNEL long ahnn_joint(long batch, long size, long width, const double *images, 
                        long weight_step, const double *chol_r, long r_step, double *shifts, double *joint) {
     long pairs = 2 * size, columns = width + size, rows = pairs + (complete ? width : 2 * width);
     lanes *a = workspace((rows + 1) * columns), *scale = a + rows * columns;
-    if (!a) return 1;
+    if (!a) return NO_MEMORY;
     for (long first = 0; first < batch; first += LANES) {
         block here = block_at(first, batch);
         lanes weight = load(outer, &here, weight_step, 0), kept = load(recentring, &here, weight_step, 0);
@@ -196,16 +207,17 @@ KERNEL long ahnn_joint(long batch, long size, long width, const double *images, 
         save_factor(joint, &here, a, scale, rows, columns);
     }
     free(a);
-    return 0;
+    return SOUND;
 }
 
-/* Posterior given the residuals of y, in place: those of what is missing become zero. */
+/* Posterior given the residuals of y, in place: those of what is missing become zero. Sound if nothing is
+   missing, nothing singular and everything finite. */
 KERNEL long ahnn_condition(long batch, long size, long width, const double *joint, const double *y,
                            const double *prior, double *residuals, double *mean, double *chol,
                            double *deviations, double *nis, double *log_likelihood, unsigned char *singular) {
-    long columns = width + size;
+    long columns = width + size, sound = 1;
     double *white = malloc(sizeof(double) * (size_t)width);
-    if (!white) return 1;
+    if (!white) return NO_MEMORY;
     for (long b = 0; b < batch; b++) {
         const double *factor = joint + b * columns * columns;
         double *residual = residuals + b * width, squares = 0.0, logs = 0.0, there = 0.0;
@@ -224,16 +236,20 @@ KERNEL long ahnn_condition(long batch, long size, long width, const double *join
             logs += log(row[i]);
             singular[b] |= row[i] <= 4.0 * EPS * norm;
         }
+        double total = squares;
         for (long c = 0; c < size; c++) {
             const double *row = factor + (width + c) * columns;
             double moved = 0.0;
             for (long k = 0; k < width; k++) moved += row[k] * white[k];
-            mean[b * size + c] = prior[b * size + c] + moved;
+            double after = mean[b * size + c] = prior[b * size + c] + moved;
+            total += after * after;
+            for (long k = 0; k < size; k++) total += row[width + k] * row[width + k];
             memcpy(chol + (b * size + c) * size, row + width, sizeof(double) * (size_t)size);
         }
+        sound &= !singular[b] && there == (double)width && total < INFINITY;
         nis[b] = squares;
         log_likelihood[b] = -0.5 * (squares + there * LOG_TWO_PI) - logs;
     }
     free(white);
-    return 0;
+    return sound ? SOUND : UNSOUND;
 }

@@ -14,6 +14,9 @@ from ahnn.estimation.belief import Belief
 from ahnn_plugins.ukf.library import library
 from ahnn_plugins.ukf.types import Predicted, Residual, Updated, Weights
 
+SOUND, NO_MEMORY = 0, 2
+"""What the functions of the library return."""
+
 
 def apply_to(weights: Weights, *tensors: Tensor) -> bool:
     """Return whether the library does these: plain float64 on the CPU, of which nobody wants a derivative."""
@@ -45,8 +48,8 @@ def predict(propagated: Tensor, weights: Weights, chol_q: Tensor) -> Predicted:
     batch, _, size = points.shape
     mean, chol = points.new_empty(batch, size), points.new_empty(batch, size, size)
     outer, recentring = weights.outer, weights.recentring
-    _call("ahnn_predict", batch, size, points, outer, recentring, _step(outer), q, step, mean, chol)
-    return Predicted(Belief(mean, chol), None)
+    sound = _call("ahnn_predict", batch, size, points, outer, recentring, _step(outer), q, step, mean, chol)
+    return Predicted(Belief(mean, chol), None, sound)
 
 
 def update(
@@ -69,8 +72,8 @@ def update(
     deviation, nis, log_likelihood = torch.empty_like(y), y.new_empty(batch), y.new_empty(batch)
     singular = y.new_empty(batch, dtype=torch.bool)
     results = (innovation, mean, after, deviation, nis, log_likelihood, singular)
-    _call("ahnn_condition", *shapes, joint, y, prior.mean.contiguous(), *results)
-    return Updated(Belief(mean, after), innovation, deviation, nis, log_likelihood, singular, None)
+    sound = _call("ahnn_condition", *shapes, joint, y, prior.mean.contiguous(), *results)
+    return Updated(Belief(mean, after), innovation, deviation, nis, log_likelihood, singular, None, sound)
 
 
 def _members(matrices: Tensor) -> tuple[Tensor, int]:
@@ -86,14 +89,16 @@ def _step(weight: Tensor) -> int:
     return int(len(weight) > 1)
 
 
-def _call(name: str, *arguments: Tensor | int) -> None:
-    """Call a function of the library with the addresses of tensors.
+def _call(name: str, *arguments: Tensor | int) -> bool:
+    """Call a function of the library with the addresses of tensors; return whether all members are sound.
 
     Raises:
         MemoryError: it found none for a block of members.
     """
     found = library()
     assert found is not None
-    if getattr(found, name)(*(a.data_ptr() if isinstance(a, Tensor) else a for a in arguments)):
+    told = getattr(found, name)(*(a.data_ptr() if isinstance(a, Tensor) else a for a in arguments))
+    if told == NO_MEMORY:
         message = f"filter: no memory for {arguments[0]} members"
         raise MemoryError(message)
+    return told == SOUND
