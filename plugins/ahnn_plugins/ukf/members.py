@@ -26,7 +26,9 @@ def apply_to(weights: Weights, *tensors: Tensor) -> bool:
         return False
     graph = torch.is_grad_enabled()
     for t in (*tensors, weights.outer):
-        plain = type(t) in (Tensor, torch.nn.Parameter) and t.dtype == torch.float64 and t.device.type == "cpu"
+        plain = (
+            type(t) in (Tensor, torch.nn.Parameter) and t.dtype == torch.float64 and t.device.type == "cpu"
+        )
         if not plain or (graph and t.requires_grad):
             return False
     return library() is not None
