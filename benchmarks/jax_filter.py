@@ -1,4 +1,4 @@
-"""The same filter in JAX by dynamax, jitted and mapped over members: two bodies with J2, an update each step."""
+"""The same filter in JAX by dynamax, jitted, over all members: two bodies with J2, an update each step."""
 
 from __future__ import annotations
 

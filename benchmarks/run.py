@@ -24,9 +24,9 @@ DOCS = Path(__file__).parent.parent / "docs"
 PEERS = ("autograd.grad", "torchdiffeq", "JAX")
 FILTER = """## The filter
 
-Two bodies with J2, a position after every step, float64: microseconds for one step of one member. The library
-of the filter is compiled once for a machine; `compiled` is ahnn with the flow through `torch.compile` besides,
-as dynamax has it jitted. The floor is the compiled flow alone on all sigma points.
+Two bodies with J2, a position after every step, float64: microseconds for one step of one member. The
+filter's own library is compiled once for a machine; `compiled` is ahnn with the flow through `torch.compile`
+besides, as dynamax has it jitted. The floor is the compiled flow alone on all sigma points.
 """
 OPENING = """# Benchmarks
 

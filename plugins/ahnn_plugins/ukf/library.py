@@ -34,8 +34,8 @@ SIGNATURES = {
 def library() -> ctypes.CDLL | None:
     """Return the library, or None where there is no C compiler; the filter is slower without it.
 
-    The compiler is `$CC`, or else `cc`. The library is kept in `$AHNN_CACHE`, `~/.cache/ahnn` by default, in a
-    folder where only its owner can write. A compiler that fails gives one warning.
+    The compiler is `$CC`, or else `cc`. The library is kept in `$AHNN_CACHE`, `~/.cache/ahnn` by default, in
+    a folder where only its owner can write. A compiler that fails gives one warning.
     """
     command = shlex.split(os.environ.get("CC", "")) or ["cc"]
     if shutil.which(command[0]) is None:
