@@ -9,7 +9,7 @@ whose compilation is not counted; the floor is that flow alone on all sigma poin
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from statistics import median
 
@@ -20,7 +20,6 @@ from torch import Tensor
 
 from ahnn.estimation import initial_belief
 from ahnn.measurements import Position
-from ahnn.types import Flow
 from ahnn_plugins.ukf import unscented_filter
 
 SIZE, DT, START, Q, R = 6, 60.0, 1e-4, 1e-8, 1e-2
@@ -50,7 +49,7 @@ def problem(members: int, steps: int) -> tuple[Tensor, Tensor]:
     return start, torch.stack(rows, dim=1)
 
 
-def own_filter(flow: Flow, start: Tensor, rows: Tensor) -> Work:
+def own_filter(flow: Callable, start: Tensor, rows: Tensor) -> Work:
     """Return work: the filter of ahnn."""
     belief = initial_belief(start, START * torch.eye(SIZE))
     noise = Q * torch.eye(SIZE), R * torch.eye(3)
@@ -62,7 +61,7 @@ def own_filter(flow: Flow, start: Tensor, rows: Tensor) -> Work:
     return work
 
 
-def flow_alone(flow: Flow, start: Tensor, steps: int) -> Work:
+def flow_alone(flow: Callable, start: Tensor, steps: int) -> Work:
     """Return work: the flow on all sigma points."""
     points = start.repeat_interleave(2 * SIZE + 1, dim=0)
 
@@ -95,7 +94,7 @@ def filterpy_filter(start: Tensor, rows: Tensor) -> Work:
 def filters(repeats: int) -> Iterator[Row]:
     """Yield a row for each number of members, times of one step of one member."""
     absent = {text.partition(" ")[0] for text in missing()}
-    compiled: Flow = torch.compile(j2_flow, dynamic=True)
+    compiled = torch.compile(j2_flow, dynamic=True)
     for members, steps in AMOUNTS:
         start, rows = problem(members, steps)
         works = {"ahnn": own_filter(j2_flow, start, rows), "compiled": own_filter(compiled, start, rows)}
