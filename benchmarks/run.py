@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 from statistics import median
 
+import filter_works
 import torch
 from timing import Row, ratio, settle
 from works import missing, rollouts, training
@@ -21,6 +22,12 @@ from ahnn.files import write_atomically
 
 DOCS = Path(__file__).parent.parent / "docs"
 PEERS = ("autograd.grad", "torchdiffeq", "JAX")
+FILTER = """## The filter
+
+Two bodies with J2, a position after every step, float64: microseconds for one step of one member. The
+filter's own library is compiled once for a machine; `compiled` is ahnn with the flow through `torch.compile`
+besides, as dynamax has it jitted. The floor is the compiled flow alone on all sigma points.
+"""
 OPENING = """# Benchmarks
 
 `make bench` measures ahnn and its peers on the same work, in turn (A B A B), on one thread, and writes this
@@ -87,7 +94,7 @@ def main() -> None:
     """Measure, and write the page."""
     repeats = int(sys.argv[1]) if len(sys.argv) > 1 else 15
     settle()
-    left_out, load = missing(), os.getloadavg()[0]
+    left_out, load = [*missing(), *filter_works.missing()], os.getloadavg()[0]
     for name in left_out:
         print(f"benchmarks: left out {name}, not installed; pip install -e '.[bench]' brings it")
     steps, rolls = [], []
@@ -100,7 +107,14 @@ def main() -> None:
     machine = f"Machine: {cpu()}, {os.cpu_count()} cores, PyTorch {torch.__version__}; {shared}.\n"
     absent = f"\nLeft out, since not installed: {', '.join(left_out)}.\n" if left_out else ""
     parts = [OPENING, machine + absent, "## Training steps\n", table(steps, "one step")]
-    parts += ["## Rollouts\n", table(rolls, "1,440 steps"), "![Time in units of the floor](benchmarks.png)\n"]
+    judged = list(filter_works.filters(max(3, repeats // 2)))
+    parts += [
+        FILTER,
+        filter_works.table(judged),
+        "## Rollouts\n",
+        table(rolls, "1,440 steps"),
+        "![Time in units of the floor](benchmarks.png)\n",
+    ]
     write_atomically(DOCS / "benchmarks.md", "\n".join(parts).encode())
 
 

@@ -49,9 +49,10 @@ def predict(
 ) -> tuple[FilterState, Propagated]:
     """Return the state after a step of the flow that ends at `time`."""
     points = _propagate(flow, draw(state.belief, weights), dt)
-    predicted, repaired = form.predict(points, weights, chol_q)
-    after = FilterState(predicted, time, state.steps + 1, *state[3:])
-    after = _checked_prediction(add_repairs(after, repaired))
+    predicted, repaired, sound = form.predict(points, weights, chol_q)
+    after = add_repairs(FilterState(predicted, time, state.steps + 1, *state[3:]), repaired)
+    if not sound:
+        after = _checked_prediction(after)
     if weights.crowding is not None:
         after = fail(after, lost_in_rounding(state.belief, predicted, weights), Status.IMPRECISE)
     return frozen(after, state.belief), Propagated(points, repaired)
@@ -64,6 +65,9 @@ def update(
     prior = state.belief
     images = _measured(sensor.measurement, draw(prior, weights), float(state.time))
     updated = form.update(prior, images, y, _CheckedResidual(sensor.measurement), weights, sensor.chol_r)
+    nothing_refuses = sensor.thresholds is None and weights.crowding is None
+    if updated.sound and nothing_refuses and not bool(state.status.any()):
+        return _taken(state, updated), updated, torch.zeros_like(updated.singular)
     after, rejected = _decide(state, updated, ~torch.isnan(y), images, sensor, weights)
     return after, updated, rejected
 
@@ -126,6 +130,15 @@ def _checked_prediction(state: FilterState) -> FilterState:
     finite = torch.isfinite(variance).all(-1) & torch.isfinite(mean).all(-1)
     state = fail(state, ~finite, Status.NOT_FINITE)
     return fail(state, (variance == 0.0).any(-1), Status.COLLAPSED)
+
+
+def _taken(state: FilterState, updated: Updated) -> FilterState:
+    """Return the state after an update that every member takes: what `_decide` would return."""
+    return state._replace(
+        belief=updated.belief,
+        rejections=torch.zeros_like(state.rejections),
+        log_likelihood=state.log_likelihood + updated.log_likelihood,
+    )
 
 
 def _decide(

@@ -8,6 +8,7 @@ from torch import Tensor
 from ahnn.errors import UserError
 from ahnn.estimation.belief import Belief
 from ahnn.numbers import as_float64
+from ahnn_plugins.ukf import members
 from ahnn_plugins.ukf.types import UnscentedParameters, Weights
 
 CROWDED = 100.0
@@ -78,6 +79,8 @@ def _check_total(total: Tensor, alpha: Tensor, kappa: Tensor, size: int) -> None
 
 def draw(belief: Belief, weights: Weights) -> Tensor:
     """Return the sigma points (B, 2 D + 1, D): the mean, then mean + radius L_i, then mean - radius L_i."""
+    if members.apply_to(weights, *belief):
+        return members.draw(belief, weights)
     centre = belief.mean.unsqueeze(1)
     spread = weights.radius * belief.chol.mT
     return torch.cat((centre, centre + spread, centre - spread), dim=1)

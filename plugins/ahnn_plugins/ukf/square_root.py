@@ -15,6 +15,7 @@ from torch import Tensor
 
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.linalg import EPS, downdate, tria
+from ahnn_plugins.ukf import members
 from ahnn_plugins.ukf.types import Form, Predicted, Residual, Updated, Weights
 
 
@@ -26,6 +27,8 @@ def predict(propagated: Tensor, weights: Weights, chol_q: Tensor) -> Predicted:
         weights: of the points.
         chol_q: (B, D, D) lower factor of the process noise.
     """
+    if members.apply_to(weights, propagated, chol_q):
+        return members.predict(propagated, weights, chol_q)
     centre = propagated[:, :1]
     outer = propagated[:, 1:] - centre
     shift = weights.outer * outer.sum(1, keepdim=True)
@@ -51,6 +54,8 @@ def update(
         weights: of the points.
         chol_r: (B, M, M) lower factor of the measurement noise.
     """
+    if members.apply_to(weights, prior.mean, prior.chol, images, y, chol_r):
+        return members.update(prior, images, y, residual, weights, chol_r)
     size = y.shape[-1]
     present = ~torch.isnan(y)
     column, complete = present.unsqueeze(1), bool(present.all())

@@ -56,10 +56,17 @@ class Weights(NamedTuple):
 
 
 class Predicted(NamedTuple):
-    """Result of one prediction; `repaired` (B,) bool is None where the form had nothing to repair."""
+    """Result of one prediction.
+
+    Attributes:
+        belief: the prior of the next update.
+        repaired: (B,) bool, or None where the form had nothing to repair.
+        sound: all members are known to be finite with positive variances; False where nobody looked.
+    """
 
     belief: Belief
     repaired: Tensor | None
+    sound: bool = False
 
 
 class Updated(NamedTuple):
@@ -74,6 +81,8 @@ class Updated(NamedTuple):
         singular: (B,) bool, the innovation covariance cannot be inverted, or the posterior has a variance
             that is not positive.
         repairs: (B,) int64, covariances that were mended, or None where the form had nothing to repair.
+        sound: all members are known to have a whole row, finite numbers and nothing singular; False where
+            nobody looked.
     """
 
     belief: Belief
@@ -83,6 +92,7 @@ class Updated(NamedTuple):
     log_likelihood: Tensor
     singular: Tensor
     repairs: Tensor | None
+    sound: bool = False
 
 
 class Residual(Protocol):

@@ -99,4 +99,5 @@ def test_the_batch_loop_keeps_a_graph_only_when_asked_to():
     assert not run().log_likelihood.requires_grad
     kept = run(gradients=True, smoothing=True)
     assert kept.log_likelihood.requires_grad
-    assert torch.equal(kept.means.detach(), run().means)
+    # With a graph it is torch's linear algebra, without one the library's.
+    torch.testing.assert_close(kept.means.detach(), run().means, rtol=1e-13, atol=1e-15)

@@ -235,7 +235,7 @@ def test_the_numbers_of_a_status_stand_in_stored_states():
 @pytest.mark.parametrize("part", ["mean", "chol", "nis"])
 def test_an_update_of_which_any_part_is_not_finite_ends_its_member_alone(part):
     def spoil(*arguments):
-        updated = SQUARE_ROOT.update(*arguments)
+        updated = SQUARE_ROOT.update(*arguments)._replace(sound=False)  # as of a form that does not look
         if part == "nis":
             return updated._replace(nis=updated.nis.clone().index_fill_(0, torch.tensor([1]), torch.inf))
         spoilt = getattr(updated.belief, part).clone()

@@ -1,0 +1,137 @@
+"""The filter by ahnn and its peers on the same work: two bodies with J2, a position after every step.
+
+    python benchmarks/filter_works.py [repeats]
+
+Float64, one Runge-Kutta step a minute, alpha = 1. `compiled` is ahnn with the flow through torch.compile,
+whose compilation is not counted; the floor is that flow alone on all sigma points.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from importlib.util import find_spec
+from statistics import median
+
+import torch
+from bench_ukf_kernel import j2_flow, j2_flow_numpy
+from timing import Row, Work, in_turn, ratio, settle
+from torch import Tensor
+
+from ahnn.estimation import initial_belief
+from ahnn.measurements import Position
+from ahnn_plugins.ukf import unscented_filter
+
+SIZE, DT, START, Q, R = 6, 60.0, 1e-4, 1e-8, 1e-2
+NEEDS = {"dynamax": ("jax", "dynamax"), "filterpy": ("filterpy",)}
+AMOUNTS = ((1, 60), (125, 60), (10_000, 4))
+"""Members and steps of each row."""
+
+
+def missing() -> list[str]:
+    """Return the peers that are left out, each with what is not installed."""
+    return [
+        f"{peer} ({', '.join(absent)})"
+        for peer, parts in NEEDS.items()
+        if (absent := [part for part in parts if find_spec(part) is None])
+    ]
+
+
+def problem(members: int, steps: int) -> tuple[Tensor, Tensor]:
+    """Return starts (B, 6) and measured positions (B, T, 3) of orbits near one another, km and km/s."""
+    generator = torch.Generator().manual_seed(0)
+    start = torch.tensor((26600.0, 0.0, 0.0, 0.0, 2.7, 2.7), dtype=torch.float64).repeat(members, 1)
+    start = start + START**0.5 * torch.randn(start.shape, generator=generator, dtype=torch.float64)
+    x, rows = start, []
+    for _ in range(steps):
+        x = j2_flow(x, DT)
+        rows.append(x[:, :3] + R**0.5 * torch.randn(members, 3, generator=generator, dtype=torch.float64))
+    return start, torch.stack(rows, dim=1)
+
+
+def own_filter(flow: Callable, start: Tensor, rows: Tensor) -> Work:
+    """Return work: the filter of ahnn."""
+    belief = initial_belief(start, START * torch.eye(SIZE))
+    noise = Q * torch.eye(SIZE), R * torch.eye(3)
+
+    def work() -> None:
+        result = unscented_filter(flow, belief, rows, Position(3), *noise, DT)
+        assert not bool(result.status.any())
+
+    return work
+
+
+def flow_alone(flow: Callable, start: Tensor, steps: int) -> Work:
+    """Return work: the flow on all sigma points."""
+    points = start.repeat_interleave(2 * SIZE + 1, dim=0)
+
+    def work() -> None:
+        x = points
+        with torch.no_grad():
+            for _ in range(steps):
+                x = flow(x, DT)
+
+    return work
+
+
+def filterpy_filter(start: Tensor, rows: Tensor) -> Work:
+    """Return work: filterpy on one member, which is all that it knows."""
+    import numpy as np
+    from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
+
+    points = MerweScaledSigmaPoints(SIZE, alpha=1.0, beta=2.0, kappa=0.0)
+
+    def work() -> None:
+        ukf = UnscentedKalmanFilter(SIZE, 3, DT, hx=lambda x: x[:3], fx=j2_flow_numpy, points=points)
+        ukf.x, ukf.P, ukf.Q, ukf.R = start[0].numpy(), START * np.eye(SIZE), Q * np.eye(SIZE), R * np.eye(3)
+        for y in rows[0].numpy():
+            ukf.predict()
+            ukf.update(y)
+
+    return work
+
+
+def filters(repeats: int) -> Iterator[Row]:
+    """Yield a row for each number of members, times of one step of one member."""
+    absent = {text.partition(" ")[0] for text in missing()}
+    compiled = torch.compile(j2_flow, dynamic=True)
+    for members, steps in AMOUNTS:
+        start, rows = problem(members, steps)
+        works = {"ahnn": own_filter(j2_flow, start, rows), "compiled": own_filter(compiled, start, rows)}
+        counts = dict.fromkeys(works, members * steps)
+        if "dynamax" not in absent:
+            from jax_filter import dynamax_filter
+
+            works["dynamax"] = dynamax_filter(start.numpy(), rows.numpy(), (START, Q, R), DT)
+            counts["dynamax"] = members * steps
+        if "filterpy" not in absent:
+            works["filterpy"], counts["filterpy"] = filterpy_filter(start, rows), steps
+        row = in_turn(f"{members:,} members", works, repeats, flow_alone(compiled, start, steps))
+        times = {who: [t / counts[who] for t in found] for who, found in row.times.items()}
+        yield Row(row.name, times, row.floor and [t / (members * steps) for t in row.floor])
+
+
+def table(rows: list[Row]) -> str:
+    """Return rows as a Markdown table."""
+    who = ("ahnn", "compiled", *(peer for peer in NEEDS if peer in rows[0].times))
+    ratios = [f"{own} / {peer}" for peer in who[2:] for own in who[:2]]
+    heads = ["one step of one member [us]", *who, "floor", *ratios]
+    lines = ["| " + " | ".join(heads) + " |", "|---" + "|--:" * (len(heads) - 1) + "|"]
+    for row in rows:
+        cells = [row.name, *(f"{1e6 * median(row.times[name]):.3g}" for name in who)]
+        cells.append(f"{1e6 * median(row.floor or []):.3g}")
+        cells += [f"{ratio(row.times[own], row.times[peer]):.3g}" for peer in who[2:] for own in who[:2]]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Print the table."""
+    settle()
+    for name in missing():
+        print(f"benchmarks: left out {name}, not installed; pip install brings it")
+    print(table(list(filters(int(sys.argv[1]) if len(sys.argv) > 1 else 9))))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,255 @@
+/* The square-root form over members: each operation is done for LANES members at once.
+
+   Arrays are float64, members first and rows after rows, as torch has them; a step of 0 between members is
+   a matrix that they share. Within a block of members the last index is the member. A number that is not
+   finite stays in its lane. The formulas are those of square_root.py, which is the reference. */
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define LANES 4
+#define INLINE static inline __attribute__((always_inline))
+#if defined(__x86_64__) && defined(__linux__) && !defined(__clang__) && __GNUC__ >= 12
+#define KERNEL __attribute__((target_clones("arch=x86-64-v3", "default")))
+#else
+#define KERNEL
+#endif
+
+typedef double lanes __attribute__((vector_size(8 * LANES), may_alias));
+typedef long long bits __attribute__((vector_size(8 * LANES), may_alias));
+
+static const double EPS = 2.220446049250313e-16;
+static const double LOG_TWO_PI = 1.8378770664093453;
+
+INLINE lanes pick(bits where, lanes yes, lanes no) {
+    return (lanes)((where & (bits)yes) | (~where & (bits)no));
+}
+
+INLINE lanes root(lanes x) {
+    for (long l = 0; l < LANES; l++) x[l] = sqrt(x[l]);
+    return x;
+}
+
+/* Divide the columns of `a`, column by column, by powers of two that bring their largest entries near one:
+   exact, and no square over- or underflows. */
+INLINE void balance(lanes *restrict a, lanes *restrict scale, long rows, long columns) {
+    const bits exponent = (bits){} + 0x7ff0000000000000LL, sign = (bits){} + (-0x7fffffffffffffffLL - 1);
+    const lanes one = (lanes){} + 1.0;
+    for (long c = 0; c < columns; c++) {
+        lanes *column = a + c * rows, largest = {};
+        for (long i = 0; i < rows; i++) {
+            lanes size = (lanes)((bits)column[i] & ~sign);
+            for (long l = 0; l < LANES; l++) largest[l] = size[l] > largest[l] ? size[l] : largest[l];
+        }
+        lanes power = (lanes)((bits)largest & exponent);
+        scale[c] = pick(power == (lanes){}, one, power);
+        lanes inverse = one / scale[c];
+        for (long i = 0; i < rows; i++) column[i] *= inverse;
+    }
+}
+
+/* Householder's QR of `a` (rows, columns), column by column: leaves R with diagonal >= 0 in its upper part. */
+INLINE void triangularise(lanes *a, long rows, long columns) {
+    const bits sign = (bits){} + (-0x7fffffffffffffffLL - 1);
+    const lanes one = (lanes){} + 1.0;
+    for (long j = 0; j < columns; j++) {
+        lanes *restrict v = a + j * rows, pivot = v[j], square = pivot * pivot;
+        for (long i = j + 1; i < rows; i++) square += v[i] * v[i];
+        lanes norm = root(square), size = (lanes)((bits)pivot & ~sign);
+        bits zero = norm == (lanes){};
+        lanes towards = (lanes)((bits)one | ((bits)pivot & sign)), head = pivot + towards * norm;
+        lanes factor = pick(zero, norm, one / (norm * (norm + size)));
+        lanes turn = pick(zero, towards, -towards);
+        for (long c = j + 1; c < columns; c++) {
+            lanes *restrict column = a + c * rows, product = head * column[j];
+            for (long i = j + 1; i < rows; i++) product += v[i] * column[i];
+            product *= factor;
+            column[j] = turn * (column[j] - product * head);
+            for (long i = j + 1; i < rows; i++) column[i] -= product * v[i];
+        }
+        v[j] = norm;
+    }
+}
+
+/* The members of a block: where the arrays of each begin. Lanes that are left over repeat the last member. */
+typedef struct {
+    long member[LANES], count;
+} block;
+
+INLINE block block_at(long first, long batch) {
+    block here;
+    here.count = batch - first < LANES ? batch - first : LANES;
+    for (long l = 0; l < LANES; l++) here.member[l] = first + (l < here.count ? l : here.count - 1);
+    return here;
+}
+
+/* Number k of the array of each member. */
+INLINE lanes load(const double *from, const block *here, long step, long k) {
+    lanes x;
+    for (long l = 0; l < LANES; l++) x[l] = from[here->member[l] * step + k];
+    return x;
+}
+
+INLINE void save(double *to, const block *here, long step, long k, lanes x) {
+    for (long l = 0; l < here->count; l++) to[here->member[l] * step + k] = x[l];
+}
+
+/* Write the lower factor (columns, columns) of what is triangular; tell whether its variances are positive and
+   finite. */
+INLINE long save_factor(double *to, const block *here, const lanes *a, const lanes *scale, long rows,
+                        long columns) {
+    const lanes zero = {};
+    long sound = 1;
+    for (long c = 0; c < columns; c++) {
+        lanes variance = zero;
+        for (long r = 0; r < columns; r++) {
+            lanes entry = zero;
+            if (r <= c) entry = a[c * rows + r] * scale[c];
+            variance += entry * entry;
+            save(to, here, columns * columns, c * columns + r, entry);
+        }
+        for (long l = 0; l < LANES; l++) sound &= variance[l] > 0.0 && variance[l] < INFINITY;
+    }
+    return sound;
+}
+
+/* What the functions return. */
+enum { SOUND, UNSOUND, NO_MEMORY };
+
+static lanes *workspace(long count) { return aligned_alloc(sizeof(lanes), sizeof(lanes) * (size_t)count); }
+
+/* Sigma points (batch, 2 size + 1, size): the mean, and radius times the columns of the factor on both sides. */
+KERNEL long ahnn_draw(long batch, long size, const double *mean, const double *chol, long chol_step,
+                      const double *radius, long weight_step, double *points) {
+    for (long b = 0; b < batch; b++) {
+        const double *m = mean + b * size, *l = chol + b * chol_step;
+        double *p = points + b * (2 * size + 1) * size, r = radius[b * weight_step];
+        for (long c = 0; c < size; c++) {
+            p[c] = m[c];
+            for (long i = 0; i < size; i++) {
+                double spread = r * l[c * size + i];
+                p[(1 + i) * size + c] = m[c] + spread;
+                p[(1 + size + i) * size + c] = m[c] - spread;
+            }
+        }
+    }
+    return SOUND;
+}
+
+/* Mean and lower factor of propagated points (batch, 2 size + 1, size) with process noise. */
+KERNEL long ahnn_predict(long batch, long size, const double *points, const double *outer,
+                         const double *recentring, long weight_step, const double *chol_q, long q_step,
+                         double *mean, double *chol) {
+    long pairs = 2 * size, rows = pairs + size, step = (pairs + 1) * size;
+    long sound = 1;
+    lanes *a = workspace((rows + 1) * size), *scale = a + rows * size;
+    if (!a) return NO_MEMORY;
+    for (long first = 0; first < batch; first += LANES) {
+        block here = block_at(first, batch);
+        lanes weight = load(outer, &here, weight_step, 0), kept = load(recentring, &here, weight_step, 0);
+        lanes half = root(weight);
+        for (long c = 0; c < size; c++) {
+            lanes *column = a + c * rows, centre = load(points, &here, step, c), sum = {};
+            for (long i = 0; i < pairs; i++) {
+                column[i] = load(points, &here, step, (1 + i) * size + c) - centre;
+                sum += column[i];
+            }
+            lanes shift = weight * sum, lost = kept * shift;
+            for (long i = 0; i < pairs; i++) column[i] = half * (column[i] - lost);
+            for (long i = 0; i < size; i++) column[pairs + i] = load(chol_q, &here, q_step, c * size + i);
+            save(mean, &here, size, c, centre + shift);
+        }
+        balance(a, scale, rows, size);
+        triangularise(a, rows, size);
+        sound &= save_factor(chol, &here, a, scale, rows, size);
+    }
+    free(a);
+    return sound ? SOUND : UNSOUND;
+}
+
+/* Lower factor (batch, width + size, width + size) of measurement and state together, and the mean of the
+   deviations `images` (batch, 2 size, width) from the image of the centre. What is NaN in y is missing. */
+KERNEL long ahnn_joint(long batch, long size, long width, const double *images, const double *y, long complete,
+                       const double *prior, long prior_step, const double *outer, const double *recentring,
+                       long weight_step, const double *chol_r, long r_step, double *shifts, double *joint) {
+    long pairs = 2 * size, columns = width + size, rows = pairs + (complete ? width : 2 * width);
+    lanes *a = workspace((rows + 1) * columns), *scale = a + rows * columns;
+    if (!a) return NO_MEMORY;
+    for (long first = 0; first < batch; first += LANES) {
+        block here = block_at(first, batch);
+        lanes weight = load(outer, &here, weight_step, 0), kept = load(recentring, &here, weight_step, 0);
+        lanes half = root(0.5 * weight), one = (lanes){} + 1.0;
+        memset(a, 0, sizeof(lanes) * (size_t)(rows * columns));
+        for (long c = 0; c < width; c++) {
+            lanes *column = a + c * rows, told = load(y, &here, width, c), sum = {};
+            bits there = told == told;
+            for (long i = 0; i < pairs; i++) {
+                column[i] = pick(there, load(images, &here, pairs * width, i * width + c), (lanes){});
+                sum += column[i];
+            }
+            lanes shift = weight * sum, lost = kept * shift;
+            for (long i = 0; i < size; i++) {
+                lanes plus = half * (column[i] - lost), minus = half * (column[size + i] - lost);
+                column[i] = plus - minus;
+                column[size + i] = plus + minus;
+            }
+            for (long i = 0; i < width; i++)
+                column[pairs + i] = pick(there, load(chol_r, &here, r_step, c * width + i), (lanes){});
+            if (!complete) column[pairs + width + c] = pick(there, (lanes){}, one);
+            save(shifts, &here, width, c, shift);
+        }
+        for (long c = 0; c < size; c++)
+            for (long i = 0; i < size; i++)
+                a[(width + c) * rows + i] = load(prior, &here, prior_step, c * size + i);
+        balance(a, scale, rows, columns);
+        triangularise(a, rows, columns);
+        save_factor(joint, &here, a, scale, rows, columns);
+    }
+    free(a);
+    return SOUND;
+}
+
+/* Posterior given the residuals of y, in place: those of what is missing become zero. Sound if nothing is
+   missing, nothing singular and everything finite. */
+KERNEL long ahnn_condition(long batch, long size, long width, const double *joint, const double *y,
+                           const double *prior, double *residuals, double *mean, double *chol,
+                           double *deviations, double *nis, double *log_likelihood, unsigned char *singular) {
+    long columns = width + size, sound = 1;
+    double *white = malloc(sizeof(double) * (size_t)width);
+    if (!white) return NO_MEMORY;
+    for (long b = 0; b < batch; b++) {
+        const double *factor = joint + b * columns * columns;
+        double *residual = residuals + b * width, squares = 0.0, logs = 0.0, there = 0.0;
+        singular[b] = 0;
+        for (long i = 0; i < width; i++) {
+            const double *row = factor + i * columns;
+            double norm = 0.0, rest;
+            if (isnan(y[b * width + i])) residual[i] = 0.0;
+            else there += 1.0;
+            rest = residual[i];
+            for (long k = 0; k < i; k++) rest -= row[k] * white[k];
+            for (long k = 0; k <= i; k++) norm += row[k] * row[k];
+            norm = deviations[b * width + i] = sqrt(norm);
+            white[i] = rest / row[i];
+            squares += white[i] * white[i];
+            logs += log(row[i]);
+            singular[b] |= row[i] <= 4.0 * EPS * norm;
+        }
+        double total = squares;
+        for (long c = 0; c < size; c++) {
+            const double *row = factor + (width + c) * columns;
+            double moved = 0.0;
+            for (long k = 0; k < width; k++) moved += row[k] * white[k];
+            double after = mean[b * size + c] = prior[b * size + c] + moved;
+            total += after * after;
+            for (long k = 0; k < size; k++) total += row[width + k] * row[width + k];
+            memcpy(chol + (b * size + c) * size, row + width, sizeof(double) * (size_t)size);
+        }
+        sound &= !singular[b] && there == (double)width && total < INFINITY;
+        nis[b] = squares;
+        log_likelihood[b] = -0.5 * (squares + there * LOG_TWO_PI) - logs;
+    }
+    free(white);
+    return sound ? SOUND : UNSOUND;
+}

@@ -1,0 +1,106 @@
+"""The square-root form in C, many members at a time: the same results as in torch, to rounding.
+
+For what stays on the CPU and needs no gradient. Between two calls of the flow torch has some hundred small
+operations, each of which costs more than its arithmetic; here they are four.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.autograd import forward_ad
+
+from ahnn.estimation.belief import Belief
+from ahnn_plugins.ukf.library import library
+from ahnn_plugins.ukf.types import Predicted, Residual, Updated, Weights
+
+SOUND, NO_MEMORY = 0, 2
+"""What the functions of the library return."""
+
+
+def apply_to(weights: Weights, *tensors: Tensor) -> bool:
+    """Return whether the library does these: plain float64 on the CPU, of which nobody wants a derivative."""
+    if weights.downdate is not None or torch.compiler.is_compiling():
+        return False
+    if forward_ad._current_level >= 0 or torch._C._are_functorch_transforms_active():
+        return False
+    graph = torch.is_grad_enabled()
+    for t in (*tensors, weights.outer):
+        plain = (
+            type(t) in (Tensor, torch.nn.Parameter) and t.dtype == torch.float64 and t.device.type == "cpu"
+        )
+        if not plain or (graph and t.requires_grad):
+            return False
+    return library() is not None
+
+
+def draw(belief: Belief, weights: Weights) -> Tensor:
+    """Return the sigma points (B, 2 D + 1, D), see `sigma_points.draw`."""
+    mean, (chol, step) = belief.mean.contiguous(), _members(belief.chol)
+    batch, size = mean.shape
+    points = mean.new_empty(batch, 2 * size + 1, size)
+    radius, weight_step = weights.radius, _step(weights.radius)
+    _call("ahnn_draw", batch, size, mean, chol, step, radius, weight_step, points)
+    return points
+
+
+def predict(propagated: Tensor, weights: Weights, chol_q: Tensor) -> Predicted:
+    """Return the predicted belief, see `square_root.predict`."""
+    points, (q, step) = propagated.contiguous(), _members(chol_q)
+    batch, _, size = points.shape
+    mean, chol = points.new_empty(batch, size), points.new_empty(batch, size, size)
+    outer, recentring = weights.outer, weights.recentring
+    sound = _call("ahnn_predict", batch, size, points, outer, recentring, _step(outer), q, step, mean, chol)
+    return Predicted(Belief(mean, chol), None, sound)
+
+
+def update(
+    prior: Belief, images: Tensor, y: Tensor, residual: Residual, weights: Weights, chol_r: Tensor
+) -> Updated:
+    """Return the posterior, see `square_root.update`."""
+    y, present = y.contiguous(), ~torch.isnan(y)
+    complete = bool(present.all())
+    (batch, size), width = prior.mean.shape, y.shape[-1]
+    outer = residual(images[:, 1:], images[:, :1]).to(y.dtype).contiguous()
+    (chol, step), (noise, noise_step) = _members(prior.chol), _members(chol_r)
+    shift, joint = y.new_empty(batch, width), y.new_empty(batch, width + size, width + size)
+    shapes, own = (batch, size, width), (weights.outer, weights.recentring, _step(weights.outer))
+    _call("ahnn_joint", *shapes, outer, y, complete, chol, step, *own, noise, noise_step, shift, joint)
+    y_pred = images[:, 0] + shift
+    # What is missing is filled in: a residual may mix components.
+    told = residual(y if complete else torch.where(present, y, y_pred), y_pred)
+    innovation = torch.empty_like(y).copy_(told)
+    mean, after = torch.empty_like(prior.mean), y.new_empty(batch, size, size)
+    deviation, nis, log_likelihood = torch.empty_like(y), y.new_empty(batch), y.new_empty(batch)
+    singular = y.new_empty(batch, dtype=torch.bool)
+    results = (innovation, mean, after, deviation, nis, log_likelihood, singular)
+    sound = _call("ahnn_condition", *shapes, joint, y, prior.mean.contiguous(), *results)
+    return Updated(Belief(mean, after), innovation, deviation, nis, log_likelihood, singular, None, sound)
+
+
+def _members(matrices: Tensor) -> tuple[Tensor, int]:
+    """Return matrices whose rows follow one another, and the step between members, 0 where they share one."""
+    size = matrices.shape[-1]
+    if matrices.stride()[1:] != (size, 1):
+        matrices = matrices.contiguous()
+    return matrices, matrices.stride(0)
+
+
+def _step(weight: Tensor) -> int:
+    """Return the step between the members' own weights, 0 where they share one."""
+    return int(len(weight) > 1)
+
+
+def _call(name: str, *arguments: Tensor | int) -> bool:
+    """Call a function of the library with the addresses of tensors; return whether all members are sound.
+
+    Raises:
+        MemoryError: it found none for a block of members.
+    """
+    found = library()
+    assert found is not None
+    told = getattr(found, name)(*(a.data_ptr() if isinstance(a, Tensor) else a for a in arguments))
+    if told == NO_MEMORY:
+        message = f"filter: no memory for {arguments[0]} members"
+        raise MemoryError(message)
+    return told == SOUND
