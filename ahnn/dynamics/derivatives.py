@@ -45,8 +45,11 @@ def parametrised(
 
 
 def field_jacobian(dynamics: HasField) -> Callable[[Tensor, Tensor], Tensor]:
-    """Return (theta (P,), x (..., D)) -> df/dtheta, shape (..., D, P), float32, of the field f."""
-    half = knows_velocities(dynamics.field)  # their rows are zero, and would cost as much as the others
+    """Return (theta (P,), x (..., D)) -> df/dtheta, float32, of the components of the field f that theta moves.
+
+    They are the last L, shape (..., L, P): all of them, or dp/dt alone where dq/dt is known.
+    """
+    half = knows_velocities(dynamics.field)
 
     def learned(x: Tensor) -> Tensor:
         return dynamics.field(x)[..., x.shape[-1] // 2 if half else 0 :]
@@ -54,13 +57,7 @@ def field_jacobian(dynamics: HasField) -> Callable[[Tensor, Tensor], Tensor]:
     field = parametrised(cast(nn.Module, dynamics), learned, torch.float32)
     single = lambda theta, x: field(theta, x.unsqueeze(0)).squeeze(0)  # noqa: E731
     rows = vmap(jacrev(single), (None, 0), chunk_size=20_000)
-
-    def jacobian(theta: Tensor, x: Tensor) -> Tensor:
-        found = rows(theta.float(), x.float().flatten(0, -2))
-        zero = x.shape[-1] - found.shape[-2]
-        return nn.functional.pad(found, (0, 0, zero, 0)).unflatten(0, x.shape[:-1])
-
-    return jacobian
+    return lambda theta, x: rows(theta.float(), x.float().flatten(0, -2)).unflatten(0, x.shape[:-1])
 
 
 def knows_velocities(field: nn.Module) -> bool:
