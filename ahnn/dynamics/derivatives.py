@@ -63,7 +63,9 @@ def field_jacobian(dynamics: HasField, dtype: torch.dtype = torch.float32) -> Fi
     def jacobian(theta: Tensor, x: Tensor, factors: Tensor | None = None) -> Tensor:
         flat = x.flatten(0, -2).to(dtype)
         by = torch.ones_like(flat) if factors is None else factors.flatten(0, -2).to(dtype)
-        return field_rows(cast(GenericHamiltonian, field), theta.to(dtype), flat, by).unflatten(0, x.shape[:-1])
+        return field_rows(cast(GenericHamiltonian, field), theta.to(dtype), flat, by).unflatten(
+            0, x.shape[:-1]
+        )
 
     return jacobian
 
@@ -75,15 +77,35 @@ def mapped_field_jacobian(dynamics: HasField, dtype: torch.dtype = torch.float32
     def learned(x: Tensor) -> Tensor:
         return dynamics.field(x)[..., x.shape[-1] // 2 if half else 0 :]
 
-    field = parametrised(cast(nn.Module, dynamics), learned, dtype)
-    single = lambda theta, x: field(theta, x.unsqueeze(0)).squeeze(0)  # noqa: E731
-    rows = vmap(jacrev(single), (None, 0), chunk_size=20_000)
+    rows = mapped_jacobian(cast(nn.Module, dynamics), learned, dtype)
 
     def jacobian(theta: Tensor, x: Tensor, factors: Tensor | None = None) -> Tensor:
-        found = rows(theta.to(dtype), x.to(dtype).flatten(0, -2))
+        flat = x.flatten(0, -2)
+        by = torch.ones_like(flat) if factors is None else factors.flatten(0, -2)
+        found = rows(theta, flat, by[:, x.shape[-1] // 2 if half else 0 :])
         zero = x.shape[-1] - found.shape[-2]
-        found = nn.functional.pad(found, (0, 0, zero, 0)).unflatten(0, x.shape[:-1])
-        return found if factors is None else found * factors.to(dtype).unsqueeze(-1)
+        return nn.functional.pad(found, (0, 0, zero, 0)).unflatten(0, x.shape[:-1])
+
+    return jacobian
+
+
+def mapped_jacobian(
+    module: nn.Module, function: Callable[[Tensor], Tensor], dtype: torch.dtype = torch.float32
+) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
+    """Return (theta (P,), x (B, D), factors (B, R)) -> factors df/dtheta, (B, R, P), of any function f.
+
+    Args:
+        module: whose parameters theta stands for.
+        function: f, (B, D) -> (B, R), computed with the module.
+        dtype: of the computation.
+    """
+    single = parametrised(module, function, dtype)
+    rows = vmap(
+        jacrev(lambda theta, x: single(theta, x.unsqueeze(0)).squeeze(0)), (None, 0), chunk_size=20_000
+    )
+
+    def jacobian(theta: Tensor, x: Tensor, factors: Tensor) -> Tensor:
+        return rows(theta.to(dtype), x.to(dtype)) * factors.to(dtype).unsqueeze(-1)
 
     return jacobian
 

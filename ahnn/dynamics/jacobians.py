@@ -84,7 +84,7 @@ class Scaled(NamedTuple):
 
 @torch.no_grad()
 def field_rows(field: GenericHamiltonian, theta: Tensor, x: Tensor, factors: Tensor) -> Tensor:
-    """Return factors df/dtheta, shape (B, D, P), of the field f at the states x and the factors, both (B, D)."""
+    """Return factors df/dtheta, shape (B, D, P), of the field f at the states x; both are (B, D)."""
     at = Scaled.of(field, theta)
     _, records = at.recorded(at.seen(x))
     stage, _ = at.reverse(torch.diag_embed(factors * at.scale), records)

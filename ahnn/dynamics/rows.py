@@ -16,7 +16,7 @@ from ahnn.dynamics.gradients import Record
 
 
 class Stage(NamedTuple):
-    """One evaluation of the gradient with R cotangents for each of B samples, F inputs and L layers of H units.
+    """One evaluation of the gradient with R cotangents for each of B samples; F inputs, L layers of H units.
 
     Attributes:
         records: of `recorded_gradient`, L of them.

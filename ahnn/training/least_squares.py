@@ -1,7 +1,8 @@
 """A batch as a least-squares problem in the parameters of a module: residuals and their Jacobian.
 
-Jacobians come from vectorised reverse mode, one pass per residual of a sample. Recursive predictions carry
-the sensitivity of their state along instead: W steps then cost W passes and not W^2.
+Jacobians are written out where the structure is known, and else come from vectorised reverse mode, one pass
+per residual of a sample. Recursive predictions carry the sensitivity of their state along: W steps then cost
+W passes and not W^2.
 """
 
 from __future__ import annotations
@@ -11,9 +12,14 @@ from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor, nn
-from torch.func import jacrev, vmap
 
-from ahnn.dynamics.derivatives import parametrised
+from ahnn.dynamics import Dynamics
+from ahnn.dynamics.derivatives import (
+    increment_jacobian,
+    mapped_increment_jacobian,
+    mapped_jacobian,
+    parametrised,
+)
 from ahnn.training.normal_equations import Equations, normal_equations
 from ahnn.types import TimeStep, Window
 
@@ -54,7 +60,12 @@ class LeastSquares(NamedTuple):
 
 
 def pointwise_problem(
-    module: nn.Module, residuals: Callable[[Tensor], Tensor], x: Tensor, targets: Tensor, weights: Tensor
+    module: nn.Module,
+    residuals: Callable[[Tensor], Tensor],
+    x: Tensor,
+    targets: Tensor,
+    weights: Tensor,
+    jacobian: Callable[[Tensor, Tensor, Tensor], Tensor] | None = None,
 ) -> LeastSquares:
     """Return the problem of fitting a function of single states.
 
@@ -64,21 +75,15 @@ def pointwise_problem(
         x: where it is compared, (B, D).
         targets: what it is compared with, (B, D).
         weights: of the residuals, (B, D).
+        jacobian: (theta, x, weights) -> (B, D, P) of weighted residuals, where it is known.
     """
     function = parametrised(module, residuals, x.dtype)
-    single = parametrised(module, residuals, torch.float32)
-
-    def of_sample(theta: Tensor, sample: Tensor) -> Tensor:
-        return single(theta, sample.unsqueeze(0)).squeeze(0)
+    rows = jacobian or mapped_jacobian(module, residuals)
 
     def weighted(theta: Tensor) -> Tensor:
         return ((function(theta, x) - targets) * weights).flatten()
 
-    def jacobian(theta: Tensor) -> Tensor:
-        rows = vmap(jacrev(of_sample), (None, 0))(theta.float(), x.float())
-        return (rows * weights.float().unsqueeze(-1)).flatten(0, -2)
-
-    return LeastSquares(torch.no_grad()(weighted), jacobian)
+    return LeastSquares(torch.no_grad()(weighted), lambda theta: rows(theta, x, weights).flatten(0, 1))
 
 
 def recursive_problem(
@@ -93,12 +98,8 @@ def recursive_problem(
         weights: of the residuals, (B, W, D).
     """
     function = parametrised(module, increment, batch.start.dtype)
-    single = parametrised(module, increment, torch.float32)
-    own_steps = isinstance(batch.dt, Tensor)
-
-    def of_sample(theta: Tensor, sample: Tensor, dt: TimeStep) -> Tensor:
-        step = dt.unsqueeze(0) if isinstance(dt, Tensor) else dt
-        return single(theta, sample.unsqueeze(0), step).squeeze(0)
+    own = isinstance(module, Dynamics) and increment == module.increment
+    derivatives = increment_jacobian(module) if own else mapped_increment_jacobian(module, increment)
 
     def weighted(theta: Tensor) -> Tensor:
         state, residual, rows = batch.start, torch.zeros_like(batch.start), []
@@ -109,18 +110,15 @@ def recursive_problem(
         return (torch.stack(rows, dim=1) * weights).flatten()
 
     def jacobian(theta: Tensor) -> Tensor:
-        derivatives = vmap(jacrev(of_sample, argnums=(0, 1)), (None, 0, 0 if own_steps else None))
-        state, rows = batch.start, []
+        state, factors = batch.start, weights.float().unsqueeze(-1)
+        rows = torch.empty(*weights.shape, len(theta), device=state.device)
         sensitivity = torch.zeros(*state.shape, len(theta), device=state.device)
-        for k in range(batch.increments.shape[1]):
-            dt = batch.step(k)
-            of_theta, of_state = derivatives(
-                theta.float(), state.float(), dt.float() if isinstance(dt, Tensor) else dt
-            )
+        for k in range(weights.shape[1]):
+            of_theta, of_state = derivatives(theta, state, batch.step(k))
             with torch.no_grad():
-                sensitivity = sensitivity + of_theta + of_state @ sensitivity
-                rows.append(sensitivity * weights[:, k, :, None].float())
-                state = state + function(theta, state, dt)
-        return torch.stack(rows, dim=1).flatten(0, 2)
+                sensitivity = torch.baddbmm(of_theta, of_state, sensitivity).add_(sensitivity)
+                torch.mul(sensitivity, factors[:, k], out=rows[:, k])
+                state = state + function(theta, state, batch.step(k))
+        return rows.flatten(0, 2)
 
     return LeastSquares(torch.no_grad()(weighted), jacobian)

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from ahnn.dynamics import Dynamics, HasField
+from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.errors import UserError
 from ahnn.extensions import Table
 from ahnn.training.least_squares import LeastSquares, Problem, pointwise_problem, recursive_problem
@@ -112,9 +113,14 @@ class Derivative:
     def problem(self, dynamics: Dynamics, batch: Window) -> LeastSquares:
         """Return the same residuals as a problem in the parameters of the dynamics."""
         middle, target = derivative_samples(batch.first(self.order))
-        field = cast(HasField, dynamics).field
+        field, rows = cast(HasField, dynamics).field, field_jacobian(cast(HasField, dynamics))
         return pointwise_problem(
-            dynamics, lambda x: batch.dt * field(x), middle, target, self.loss.weights(target)
+            dynamics,
+            lambda x: batch.dt * field(x),
+            middle,
+            target,
+            self.loss.weights(target),
+            lambda theta, x, weights: rows(theta, x, batch.dt * weights),
         )
 
     def divided(self, batch: Window) -> tuple[Window, Window]:
