@@ -11,6 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from ahnn.cores import each, slices
 from ahnn.dynamics.activations import Kernels
 from ahnn.dynamics.gradients import Layers, Record, recorded_gradient
 from ahnn.dynamics.hamiltonians import GenericHamiltonian
@@ -21,6 +22,9 @@ from ahnn.dynamics.written_out import combined, moved
 from ahnn.integrators.base import column
 from ahnn.integrators.tableaus import ButcherTableau
 from ahnn.types import TimeStep
+
+SAMPLES = 128
+"""Samples whose rows are made at once."""
 
 
 def has_rows(field: nn.Module) -> bool:
@@ -82,29 +86,44 @@ class Scaled(NamedTuple):
         return reversed_rows(turned, records, self.layers.weights)
 
 
-@torch.no_grad()
 def field_rows(field: GenericHamiltonian, theta: Tensor, x: Tensor, factors: Tensor) -> Tensor:
     """Return factors df/dtheta, shape (B, D, P), of the field f at the states x; both are (B, D)."""
     at = Scaled.of(field, theta)
-    _, records = at.recorded(at.seen(x))
-    stage, _ = at.reverse(torch.diag_embed(factors * at.scale), records)
     out = x.new_empty(*x.shape, len(theta))
-    write_rows([stage], out)
+
+    def write(part: slice) -> None:
+        _, records = at.recorded(at.seen(x[part]))
+        stage, _ = at.reverse(torch.diag_embed(factors[part] * at.scale), records)
+        write_rows([stage], out[part])
+
+    each(write, slices(len(x), SAMPLES), x.device)
     return out
 
 
-@torch.no_grad()
 def increment_rows(
     field: GenericHamiltonian, tableau: ButcherTableau, theta: Tensor, x: Tensor, dt: TimeStep
 ) -> tuple[Tensor, Tensor]:
     """Return d(increment)/dtheta, (B, D, P), and d(increment)/dx, (B, D, D), of a step from x, (B, D)."""
-    at, h = Scaled.of(field, theta), column(dt)
+    at = Scaled.of(field, theta)
+    out = x.new_empty(*x.shape, len(theta))
+
+    def of_state(part: slice) -> Tensor:
+        h = dt[part] if isinstance(dt, Tensor) and dt.ndim else dt
+        stages, by_state = _reversed_step(at, tableau, x[part], column(h))
+        write_rows(stages, out[part])
+        return by_state
+
+    return out, torch.cat(each(of_state, slices(len(x), SAMPLES), x.device))
+
+
+def _reversed_step(at: Scaled, tableau: ButcherTableau, x: Tensor, h: TimeStep) -> tuple[list[Stage], Tensor]:
+    """Return the stages of a step, reversed for each component of its increment, and d(increment)/dx."""
     z, slopes, records = at.seen(x), [], []
     for row in ((), *tableau.a):
         slope, record = at.recorded(moved(z, row, slopes, h))
         slopes.append(slope)
         records.append(record)
-    h = h.unsqueeze(-1) if isinstance(h, Tensor) else h
+    h = h.unsqueeze(-1) if isinstance(h, Tensor) and h.ndim else h
     seed = torch.diag(at.scale).expand(len(x), -1, -1)
     later, stages = [seed], []  # cotangents of the increment, then those of the stages from the last
     for i in reversed(range(len(records))):
@@ -115,6 +134,4 @@ def increment_rows(
         stage, moved_by = at.reverse(combined(weights, later, h), records[i])
         stages.append(stage)
         later.append(moved_by)
-    out = x.new_empty(*x.shape, len(theta))
-    write_rows(stages, out)
-    return out, torch.stack(later[1:]).sum(0) / at.scale
+    return stages, torch.stack(later[1:]).sum(0) / at.scale

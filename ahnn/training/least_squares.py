@@ -13,6 +13,7 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor, nn
 
+from ahnn.cores import each, slices
 from ahnn.dynamics import Dynamics
 from ahnn.dynamics.derivatives import (
     increment_jacobian,
@@ -22,6 +23,9 @@ from ahnn.dynamics.derivatives import (
 )
 from ahnn.training.normal_equations import Equations, normal_equations
 from ahnn.types import TimeStep, Window
+
+SAMPLES = 1000
+"""Samples whose residuals are computed at once: their layers then stay in a core's cache."""
 
 
 class Problem(Protocol):
@@ -77,13 +81,14 @@ def pointwise_problem(
         weights: of the residuals, (B, D).
         jacobian: (theta, x, weights) -> (B, D, P) of weighted residuals, where it is known.
     """
-    function = parametrised(module, residuals, x.dtype)
     rows = jacobian or mapped_jacobian(module, residuals)
 
-    def weighted(theta: Tensor) -> Tensor:
-        return ((function(theta, x) - targets) * weights).flatten()
+    def weighted(part: slice) -> Tensor:
+        return (residuals(x[part]) - targets[part]) * weights[part]
 
-    return LeastSquares(torch.no_grad()(weighted), lambda theta: rows(theta, x, weights).flatten(0, 1))
+    return LeastSquares(
+        _all_residuals(module, weighted, x), lambda theta: rows(theta, x, weights).flatten(0, 1)
+    )
 
 
 def recursive_problem(
@@ -101,24 +106,41 @@ def recursive_problem(
     own = isinstance(module, Dynamics) and increment == module.increment
     derivatives = increment_jacobian(module) if own else mapped_increment_jacobian(module, increment)
 
-    def weighted(theta: Tensor) -> Tensor:
-        state, residual, rows = batch.start, torch.zeros_like(batch.start), []
-        for k, target in enumerate(batch.increments.unbind(1)):
-            step = function(theta, state, batch.step(k))
+    def weighted(part: slice) -> Tensor:
+        own, rows = batch.rows(part), []
+        state, residual = own.start, torch.zeros_like(own.start)
+        for k, target in enumerate(own.increments.unbind(1)):
+            step = increment(state, own.step(k))
             state, residual = state + step, residual + (step - target)
             rows.append(residual)
-        return (torch.stack(rows, dim=1) * weights).flatten()
+        return torch.stack(rows, dim=1) * weights[part]
 
     def jacobian(theta: Tensor) -> Tensor:
         state, factors = batch.start, weights.float().unsqueeze(-1)
+        one = torch.eye(state.shape[-1], device=state.device)
         rows = torch.empty(*weights.shape, len(theta), device=state.device)
         sensitivity = torch.zeros(*state.shape, len(theta), device=state.device)
         for k in range(weights.shape[1]):
             of_theta, of_state = derivatives(theta, state, batch.step(k))
             with torch.no_grad():
-                sensitivity = torch.baddbmm(of_theta, of_state, sensitivity).add_(sensitivity)
+                sensitivity = of_theta.baddbmm_(of_state + one, sensitivity)
                 torch.mul(sensitivity, factors[:, k], out=rows[:, k])
                 state = state + function(theta, state, batch.step(k))
         return rows.flatten(0, 2)
 
-    return LeastSquares(torch.no_grad()(weighted), jacobian)
+    return LeastSquares(_all_residuals(module, weighted, batch.start), jacobian)
+
+
+def _all_residuals(
+    module: nn.Module, part: Callable[[slice], Tensor], x: Tensor
+) -> Callable[[Tensor], Tensor]:
+    """Return theta -> r, (N,), from a function of some samples, computed with the module.
+
+    Args:
+        module: its parameters are replaced by theta.
+        part: which samples -> their residuals.
+        x: states of all samples, (B, D).
+    """
+    parts = slices(len(x), SAMPLES)
+    function = parametrised(module, lambda: torch.cat(each(part, parts, x.device)), x.dtype)
+    return lambda theta: function(theta).flatten()

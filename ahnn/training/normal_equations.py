@@ -13,6 +13,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.cores import each, slices
+
 PANEL = 160
 """Columns of a product in J^T J: few enough to waste little above the diagonal, many enough for a BLAS."""
 
@@ -115,11 +117,13 @@ def gram(jacobian: Tensor) -> Tensor:
     """Return J^T J, shape (P, P): products of its lower triangle, panel by panel, and their mirror images."""
     count = jacobian.shape[1]
     matrix = jacobian.new_empty(count, count)
-    for first in range(0, count, PANEL):
-        last = min(first + PANEL, count)
-        panel = matrix[first:last, :last]
-        torch.mm(jacobian[:, first:last].T, jacobian[:, :last], out=panel)
-        matrix[:first, first:last] = panel[:, :first].T
+
+    def write(own: slice) -> None:
+        panel = matrix[own, : own.stop]
+        torch.mm(jacobian[:, own].T, jacobian[:, : own.stop], out=panel)
+        matrix[: own.start, own] = panel[:, : own.start].T
+
+    each(write, slices(count, PANEL)[::-1], jacobian.device)  # the largest panels first
     return matrix
 
 
