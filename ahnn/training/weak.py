@@ -42,13 +42,13 @@ class Tests(NamedTuple):
     """Test functions of some segments, times the weights of a rule of integration.
 
     Attributes:
-        begins: (J,) the first sample of each span.
+        stride: samples between the first ones of neighbouring spans.
         values: phi over its span of S samples, (B, J, S); B may be 1 for all alike.
         slopes: phi', (B, J, S).
         whiten: (B, J, J) that makes the noise of the integrals white; 0 for one with a missing sample.
     """
 
-    begins: Tensor
+    stride: int
     values: Tensor
     slopes: Tensor
     whiten: Tensor
@@ -57,14 +57,19 @@ class Tests(NamedTuple):
         """Return those of some segments."""
         if len(self.values) == 1:
             return self
-        return Tests(self.begins, self.values[part], self.slopes[part], self.whiten[part])
+        return Tests(self.stride, self.values[part], self.slopes[part], self.whiten[part])
 
 
-def integrated(weights: Tensor, begins: Tensor, samples: Tensor) -> Tensor:
-    """Return the sums over each span of weights (B, J, S) times samples (B, K + 1, M), shape (B, J, M)."""
-    total = weights[..., :1].to(samples) * samples[:, begins]
+def integrated(weights: Tensor, stride: int, samples: Tensor) -> Tensor:
+    """Return the sums over each span of weights (B, J, S) times samples (B, K + 1, M), shape (B, J, M).
+
+    Span j begins with the sample j x stride.
+    """
+    reach = stride * (weights.shape[1] - 1) + 1
+    total = weights[..., :1].to(samples) * samples[:, :reach:stride]
     for offset in range(1, weights.shape[-1]):
-        total = total.addcmul_(weights[..., offset, None].to(samples), samples[:, begins + offset])
+        of_each = samples[:, offset : offset + reach : stride]
+        total.addcmul_(weights[..., offset, None].to(samples), of_each)
     return total
 
 
@@ -78,7 +83,8 @@ def bumps(times: Tensor, present: Tensor, width: int) -> Tests:
     """
     last = times.shape[1] - 1
     width = max(1, min(max(width, NARROWEST), last // 2))
-    begins = torch.arange(0, last - 2 * width + 1, max(1, width // PER_WIDTH))
+    stride = max(1, width // PER_WIDTH)
+    begins = torch.arange(0, last - 2 * width + 1, stride)
     spans = begins.unsqueeze(-1) + torch.arange(2 * width + 1)
     of_span = times[:, spans]
     half = (of_span[..., -1:] - of_span[..., :1]) / 2
@@ -87,7 +93,7 @@ def bumps(times: Tensor, present: Tensor, width: int) -> Tests:
     values = weights * bump**POWER
     slopes = weights * (-2 * POWER * u * bump ** (POWER - 1) / half)
     missing = ((values != 0) & ~present[:, spans]).any(-1)
-    return Tests(begins, values, slopes, whitening(spans, slopes, missing))
+    return Tests(stride, values, slopes, whitening(spans, slopes, missing))
 
 
 def whitening(spans: Tensor, slopes: Tensor, missing: Tensor) -> Tensor:
@@ -188,7 +194,7 @@ class WeakProblem:
     def integrals(self, field: torch.nn.Module, part: slice) -> Tensor:
         """Return the whitened integrals (B, J, D) of some of the segments."""
         tests, x = self.tests.rows(part), self.values[part]
-        sums = integrated(tests.values, tests.begins, field(x)) + integrated(tests.slopes, tests.begins, x)
+        sums = integrated(tests.values, tests.stride, field(x)) + integrated(tests.slopes, tests.stride, x)
         return tests.whiten @ sums / self.batch.instrument.deviations.to(x)
 
     def _parts(self, numbers: int) -> Iterator[slice]:
@@ -221,7 +227,7 @@ class WeakProblem:
         weight = self.robust.weight(plain).sqrt()
         tests, x = self.tests.rows(part), self.values[part]
         forcing = self._forcing(theta, x)  # (B, K + 1, L, P): of the last L components, which parameters move
-        sums = integrated(tests.values, tests.begins, forcing.flatten(2))
+        sums = integrated(tests.values, tests.stride, forcing.flatten(2))
         sums = (tests.whiten.float() @ sums).unflatten(-1, forcing.shape[2:])
         moved = slice(x.shape[-1] - forcing.shape[2], None)
         residuals, weight = plain[..., moved], weight[..., moved]
