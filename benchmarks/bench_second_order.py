@@ -24,6 +24,8 @@ from ahnn.types import Window
 
 TASKS = {"generic orbit, 2x40": (3, 40, 5000), "spring, 2x24": (1, 24, 7500)}
 """Degrees of freedom, width and batch of the recipes `eccentric` and `second_order_long`."""
+WARM = 6
+"""Steps before the one that is measured."""
 DT, WINDOW, ORDER, STAGES = 0.05, 5, 12, 4
 
 
@@ -47,16 +49,25 @@ def oscillations(dof: int, batch: int) -> Window:
 
 
 def step(objective: Objective, own: HamiltonianDynamics, batch: Window, *, known: bool) -> Work:
-    """Return work: one step, always from the same weights, its Jacobian in closed form or by reverse mode."""
-    state = {name: value.clone() for name, value in own.state_dict().items()}
+    """Return work: one step, from the same weights each time, its Jacobian in closed form or by reverse mode."""
     parts, closed = objective.divided(batch), derivatives.has_rows
+
+    def problems():  # as the stepper makes them
+        return objective.problem(own, parts[0]), objective.problem(own, parts[1])
+
+    begun = LevenbergMarquardt(own.parameters())
+    for _ in range(WARM):
+        begun.step(problems)
+    damping = 3 * begun.param_groups[0]["damping"]  # a step that is taken at once, as nearly all are
+    state = {name: value.clone() for name, value in own.state_dict().items()}
 
     def work() -> None:
         own.load_state_dict(state)
         derivatives.has_rows = closed if known else lambda _: False
-        optimizer = LevenbergMarquardt(own.parameters(), damping=1.0)
-        optimizer.step(lambda: tuple(objective.problem(own, part) for part in parts))  # pyright: ignore[reportArgumentType]
+        optimizer = LevenbergMarquardt(own.parameters(), damping=damping)
+        optimizer.step(problems)
         derivatives.has_rows = closed
+        assert optimizer.param_groups[0]["damping"] <= 3 * damping, "the step was not taken at once"
 
     return work
 
@@ -64,17 +75,17 @@ def step(objective: Objective, own: HamiltonianDynamics, batch: Window, *, known
 def floor(rows: int, count: int, inputs: int, width: int, stages: int, threads: int) -> Work:
     """Return the matrix products of a step with so many residuals and parameters."""
     jacobian, half = torch.randn(rows, count), torch.randn(rows, count // 2)
-    wide, narrow = (torch.randn(n, count, dtype=torch.float64) for n in (count, count // 6))
+    narrow, wide = (torch.randn(count // 6, count, dtype=torch.float64) for _ in range(2))
     layer, units = torch.randn(rows, width), torch.randn(width, width)
     # Two outer products, and up and down through the layers, in each stage.
     passes = round(stages * (2 * count + 2 * width * (inputs + width)) / width**2)
 
     def work() -> None:
         torch.set_num_threads(threads)
-        half.T @ jacobian
-        narrow @ wide
+        torch.mm(half.T, jacobian)
+        torch.mm(wide.T, narrow)
         for _ in range(passes):
-            layer @ units
+            torch.mm(layer, units)
         torch.set_num_threads(1)
 
     return work
@@ -86,18 +97,18 @@ def measured(repeats: int, threads: int) -> list[Row]:
     clock = time.process_time if threads == 1 else time.perf_counter
     rows = []
     for task, (dof, width, size) in TASKS.items():
-        batch, own = oscillations(dof, size), dynamics(dof, width)
+        batch = oscillations(dof, size)
         loss = Loss(2 * dof, LossOptions())
         loss.unit.copy_(batch.increments.flatten(0, 1).square().mean(0).sqrt())
-        count = sum(p.numel() for p in own.parameters())
+        count = sum(p.numel() for p in dynamics(dof, width).parameters())
         for name, objective, stages in (
             ("derivatives", Derivative(loss, ORDER), 1),
             (f"window {WINDOW}", Recursive(loss, WINDOW), STAGES),
         ):
             products = floor(size // 5 * 2 * dof, count, 2 * dof, width, stages, threads)
             works = {
-                "ahnn": step(objective, own, batch, known=True),
-                "reverse mode": step(objective, own, batch, known=False),
+                "ahnn": step(objective, dynamics(dof, width), batch, known=True),
+                "reverse mode": step(objective, dynamics(dof, width), batch, known=False),
             }
             cores = "1 core" if threads == 1 else f"{threads} cores"
             rows.append(in_turn(f"{task}, {name}, {cores}", works, repeats, products, clock))

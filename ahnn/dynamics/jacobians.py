@@ -60,7 +60,8 @@ class Scaled(NamedTuple):
         parameters = list(field.network.parameters())
         parts = theta.split([p.numel() for p in parameters])
         *hidden, last, _ = [part.view_as(p) for part, p in zip(parts, parameters, strict=True)]
-        maps = (field.positions.affine, field.momenta.affine)  # pyright: ignore[reportAttributeAccessIssue]
+        assert isinstance(field.positions, Cartesian)
+        maps = (field.positions.affine, field.momenta.affine)
         scale = torch.cat([m.scale for m in maps]).to(theta)
         shift = torch.cat([m.shift for m in maps]).to(theta)
         of_q, of_p = scale.chunk(2)
