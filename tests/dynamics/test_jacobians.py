@@ -8,7 +8,6 @@ from helpers import MOLNIYA, batch_of, close, data_module, generator, ready_mode
 from test_written_out import METHODS, OWN_STEPS, dynamics
 from torch.nn.utils import parameters_to_vector
 
-from ahnn.dynamics import jacobians
 from ahnn.dynamics.activations import ACTIVATIONS
 from ahnn.dynamics.derivatives import (
     field_jacobian,
@@ -27,8 +26,7 @@ def states() -> torch.Tensor:
 
 @pytest.mark.parametrize("activation", ACTIVATIONS)
 @pytest.mark.parametrize("depth", [1, 2, 3])
-def test_the_field_and_its_rows(monkeypatch, activation, depth):
-    monkeypatch.setattr(jacobians, "SAMPLES", 2)
+def test_the_field_and_its_rows(activation, depth):
     own = dynamics(activation, depth=depth)
     theta, x = parameters_to_vector(own.parameters()).detach(), states()
     factors = torch.rand(5, 4, generator=generator(2), dtype=WIDE)
@@ -41,8 +39,7 @@ def test_the_field_and_its_rows(monkeypatch, activation, depth):
 
 @pytest.mark.parametrize("activation", ACTIVATIONS)
 @pytest.mark.parametrize(("method", "dt"), [*((m, 0.2) for m in METHODS), ("rk4", OWN_STEPS)])
-def test_steps_and_their_rows(monkeypatch, activation, method, dt):
-    monkeypatch.setattr(jacobians, "SAMPLES", 2)
+def test_steps_and_their_rows(activation, method, dt):
     own = dynamics(activation, method)
     theta, x = parameters_to_vector(own.parameters()).detach(), states()
     found = increment_jacobian(own, WIDE)(theta, x, dt)
