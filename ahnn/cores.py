@@ -48,7 +48,7 @@ def each(work: Callable[[P], T], parts: Iterable[P], device: torch.device) -> li
 
 
 def slices(count: int, size: int) -> list[slice]:
-    """Return the parts of so many rows, each of `size` rows or, the last, fewer; of none, one without rows."""
+    """Return parts of so many rows, `size` in each or, in the last, fewer; of none, one without rows."""
     return [slice(first, min(first + size, count)) for first in range(0, max(1, count), size)]
 
 

@@ -23,8 +23,8 @@ from ahnn.integrators.base import column
 from ahnn.integrators.tableaus import ButcherTableau
 from ahnn.types import TimeStep
 
-SAMPLES = 128
-"""Samples whose rows are made at once."""
+PARTS, LARGEST = 4, 1000
+"""Parts that samples are divided into, for several cores, and the most samples in one, for their caches."""
 
 
 def has_rows(field: nn.Module) -> bool:
@@ -60,7 +60,8 @@ class Scaled(NamedTuple):
         parameters = list(field.network.parameters())
         parts = theta.split([p.numel() for p in parameters])
         *hidden, last, _ = [part.view_as(p) for part, p in zip(parts, parameters, strict=True)]
-        maps = (field.positions.affine, field.momenta.affine)  # pyright: ignore[reportAttributeAccessIssue]
+        assert isinstance(field.positions, Cartesian)
+        maps = (field.positions.affine, field.momenta.affine)
         scale = torch.cat([m.scale for m in maps]).to(theta)
         shift = torch.cat([m.shift for m in maps]).to(theta)
         of_q, of_p = scale.chunk(2)
@@ -96,7 +97,7 @@ def field_rows(field: GenericHamiltonian, theta: Tensor, x: Tensor, factors: Ten
         stage, _ = at.reverse(torch.diag_embed(factors[part] * at.scale), records)
         write_rows([stage], out[part])
 
-    each(write, slices(len(x), SAMPLES), x.device)
+    each(write, _parts(len(x)), x.device)
     return out
 
 
@@ -113,7 +114,12 @@ def increment_rows(
         write_rows(stages, out[part])
         return by_state
 
-    return out, torch.cat(each(of_state, slices(len(x), SAMPLES), x.device))
+    return out, torch.cat(each(of_state, _parts(len(x)), x.device))
+
+
+def _parts(count: int) -> list[slice]:
+    """Return the parts of so many samples."""
+    return slices(count, min(LARGEST, max(1, -(-count // PARTS))))
 
 
 def _reversed_step(at: Scaled, tableau: ButcherTableau, x: Tensor, h: TimeStep) -> tuple[list[Stage], Tensor]:

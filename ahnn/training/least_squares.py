@@ -103,8 +103,10 @@ def recursive_problem(
         weights: of the residuals, (B, W, D).
     """
     function = parametrised(module, increment, batch.start.dtype)
-    own = isinstance(module, Dynamics) and increment == module.increment
-    derivatives = increment_jacobian(module) if own else mapped_increment_jacobian(module, increment)
+    if isinstance(module, Dynamics) and increment == module.increment:
+        derivatives = increment_jacobian(module)
+    else:
+        derivatives = mapped_increment_jacobian(module, increment)
 
     def weighted(part: slice) -> Tensor:
         own, rows = batch.rows(part), []

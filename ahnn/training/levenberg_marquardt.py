@@ -31,6 +31,9 @@ class LevenbergMarquardt(Optimizer):
     and must not raise the loss of windows held back from it by more than `tolerance`: a step that overfits
     its batch would throw the network away.
 
+    On the CPU the products of a step, its residuals and Jacobians run in parts on all cores that the process
+    may use (`ahnn.cores`), beside the threads of single operations.
+
     Args:
         params: the parameters of the module whose residuals are minimised.
         damping: of the first step; it adapts from there.
