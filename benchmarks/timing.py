@@ -20,10 +20,16 @@ class Row(NamedTuple):
     floor: list[float] | None
 
 
-def in_turn(name: str, works: dict[str, Work], repeats: int, floor: Work | None = None) -> Row:
-    """Return the CPU seconds of all works and of the floor, in turn, after one call each to warm up.
+def in_turn(
+    name: str,
+    works: dict[str, Work],
+    repeats: int,
+    floor: Work | None = None,
+    clock: Callable[[], float] = time.process_time,
+) -> Row:
+    """Return the seconds of all works and of the floor, in turn, after one call each to warm up.
 
-    All threads of the process count, so that nobody gains by a pool of them.
+    By default CPU seconds: all threads of the process count, so that nobody gains by a pool of them.
     """
     everything = works if floor is None else {**works, "floor": floor}
     times: dict[str, list[float]] = {key: [] for key in everything}
@@ -31,9 +37,9 @@ def in_turn(name: str, works: dict[str, Work], repeats: int, floor: Work | None 
         work()
     for _ in range(repeats):
         for key, work in everything.items():
-            begin = time.process_time()
+            begin = clock()
             work()
-            times[key].append(time.process_time() - begin)
+            times[key].append(clock() - begin)
     return Row(name, times, times.pop("floor", None))
 
 

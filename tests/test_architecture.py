@@ -13,7 +13,18 @@ PLUGINS = sorted((ROOT / "plugins").rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
 
 # Each room of the library and the rooms that it may import; the open ones serve all.
-OPEN = {"errors", "arguments", "files", "memory", "numbers", "progress", "types", "paths", "extensions"}
+OPEN = {
+    "errors",
+    "arguments",
+    "files",
+    "memory",
+    "numbers",
+    "progress",
+    "types",
+    "paths",
+    "extensions",
+    "cores",
+}
 GROUND = OPEN | {"integrators", "measurements", "metrics", "rollouts", "statistics", "checkpoints"}
 MAY_IMPORT = {
     "errors": set(),
@@ -22,6 +33,7 @@ MAY_IMPORT = {
     "extensions": set(),
     "numbers": set(),
     "progress": set(),
+    "cores": set(),
     "files": {"errors"},
     "memory": {"errors"},
     "arguments": {"errors"},

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call, jacrev, vmap
 
-from ahnn.dynamics.base import HasField
-from ahnn.dynamics.hamiltonians import SeparableHamiltonian
+from ahnn.dynamics.base import Dynamics, HasField
+from ahnn.dynamics.fields import HamiltonianDynamics
+from ahnn.dynamics.hamiltonians import GenericHamiltonian, SeparableHamiltonian
+from ahnn.dynamics.jacobians import field_rows, has_rows, increment_rows
+from ahnn.dynamics.separable_rows import has_separable_rows, separable_rows
+from ahnn.integrators import ExplicitRungeKutta
+from ahnn.types import TimeStep
 
 
 class _Forward(nn.Module):
@@ -44,21 +50,101 @@ def parametrised(
     return call
 
 
-def field_jacobian(dynamics: HasField) -> Callable[[Tensor, Tensor], Tensor]:
-    """Return (theta (P,), x (..., D)) -> df/dtheta, shape (..., D, P), float32, of the field f."""
-    half = knows_velocities(dynamics.field)  # their rows are zero, and would cost as much as the others
+FieldJacobian = Callable[..., Tensor]
+"""(theta (P,), x (..., D), factors (..., D) or none) -> factors df/dtheta, shape (..., L, P).
+
+They are the last L components of the field f, those that theta moves: all, or dp/dt alone where dq/dt is known.
+"""
+IncrementJacobian = Callable[[Tensor, Tensor, TimeStep], tuple[Tensor, Tensor]]
+"""(theta (P,), x (B, D), dt) -> derivatives (B, D, P) and (B, D, D) of the increment by theta and by x."""
+
+
+def field_jacobian(dynamics: HasField, dtype: torch.dtype = torch.float32) -> FieldJacobian:
+    """Return the Jacobian of the field, computed in `dtype`: in closed form where the structure is known."""
+    field = dynamics.field
+    if has_rows(field):
+        rows = partial(field_rows, cast(GenericHamiltonian, field))
+    elif has_separable_rows(field):
+        rows = partial(separable_rows, cast(SeparableHamiltonian, field))
+    else:
+        return mapped_field_jacobian(dynamics, dtype)
+
+    def jacobian(theta: Tensor, x: Tensor, factors: Tensor | None = None) -> Tensor:
+        flat = x.flatten(0, -2).to(dtype)
+        by = torch.ones_like(flat) if factors is None else factors.flatten(0, -2).to(dtype)
+        return rows(theta.to(dtype), flat, by).unflatten(0, x.shape[:-1])
+
+    return jacobian
+
+
+def mapped_field_jacobian(dynamics: HasField, dtype: torch.dtype = torch.float32) -> FieldJacobian:
+    """Return the Jacobian of any field, by vectorised reverse mode."""
+    half = knows_velocities(dynamics.field)
 
     def learned(x: Tensor) -> Tensor:
         return dynamics.field(x)[..., x.shape[-1] // 2 if half else 0 :]
 
-    field = parametrised(cast(nn.Module, dynamics), learned, torch.float32)
-    single = lambda theta, x: field(theta, x.unsqueeze(0)).squeeze(0)  # noqa: E731
-    rows = vmap(jacrev(single), (None, 0), chunk_size=20_000)
+    rows = mapped_jacobian(cast(nn.Module, dynamics), learned, dtype)
 
-    def jacobian(theta: Tensor, x: Tensor) -> Tensor:
-        found = rows(theta.float(), x.float().flatten(0, -2))
-        zero = x.shape[-1] - found.shape[-2]
-        return nn.functional.pad(found, (0, 0, zero, 0)).unflatten(0, x.shape[:-1])
+    def jacobian(theta: Tensor, x: Tensor, factors: Tensor | None = None) -> Tensor:
+        flat = x.flatten(0, -2)
+        by = torch.ones_like(flat) if factors is None else factors.flatten(0, -2)
+        found = rows(theta, flat, by[:, x.shape[-1] // 2 if half else 0 :])
+        return found.unflatten(0, x.shape[:-1])
+
+    return jacobian
+
+
+def mapped_jacobian(
+    module: nn.Module, function: Callable[[Tensor], Tensor], dtype: torch.dtype = torch.float32
+) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
+    """Return (theta (P,), x (B, D), factors (B, R)) -> factors df/dtheta, (B, R, P), of any function f.
+
+    Args:
+        module: whose parameters theta stands for.
+        function: f, (B, D) -> (B, R), computed with the module.
+        dtype: of the computation.
+    """
+    single = parametrised(module, function, dtype)
+    rows = vmap(
+        jacrev(lambda theta, x: single(theta, x.unsqueeze(0)).squeeze(0)), (None, 0), chunk_size=20_000
+    )
+
+    def jacobian(theta: Tensor, x: Tensor, factors: Tensor) -> Tensor:
+        return rows(theta.to(dtype), x.to(dtype)) * factors.to(dtype).unsqueeze(-1)
+
+    return jacobian
+
+
+def increment_jacobian(dynamics: Dynamics, dtype: torch.dtype = torch.float32) -> IncrementJacobian:
+    """Return the Jacobian of a step, computed in `dtype`: in closed form where the structure is known."""
+    if not (isinstance(dynamics, HamiltonianDynamics) and has_rows(dynamics.field)):
+        return mapped_increment_jacobian(dynamics, dynamics.increment, dtype)
+    field, method = cast(GenericHamiltonian, dynamics.field), dynamics.integrator
+    if not isinstance(method, ExplicitRungeKutta):
+        return mapped_increment_jacobian(dynamics, dynamics.increment, dtype)
+
+    def jacobian(theta: Tensor, x: Tensor, dt: TimeStep) -> tuple[Tensor, Tensor]:
+        h = dt.to(dtype) if isinstance(dt, Tensor) else dt
+        return increment_rows(field, method.tableau, theta.to(dtype), x.to(dtype), h)
+
+    return jacobian
+
+
+def mapped_increment_jacobian(
+    module: nn.Module, increment: Callable[[Tensor, TimeStep], Tensor], dtype: torch.dtype = torch.float32
+) -> IncrementJacobian:
+    """Return the Jacobian of any step, computed with the module, by vectorised reverse mode."""
+    single = parametrised(module, increment, dtype)
+
+    def of_sample(theta: Tensor, x: Tensor, dt: TimeStep) -> Tensor:
+        step = dt.unsqueeze(0) if isinstance(dt, Tensor) else dt
+        return single(theta, x.unsqueeze(0), step).squeeze(0)
+
+    def jacobian(theta: Tensor, x: Tensor, dt: TimeStep) -> tuple[Tensor, Tensor]:
+        own = isinstance(dt, Tensor)
+        rows = vmap(jacrev(of_sample, argnums=(0, 1)), (None, 0, 0 if own else None))
+        return rows(theta.to(dtype), x.to(dtype), dt.to(dtype) if isinstance(dt, Tensor) else dt)
 
     return jacobian
 

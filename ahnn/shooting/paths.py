@@ -92,15 +92,21 @@ def sensitivities(jacobians: Tensor, forcing: Tensor, steps: Steps, first: Tenso
 
     Args:
         jacobians: of the steps, (B, N, D, D).
-        forcing: f_theta, the derivative of the field with respect to the parameters, (B, N + 1, D, P).
+        forcing: f_theta, the derivative of the field with respect to the parameters, (B, N + 1, L, P), of
+            its last L components; it is zero for those before.
         steps: lengths, and which states are wanted.
         first: dx_0/dtheta, (B, D, P); None is zero, the start held fixed.
     """
-    measured, current = set(steps.ends.tolist()), torch.zeros_like(forcing[:, 0]) if first is None else first
-    wanted = [current]
+    rows, size = jacobians.shape[0], jacobians.shape[-1]
+    driven = slice(size - forcing.shape[2], None)
+    current = forcing.new_zeros(rows, size, forcing.shape[-1]) if first is None else first
+    measured, wanted = set(steps.ends.tolist()), [current]
     for k, dt in enumerate(steps.lengths.to(forcing).unbind(1)):
         half = dt[:, None, None] / 2
-        current = jacobians[:, k] @ (current + half * forcing[:, k]) + half * forcing[:, k + 1]
+        kicked = current.clone()
+        kicked[:, driven].addcmul_(half, forcing[:, k])
+        current = jacobians[:, k] @ kicked
+        current[:, driven].addcmul_(half, forcing[:, k + 1])
         if k + 1 in measured:
             wanted.append(current)
     return torch.stack(wanted, dim=1)

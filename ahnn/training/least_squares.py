@@ -1,7 +1,8 @@
 """A batch as a least-squares problem in the parameters of a module: residuals and their Jacobian.
 
-Jacobians come from vectorised reverse mode, one pass per residual of a sample. Recursive predictions carry
-the sensitivity of their state along instead: W steps then cost W passes and not W^2.
+Jacobians are written out where the structure is known, and else come from vectorised reverse mode, one pass
+per residual of a sample. Recursive predictions carry the sensitivity of their state along: W steps then cost
+W passes and not W^2.
 """
 
 from __future__ import annotations
@@ -11,11 +12,20 @@ from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor, nn
-from torch.func import jacrev, vmap
 
-from ahnn.dynamics.derivatives import parametrised
+from ahnn.cores import each, slices
+from ahnn.dynamics import Dynamics
+from ahnn.dynamics.derivatives import (
+    increment_jacobian,
+    mapped_increment_jacobian,
+    mapped_jacobian,
+    parametrised,
+)
 from ahnn.training.normal_equations import Equations, normal_equations
 from ahnn.types import TimeStep, Window
+
+SAMPLES = 1000
+"""Samples whose residuals are computed at once: their layers then stay in a core's cache."""
 
 
 class Problem(Protocol):
@@ -54,7 +64,12 @@ class LeastSquares(NamedTuple):
 
 
 def pointwise_problem(
-    module: nn.Module, residuals: Callable[[Tensor], Tensor], x: Tensor, targets: Tensor, weights: Tensor
+    module: nn.Module,
+    residuals: Callable[[Tensor], Tensor],
+    x: Tensor,
+    targets: Tensor,
+    weights: Tensor,
+    jacobian: Callable[[Tensor, Tensor, Tensor], Tensor] | None = None,
 ) -> LeastSquares:
     """Return the problem of fitting a function of single states.
 
@@ -64,21 +79,16 @@ def pointwise_problem(
         x: where it is compared, (B, D).
         targets: what it is compared with, (B, D).
         weights: of the residuals, (B, D).
+        jacobian: (theta, x, weights) -> (B, D, P) of weighted residuals, where it is known.
     """
-    function = parametrised(module, residuals, x.dtype)
-    single = parametrised(module, residuals, torch.float32)
+    rows = jacobian or mapped_jacobian(module, residuals)
 
-    def of_sample(theta: Tensor, sample: Tensor) -> Tensor:
-        return single(theta, sample.unsqueeze(0)).squeeze(0)
+    def weighted(part: slice) -> Tensor:
+        return (residuals(x[part]) - targets[part]) * weights[part]
 
-    def weighted(theta: Tensor) -> Tensor:
-        return ((function(theta, x) - targets) * weights).flatten()
-
-    def jacobian(theta: Tensor) -> Tensor:
-        rows = vmap(jacrev(of_sample), (None, 0))(theta.float(), x.float())
-        return (rows * weights.float().unsqueeze(-1)).flatten(0, -2)
-
-    return LeastSquares(torch.no_grad()(weighted), jacobian)
+    return LeastSquares(
+        _all_residuals(module, weighted, x), lambda theta: rows(theta, x, weights).flatten(0, 1)
+    )
 
 
 def recursive_problem(
@@ -93,34 +103,46 @@ def recursive_problem(
         weights: of the residuals, (B, W, D).
     """
     function = parametrised(module, increment, batch.start.dtype)
-    single = parametrised(module, increment, torch.float32)
-    own_steps = isinstance(batch.dt, Tensor)
+    if isinstance(module, Dynamics) and increment == module.increment:
+        derivatives = increment_jacobian(module)
+    else:
+        derivatives = mapped_increment_jacobian(module, increment)
 
-    def of_sample(theta: Tensor, sample: Tensor, dt: TimeStep) -> Tensor:
-        step = dt.unsqueeze(0) if isinstance(dt, Tensor) else dt
-        return single(theta, sample.unsqueeze(0), step).squeeze(0)
-
-    def weighted(theta: Tensor) -> Tensor:
-        state, residual, rows = batch.start, torch.zeros_like(batch.start), []
-        for k, target in enumerate(batch.increments.unbind(1)):
-            step = function(theta, state, batch.step(k))
+    def weighted(part: slice) -> Tensor:
+        own, rows = batch.rows(part), []
+        state, residual = own.start, torch.zeros_like(own.start)
+        for k, target in enumerate(own.increments.unbind(1)):
+            step = increment(state, own.step(k))
             state, residual = state + step, residual + (step - target)
             rows.append(residual)
-        return (torch.stack(rows, dim=1) * weights).flatten()
+        return torch.stack(rows, dim=1) * weights[part]
 
     def jacobian(theta: Tensor) -> Tensor:
-        derivatives = vmap(jacrev(of_sample, argnums=(0, 1)), (None, 0, 0 if own_steps else None))
-        state, rows = batch.start, []
+        state, factors = batch.start, weights.float().unsqueeze(-1)
+        one = torch.eye(state.shape[-1], device=state.device)
+        rows = torch.empty(*weights.shape, len(theta), device=state.device)
         sensitivity = torch.zeros(*state.shape, len(theta), device=state.device)
-        for k in range(batch.increments.shape[1]):
-            dt = batch.step(k)
-            of_theta, of_state = derivatives(
-                theta.float(), state.float(), dt.float() if isinstance(dt, Tensor) else dt
-            )
+        for k in range(weights.shape[1]):
+            of_theta, of_state = derivatives(theta, state, batch.step(k))
             with torch.no_grad():
-                sensitivity = sensitivity + of_theta + of_state @ sensitivity
-                rows.append(sensitivity * weights[:, k, :, None].float())
-                state = state + function(theta, state, dt)
-        return torch.stack(rows, dim=1).flatten(0, 2)
+                sensitivity = of_theta.baddbmm_(of_state + one, sensitivity)
+                torch.mul(sensitivity, factors[:, k], out=rows[:, k])
+                state = state + function(theta, state, batch.step(k))
+        return rows.flatten(0, 2)
 
-    return LeastSquares(torch.no_grad()(weighted), jacobian)
+    return LeastSquares(_all_residuals(module, weighted, batch.start), jacobian)
+
+
+def _all_residuals(
+    module: nn.Module, part: Callable[[slice], Tensor], x: Tensor
+) -> Callable[[Tensor], Tensor]:
+    """Return theta -> r, (N,), from a function of some samples, computed with the module.
+
+    Args:
+        module: its parameters are replaced by theta.
+        part: which samples -> their residuals.
+        x: states of all samples, (B, D).
+    """
+    parts = slices(len(x), SAMPLES)
+    function = parametrised(module, lambda: torch.cat(each(part, parts, x.device)), x.dtype)
+    return lambda theta: function(theta).flatten()

@@ -31,6 +31,9 @@ class LevenbergMarquardt(Optimizer):
     and must not raise the loss of windows held back from it by more than `tolerance`: a step that overfits
     its batch would throw the network away.
 
+    On the CPU the products of a step, its residuals and Jacobians run in parts on all cores that the process
+    may use (`ahnn.cores`), beside the threads of single operations.
+
     Args:
         params: the parameters of the module whose residuals are minimised.
         damping: of the first step; it adapts from there.
@@ -59,15 +62,17 @@ class LevenbergMarquardt(Optimizer):
         if not blocks:  # nothing depends on the parameters: another batch may
             return loss / degrees
         group["gradient_norm"] = 2 * gradient_norm(blocks) / degrees  # of the mean square
-        other = 1.0 if held_back is None else held_back.loss(theta)
+        other: Tensor | None = None  # the loss held back, once it is asked for
         for _ in range(ATTEMPTS):
             move = damped_step(blocks, group["damping"], theta)
             if move is None:
                 group["damping"] = min(group["damping"] * 10, LARGEST)
                 continue
             decrease = loss - problem.loss(theta + move)
-            gain = float(decrease / promised_decrease(blocks, move))
-            rise = 0.0 if held_back is None else float(held_back.loss(theta + move) / other) - 1
+            gain, rise = float(decrease / promised_decrease(blocks, move)), 0.0
+            if gain > SUFFICIENT and held_back is not None:
+                other = held_back.loss(theta) if other is None else other
+                rise = float(held_back.loss(theta + move) / other) - 1
             accepted = gain > SUFFICIENT and rise <= group["tolerance"]
             group["damping"] = adapted(group["damping"], gain, rise, accepted)
             if accepted:

@@ -13,6 +13,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.cores import each, slices
+
+PANEL = 160
+"""Columns of a product in J^T J: few enough to waste little above the diagonal, many enough for a BLAS."""
+
 
 class Block(NamedTuple):
     """Normal equations of K parameters.
@@ -76,16 +81,24 @@ def normal_equations(jacobian: Tensor, residuals: Tensor, sizes: Sequence[int]) 
         residuals: r, shape (N,). The blocks are in its precision.
         sizes: of the tensors that the P parameters consist of; a tensor is never split.
     """
-    used = torch.stack([(part != 0).any(-1) for part in jacobian.split(list(sizes), dim=-1)], dim=-1)
+    used = torch.stack([part.any(-1) for part in jacobian.split(list(sizes), dim=-1)], dim=-1)
     columns = torch.arange(jacobian.shape[1], device=jacobian.device).split(list(sizes))
     blocks = []
     for members in independent(used):
         block = torch.cat([part for part, member in zip(columns, members.tolist(), strict=True) if member])
         rows = used[:, members].any(-1)
-        own = jacobian[rows] if len(block) == jacobian.shape[1] else jacobian[rows][:, block]
-        gradient = own.T @ residuals[rows].to(own)
+        own, left = _columns(jacobian, block), residuals
+        if not bool(rows.all()):
+            own, left = own[rows], residuals[rows]
+        gradient = own.T @ left.to(own)
         blocks.append(Block(block, gram(own).to(residuals), gradient.to(residuals)))
     return blocks
+
+
+def _columns(jacobian: Tensor, block: Tensor) -> Tensor:
+    """Return some columns, without a copy where they lie side by side."""
+    first, last = int(block[0]), int(block[-1])
+    return jacobian[:, first : last + 1] if last - first + 1 == len(block) else jacobian[:, block]
 
 
 def independent(used: Tensor) -> Tensor:
@@ -100,15 +113,18 @@ def independent(used: Tensor) -> Tensor:
     return reach[reach.any(-1)].unique(dim=0)
 
 
-def gram(jacobian: Tensor, parts: int = 4) -> Tensor:
-    """Return J^T J, shape (P, P), by its lower triangle of products of parts."""
-    columns = jacobian.tensor_split(parts, dim=-1)
-    lower = [[left.T @ right for right in columns[: i + 1]] for i, left in enumerate(columns)]
-    grid = [
-        torch.cat([lower[i][j] if j <= i else lower[j][i].T for j in range(parts)], dim=1)
-        for i in range(parts)
-    ]
-    return torch.cat(grid)
+def gram(jacobian: Tensor) -> Tensor:
+    """Return J^T J, shape (P, P): products of its lower triangle, panel by panel, and their mirror images."""
+    count = jacobian.shape[1]
+    matrix = jacobian.new_empty(count, count)
+
+    def write(own: slice) -> None:
+        panel = matrix[own, : own.stop]
+        torch.mm(jacobian[:, own].T, jacobian[:, : own.stop], out=panel)
+        matrix[: own.start, own] = panel[:, : own.start].T
+
+    each(write, slices(count, PANEL)[::-1], jacobian.device)  # the largest panels first
+    return matrix
 
 
 def gradient_norm(blocks: Sequence[Block]) -> float:
@@ -124,7 +140,8 @@ def damped_step(blocks: Sequence[Block], damping: float, theta: Tensor) -> Tenso
     step = torch.zeros_like(theta)
     for columns, matrix, gradient in blocks:
         diagonal = matrix.diagonal()
-        damped = matrix + torch.diag(damping * (diagonal + 1e-3 * diagonal.mean()))
+        damped = matrix.clone()
+        damped.diagonal().add_(damping * (diagonal + 1e-3 * diagonal.mean()))
         factor, info = torch.linalg.cholesky_ex(damped)
         if int(info) != 0:
             return None

@@ -13,9 +13,10 @@ from math import factorial
 from typing import Any, Protocol, cast
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from ahnn.dynamics import Dynamics, HasField
+from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.errors import UserError
 from ahnn.extensions import Table
 from ahnn.training.least_squares import LeastSquares, Problem, pointwise_problem, recursive_problem
@@ -112,9 +113,14 @@ class Derivative:
     def problem(self, dynamics: Dynamics, batch: Window) -> LeastSquares:
         """Return the same residuals as a problem in the parameters of the dynamics."""
         middle, target = derivative_samples(batch.first(self.order))
-        field = cast(HasField, dynamics).field
+        field, rows = cast(HasField, dynamics).field, field_jacobian(cast(HasField, dynamics))
         return pointwise_problem(
-            dynamics, lambda x: batch.dt * field(x), middle, target, self.loss.weights(target)
+            dynamics,
+            lambda x: batch.dt * field(x),
+            middle,
+            target,
+            self.loss.weights(target),
+            lambda theta, x, weights: _below_zeros(rows(theta, x, batch.dt * weights), x.shape[-1]),
         )
 
     def divided(self, batch: Window) -> tuple[Window, Window]:
@@ -124,6 +130,11 @@ class Derivative:
     def validation(self, dynamics: Dynamics, batch: Window) -> dict[str, Tensor]:
         """Return the loss."""
         return {"loss": self.loss(self.residuals(dynamics, batch))}
+
+
+def _below_zeros(rows: Tensor, size: int) -> Tensor:
+    """Return rows (B, L, P) below those of the first components, which no parameter moves: (B, size, P)."""
+    return nn.functional.pad(rows, (0, 0, size - rows.shape[1], 0))
 
 
 OBJECTIVES: Table[Callable[..., Objective]] = Table("ahnn.objectives", {"recursive": Recursive})

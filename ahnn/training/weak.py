@@ -42,14 +42,35 @@ class Tests(NamedTuple):
     """Test functions of some segments, times the weights of a rule of integration.
 
     Attributes:
-        values: phi, (B, J, K + 1); B may be 1 for all alike.
-        slopes: phi', (B, J, K + 1).
+        stride: samples between the first ones of neighbouring spans.
+        values: phi over its span of S samples, (B, J, S); B may be 1 for all alike.
+        slopes: phi', (B, J, S).
         whiten: (B, J, J) that makes the noise of the integrals white; 0 for one with a missing sample.
     """
 
+    stride: int
     values: Tensor
     slopes: Tensor
     whiten: Tensor
+
+    def rows(self, part: slice) -> Tests:
+        """Return those of some segments."""
+        if len(self.values) == 1:
+            return self
+        return Tests(self.stride, self.values[part], self.slopes[part], self.whiten[part])
+
+
+def integrated(weights: Tensor, stride: int, samples: Tensor) -> Tensor:
+    """Return the sums over each span of weights (B, J, S) times samples (B, K + 1, M), shape (B, J, M).
+
+    Span j begins with the sample j x stride.
+    """
+    reach = stride * (weights.shape[1] - 1) + 1
+    total = weights[..., :1].to(samples) * samples[:, :reach:stride]
+    for offset in range(1, weights.shape[-1]):
+        of_each = samples[:, offset : offset + reach : stride]
+        total.addcmul_(weights[..., offset, None].to(samples), of_each)
+    return total
 
 
 def bumps(times: Tensor, present: Tensor, width: int) -> Tests:
@@ -62,21 +83,35 @@ def bumps(times: Tensor, present: Tensor, width: int) -> Tests:
     """
     last = times.shape[1] - 1
     width = max(1, min(max(width, NARROWEST), last // 2))
-    begins = torch.arange(0, last - 2 * width + 1, max(1, width // PER_WIDTH))
-    low, high = times[:, begins].unsqueeze(-1), times[:, begins + 2 * width].unsqueeze(-1)
-    half = (high - low) / 2
-    u = ((times.unsqueeze(1) - low) / half - 1).clamp(-1, 1)
-    weights = quadrature(times).unsqueeze(1)
-    bump = 1 - u * u
+    stride = max(1, width // PER_WIDTH)
+    begins = torch.arange(0, last - 2 * width + 1, stride)
+    spans = begins.unsqueeze(-1) + torch.arange(2 * width + 1)
+    of_span = times[:, spans]
+    half = (of_span[..., -1:] - of_span[..., :1]) / 2
+    u = ((of_span - of_span[..., :1]) / half - 1).clamp(-1, 1)
+    weights, bump = quadrature(times)[:, spans], 1 - u * u
     values = weights * bump**POWER
     slopes = weights * (-2 * POWER * u * bump ** (POWER - 1) / half)
-    missing = ((values != 0) & ~present.unsqueeze(1)).any(-1)
-    covariance = slopes @ slopes.mT
+    missing = ((values != 0) & ~present[:, spans]).any(-1)
+    return Tests(stride, values, slopes, whitening(spans, slopes, missing))
+
+
+def whitening(spans: Tensor, slopes: Tensor, missing: Tensor) -> Tensor:
+    """Return W, (B, J, J), so that W sums of independent noise over the spans are independent.
+
+    Args:
+        spans: (J, S) the samples of each sum.
+        slopes: (B, J, S) their weights.
+        missing: (B, J) bool, sums that are not there; their rows and columns are zero.
+    """
+    everywhere = slopes.new_zeros(*slopes.shape[:2], int(spans.max()) + 1)
+    everywhere = everywhere.scatter(-1, spans.expand_as(slopes), slopes)
+    covariance = everywhere @ everywhere.mT
     one = torch.eye(covariance.shape[-1]).to(covariance)
     apart = missing.unsqueeze(-1) | missing.unsqueeze(-2)
     factor = torch.linalg.cholesky(torch.where(apart, one, covariance))
     whiten = torch.linalg.solve_triangular(factor, one.expand_as(factor), upper=False)
-    return Tests(values, slopes, whiten * ~missing.unsqueeze(-2) * ~missing.unsqueeze(-1))
+    return whiten * ~missing.unsqueeze(-2) * ~missing.unsqueeze(-1)
 
 
 def quadrature(times: Tensor) -> Tensor:
@@ -156,14 +191,10 @@ class WeakProblem:
         used = (self.tests.whiten.diagonal(dim1=1, dim2=2) != 0).sum()
         self.count = int(used) * self.values.shape[-1] * (len(self.values) if alike else 1)
 
-    def _of(self, part: slice) -> Tests:
-        alike = len(self.tests.values) == 1
-        return Tests(*(tensor if alike else tensor[part] for tensor in self.tests))
-
     def integrals(self, field: torch.nn.Module, part: slice) -> Tensor:
         """Return the whitened integrals (B, J, D) of some of the segments."""
-        tests, x = self._of(part), self.values[part]
-        sums = tests.values @ field(x) + tests.slopes @ x
+        tests, x = self.tests.rows(part), self.values[part]
+        sums = integrated(tests.values, tests.stride, field(x)) + integrated(tests.slopes, tests.stride, x)
         return tests.whiten @ sums / self.batch.instrument.deviations.to(x)
 
     def _parts(self, numbers: int) -> Iterator[slice]:
@@ -194,9 +225,12 @@ class WeakProblem:
         """Return the residuals of some segments and their Jacobian, float32."""
         plain = self.integrals(field, part)
         weight = self.robust.weight(plain).sqrt()
-        tests, x = self._of(part), self.values[part]
-        forcing = self._forcing(theta, x).flatten(2)  # (B, K + 1, D P)
-        integrated = (tests.whiten @ tests.values).float() @ forcing
-        scale = (weight / self.batch.instrument.deviations.to(weight)).float()
-        jacobian = integrated.unflatten(-1, (x.shape[-1], -1)) * scale.unsqueeze(-1)
-        return Rows(self.robust.cost(plain).sum(), (weight * plain).flatten(), jacobian.flatten(0, 2))
+        tests, x = self.tests.rows(part), self.values[part]
+        forcing = self._forcing(theta, x)  # (B, K + 1, L, P): of the last L components, which parameters move
+        sums = integrated(tests.values, tests.stride, forcing.flatten(2))
+        sums = (tests.whiten.float() @ sums).unflatten(-1, forcing.shape[2:])
+        moved = slice(x.shape[-1] - forcing.shape[2], None)
+        residuals, weight = plain[..., moved], weight[..., moved]
+        scale = (weight / self.batch.instrument.deviations[moved].to(weight)).float()
+        jacobian = sums.mul_(scale.unsqueeze(-1)).flatten(0, 2)
+        return Rows(self.robust.cost(plain).sum(), (weight * residuals).flatten(), jacobian)

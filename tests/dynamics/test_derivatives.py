@@ -30,7 +30,8 @@ def test_the_field_moves_with_its_parameters_as_central_differences_say(structur
     x = torch.randn(3, 5, 4, generator=generator(1), dtype=torch.float64)
     theta = parameters_to_vector(dynamics.parameters()).detach()
     got, step = field_jacobian(dynamics)(theta, x), 1e-5
-    assert got.shape == (3, 5, 4, len(theta))
+    moved = slice(2 if known else 0, 4)
+    assert got.shape == (3, 5, 2 if known else 4, len(theta))
     for k in range(0, len(theta), 7):
         sides = []
         for sign in (1, -1):
@@ -39,5 +40,6 @@ def test_the_field_moves_with_its_parameters_as_central_differences_say(structur
             vector_to_parameters(shifted, dynamics.parameters())
             sides.append(dynamics.field(x.flatten(0, 1)).detach().unflatten(0, (3, 5)))
         expected = (sides[0] - sides[1]) / (2 * step)
-        torch.testing.assert_close(got[..., k].double(), expected, rtol=1e-4, atol=1e-5)
+        assert known is False or not expected[..., :2].any()
+        torch.testing.assert_close(got[..., k].double(), expected[..., moved], rtol=1e-4, atol=1e-5)
     vector_to_parameters(theta, dynamics.parameters())

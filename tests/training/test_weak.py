@@ -14,7 +14,7 @@ from ahnn.shooting.robust import ROBUST
 from ahnn.systems import Molniya
 from ahnn.systems.truth import exact_flow
 from ahnn.training import LevenbergMarquardt
-from ahnn.training.weak import Weak, WeakProblem, bumps, quadrature
+from ahnn.training.weak import Weak, WeakProblem, bumps, integrated, quadrature
 
 
 @torch.no_grad()
@@ -71,7 +71,8 @@ def test_the_integrals_of_an_orbit_are_exact_beside_the_noise():
     times = (60.0 * torch.arange(721, **DOUBLE)).expand(4, -1)
     tests = bumps(times[:1], torch.ones(1, 721, dtype=torch.bool), instrument.width)
     field = torch.cat((system.velocity(truth[..., 3:]), system.force(truth[..., :3])), dim=-1)
-    left = tests.whiten @ (tests.values @ field + tests.slopes @ truth) / deviations
+    sums = integrated(tests.values, tests.stride, field) + integrated(tests.slopes, tests.stride, truth)
+    left = tests.whiten @ sums / deviations
     assert float(left.square().mean()) < 0.01
 
 
@@ -81,7 +82,7 @@ def test_the_noise_of_the_integrals_is_white():
     batch = states(rows=4000)
     noise = batch._replace(values=0.01 * torch.randn(batch.values.shape, generator=generator(4), **DOUBLE))
     tests = bumps(batch.times[:1], torch.ones(1, 301, dtype=torch.bool), 25)
-    integrals = tests.whiten @ (tests.slopes @ noise.values) / 0.01
+    integrals = tests.whiten @ integrated(tests.slopes, tests.stride, noise.values) / 0.01
     flat = integrals[..., 0]
     covariance = flat.T @ flat / len(flat)
     assert float((covariance - torch.eye(len(covariance))).abs().max()) < 0.1

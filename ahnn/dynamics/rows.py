@@ -1,0 +1,77 @@
+"""Jacobians of a perceptron's gradient with respect to its parameters, sample by sample, written out.
+
+The reverse of `gradients` sums over samples. Here each of R rows of each sample keeps its own: in a layer it
+is delta_l (x) along_l + back_l (x) a_{l-1}, two outer products for each evaluation of the gradient, and those
+of all stages of a Runge-Kutta step are one batched product, written to where the rows shall lie.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ahnn.dynamics.gradients import Record
+
+
+class Stage(NamedTuple):
+    """One evaluation of the gradient with R cotangents for each of B samples; F inputs, L layers of H units.
+
+    Attributes:
+        records: of `recorded_gradient`, L of them.
+        along: L + 1 tangents, the cotangents themselves (B, R, F), then behind each layer (B, R, H).
+        back: what returns to each layer, (B, R, H).
+    """
+
+    records: list[Record]
+    along: list[Tensor]
+    back: list[Tensor]
+
+
+def reversed_rows(t: Tensor, records: list[Record], weights: list[Tensor]) -> tuple[Stage, Tensor]:
+    """Return the reverse of g = grad N(z) for all cotangents, and t . dg/dz, shape (B, R, F).
+
+    Args:
+        t: cotangents of g, (B, R, F).
+        records: of `recorded_gradient` at z, (B, F).
+        weights: of the hidden layers.
+    """
+    along, bends = [t], []
+    for weight, record in zip(weights, records, strict=True):
+        tangent = along[-1] @ weight.T
+        bends.append(record.bend.unsqueeze(1) * tangent)
+        along.append(tangent.mul_(record.slope.unsqueeze(1)))
+    back = [bends.pop()]
+    for weight, bend, record in zip(weights[:0:-1], bends[::-1], records[-2::-1], strict=True):
+        back.append(bend.addcmul_(back[-1] @ weight, record.slope.unsqueeze(1)))
+    return Stage(records, along, back[::-1]), back[-1] @ weights[0]
+
+
+def write_rows(stages: list[Stage], out: Tensor) -> None:
+    """Write the sum over the stages of t . dg/dparameters to `out`, (B, R, P), contiguous.
+
+    Columns are in the order of the parameters: weight and bias of each layer, then of the output.
+    """
+    rows, column = out.flatten(0, 1), 0
+    for k in range(len(stages[0].records)):
+        left = _interleaved([s.records[k].delta for s in stages], [s.back[k] for s in stages])
+        right = _interleaved([s.records[k].entered for s in stages], [s.along[k] for s in stages], swap=True)
+        units, inputs = left.shape[-1], right.shape[-1]
+        part = rows[:, column : column + units * inputs].unflatten(1, (units, inputs))
+        torch.bmm(left.mT, right, out=part)
+        column += units * inputs
+        out[..., column : column + units] = sum(s.back[k] for s in stages)
+        column += units
+    last = sum(s.along[-1] for s in stages)
+    out[..., column:-1] = last
+    out[..., -1] = 0.0  # the gradient does not know the constant
+
+
+def _interleaved(shared: list[Tensor], own: list[Tensor], *, swap: bool = False) -> Tensor:
+    """Return factors of outer products, (B R, 2S, H), from S of samples (B, H) and S of rows (B, R, H).
+
+    Those of rows come behind those of samples, or before them with `swap`.
+    """
+    wide = [t.unsqueeze(1).expand_as(own[0]) for t in shared]
+    return torch.stack([*own, *wide] if swap else [*wide, *own], dim=2).flatten(0, 1)

@@ -1,0 +1,135 @@
+"""A step of Levenberg-Marquardt beside its floor, and beside the same step with its Jacobian by reverse mode.
+
+    python benchmarks/bench_second_order.py [repeats]
+
+The floor is the time of the multiply-adds that cannot be spared, as plain matrix products: half of the Gram
+matrix (N P^2 / 2) and the products in the Jacobian in float32, the factor (P^3 / 6) in float64. With one core
+times are CPU time; with two, those of a clock, which mean something on a machine that does nothing else.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from statistics import median
+
+import torch
+from timing import Row, Work, in_turn, ratio, settle
+
+import ahnn.dynamics.derivatives as derivatives
+from ahnn.dynamics import HamiltonianDynamics
+from ahnn.training import Derivative, LevenbergMarquardt, Loss, LossOptions, Objective, Problem, Recursive
+from ahnn.types import Window
+
+TASKS = {"generic orbit, 2x40": (3, 40, 5000), "spring, 2x24": (1, 24, 7500)}
+"""Degrees of freedom, width and batch of the recipes `eccentric` and `second_order_long`."""
+WARM = 6
+"""Steps before the one that is measured."""
+DT, WINDOW, ORDER, STAGES = 0.05, 5, 12, 4
+
+
+def dynamics(dof: int, width: int) -> HamiltonianDynamics:
+    """Return a generic Hamiltonian in double precision through rk4."""
+    torch.manual_seed(0)
+    network = {"width": width, "depth": 2, "activation": "tanh"}
+    options = {"hamiltonian": "generic", "inertia": 1.0, "mu": None, "inputs": "cartesian"}
+    options |= {"scaling": "block", "network": network, "integrator": {"name": "rk4"}}
+    return HamiltonianDynamics(dof, **options).double()  # pyright: ignore[reportArgumentType]
+
+
+def oscillations(dof: int, batch: int) -> Window:
+    """Return windows of oscillators with exact increments."""
+    generator = torch.Generator().manual_seed(1)
+    q, p = torch.randn(2, batch, 1, dof, generator=generator, dtype=torch.float64)
+    w = torch.linspace(1, 1.3, dof, dtype=torch.float64)
+    turn = DT * torch.arange(ORDER + 1, dtype=torch.float64)[:, None] * w
+    x = torch.cat((q * turn.cos() + p / w * turn.sin(), p * turn.cos() - q * w * turn.sin()), dim=-1)
+    return Window(x[:, 0], x.diff(dim=1), DT)
+
+
+def step(objective: Objective, own: HamiltonianDynamics, batch: Window, *, known: bool) -> Work:
+    """Return work: one step, always from the same weights, with either way to its Jacobian."""
+    parts, closed = objective.divided(batch), derivatives.has_rows
+
+    def problems() -> tuple[Problem, Problem]:  # as the stepper makes them
+        return objective.problem(own, parts[0]), objective.problem(own, parts[1])
+
+    begun = LevenbergMarquardt(own.parameters())
+    for _ in range(WARM):
+        begun.step(problems)
+    damping = 3 * begun.param_groups[0]["damping"]  # a step that is taken at once, as nearly all are
+    state = {name: value.clone() for name, value in own.state_dict().items()}
+
+    def work() -> None:
+        own.load_state_dict(state)
+        derivatives.has_rows = closed if known else lambda _: False
+        optimizer = LevenbergMarquardt(own.parameters(), damping=damping)
+        optimizer.step(problems)
+        derivatives.has_rows = closed
+        assert optimizer.param_groups[0]["damping"] < 4 * damping, "the step was not taken at once"
+
+    return work
+
+
+def floor(rows: int, count: int, inputs: int, width: int, stages: int, threads: int) -> Work:
+    """Return the matrix products of a step with so many residuals and parameters."""
+    jacobian, half = torch.randn(rows, count), torch.randn(rows, count // 2)
+    narrow, wide = (torch.randn(count // 6, count, dtype=torch.float64) for _ in range(2))
+    layer, units = torch.randn(rows, width), torch.randn(width, width)
+    # Two outer products, and up and down through the layers, in each stage.
+    passes = round(stages * (2 * count + 2 * width * (inputs + width)) / width**2)
+
+    def work() -> None:
+        torch.set_num_threads(threads)
+        torch.mm(half.T, jacobian)
+        torch.mm(wide.T, narrow)
+        for _ in range(passes):
+            torch.mm(layer, units)
+        torch.set_num_threads(1)
+
+    return work
+
+
+def measured(repeats: int, threads: int) -> list[Row]:
+    """Return a row for each task and objective."""
+    os.environ["OMP_NUM_THREADS"] = str(threads)
+    clock = time.process_time if threads == 1 else time.perf_counter
+    rows = []
+    for task, (dof, width, size) in TASKS.items():
+        batch = oscillations(dof, size)
+        loss = Loss(2 * dof, LossOptions())
+        loss.unit.copy_(batch.increments.flatten(0, 1).square().mean(0).sqrt())
+        count = sum(p.numel() for p in dynamics(dof, width).parameters())
+        for name, objective, stages in (
+            ("derivatives", Derivative(loss, ORDER), 1),
+            (f"window {WINDOW}", Recursive(loss, WINDOW), STAGES),
+        ):
+            products = floor(size // 5 * 2 * dof, count, 2 * dof, width, stages, threads)
+            works = {
+                "ahnn": step(objective, dynamics(dof, width), batch, known=True),
+                "reverse mode": step(objective, dynamics(dof, width), batch, known=False),
+            }
+            cores = "1 core" if threads == 1 else f"{threads} cores"
+            rows.append(in_turn(f"{task}, {name}, {cores}", works, repeats, products, clock))
+    return rows
+
+
+def main() -> None:
+    """Measure and print a table."""
+    repeats = int(sys.argv[1]) if len(sys.argv) > 1 else 7
+    settle()
+    print("| one step [ms] | ahnn | floor | ahnn / floor | ahnn / reverse mode |\n|---|--:|--:|--:|--:|")
+    for threads in (1, 2):
+        for name, times, base in measured(repeats, threads):
+            own, other = times["ahnn"], times["reverse mode"]
+            cells = (
+                f"{1e3 * median(own):.4g}",
+                f"{1e3 * median(base or []):.3g}",
+                f"{ratio(own, base or []):.2f}",
+            )
+            print(f"| {name} | {' | '.join(cells)} | {ratio(own, other):.2f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,58 @@
+"""The Jacobian of a separable Hamiltonian's field in closed form is that of vectorised reverse mode."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from helpers import close, generator
+from torch.nn.utils import parameters_to_vector
+
+from ahnn.dynamics import HamiltonianDynamics, separable_rows
+from ahnn.dynamics.derivatives import field_jacobian, mapped_field_jacobian
+from ahnn.dynamics.separable_rows import has_separable_rows
+
+WIDE = torch.float64
+
+
+@pytest.mark.parametrize("inputs", ["cartesian", "isotropic", "radial"])
+@pytest.mark.parametrize(
+    ("structure", "mu", "rows"),
+    [("separable", None, 4), ("mechanical", None, 2), ("central_body", None, 2), ("central_body", 1.3, 2)],
+)
+def test_rows_of_a_separable_field(monkeypatch, structure, mu, rows, inputs):
+    monkeypatch.setattr(separable_rows, "SAMPLES", 4)
+    torch.manual_seed(0)
+    own = HamiltonianDynamics(
+        2,
+        hamiltonian=structure,
+        inertia=2.0,
+        mu=mu,
+        inputs=inputs,
+        scaling="block",
+        network={"width": 5, "depth": 2, "activation": "gelu"},
+        integrator={"name": "rk4"},
+    ).double()
+    for name, buffer in own.named_buffers():
+        if name.endswith(("unit", "spread", "scale")):
+            buffer.copy_(torch.rand(buffer.shape, generator=generator(3), dtype=WIDE) + 0.5)
+    assert has_separable_rows(own.field)
+    theta = parameters_to_vector(own.parameters()).detach()
+    x = torch.randn(7, 3, 4, generator=generator(1), dtype=WIDE)
+    factors = torch.rand(7, 3, 4, generator=generator(2), dtype=WIDE) + 0.5
+    found = field_jacobian(own, WIDE)(theta, x, factors)
+    assert found.shape == (7, 3, rows, len(theta))
+    close(found, mapped_field_jacobian(own, WIDE)(theta, x, factors), 1e-12)
+
+
+def test_an_energy_of_another_kind_has_none():
+    own = HamiltonianDynamics(
+        2,
+        hamiltonian="generic",
+        inertia=1.0,
+        mu=None,
+        inputs="cartesian",
+        scaling="none",
+        network={"width": 4, "depth": 1},
+        integrator={"name": "rk4"},
+    )
+    assert not has_separable_rows(own.field)
