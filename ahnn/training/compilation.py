@@ -52,7 +52,7 @@ def compiled(traced: Traced, cache: Path) -> Program:
     known = record(traced, cache)
     began = time.perf_counter()
     with kept_in(place(cache)), torch.no_grad(), config.patch(settings):
-        made = standalone_compile(traced.graph, traced.arguments, dynamic_shapes="from_example_inputs")
+        made = standalone_compile(traced.graph, [*traced.arguments], dynamic_shapes="from_example_inputs")
     if not known.exists():
         seconds = time.perf_counter() - began
         write_atomically(known, json.dumps(seconds / len(traced.graph.graph.nodes)).encode())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 from ahnn.data.datamodule import WindowDataModule
 from ahnn.errors import UserError
@@ -15,6 +15,7 @@ from ahnn.training.compiled import Compiled
 from ahnn.training.objectives import Derivative, Objective, Recursive
 from ahnn.training.outlook import step_seconds
 from ahnn.training.tracing import Compared, traced
+from ahnn.types import Window
 
 log = logging.getLogger(__name__)
 
@@ -99,5 +100,5 @@ def _pays_back(trainer: Any, data: WindowDataModule, model: Any, cache: Path) ->
 def _price(model: Any, data: WindowDataModule, objective: Objective, cache: Path) -> float:
     """Return about how long the compilation for an objective takes."""
     loader = data.train_dataloader()
-    batch = loader.gather(loader.batches()[0])
+    batch = cast(Window, loader.gather(loader.batches()[0]))
     return price(traced(Compared(objective, model.loss, model.dynamics), batch), cache)

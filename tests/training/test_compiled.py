@@ -50,7 +50,7 @@ def gradients(stepper, objective, loss, dynamics, batch):
     return value, [p.grad for p in dynamics.parameters()]
 
 
-def interpreted(graph, cache):
+def interpreted(graph, _cache):
     """In place of a compilation: the graph itself."""
     return Program(graph.graph, graph.touched)
 
@@ -81,7 +81,8 @@ DYNAMICS = {
 @pytest.mark.parametrize(
     ("name", "uneven"), [*((name, False) for name in DYNAMICS), ("written out, gelu", True)]
 )
-def test_the_traced_step_is_that_of_autograd(name, uneven, uncompiled, tmp_path):
+@pytest.mark.usefixtures("uncompiled")
+def test_the_traced_step_is_that_of_autograd(name, uneven, tmp_path):
     dynamics, loss = hamiltonian(torch.float64, **DYNAMICS[name]), Loss(4, LossOptions(delta=0.5)).double()
     stepper, objective = Compiled(6, tmp_path), Recursive(loss, 2)
     batch = windows(torch.float64, uneven=uneven)
@@ -94,7 +95,8 @@ def test_the_traced_step_is_that_of_autograd(name, uneven, uncompiled, tmp_path)
     assert not stepper.failed
 
 
-def test_other_dynamics_and_objectives(uncompiled, tmp_path):
+@pytest.mark.usefixtures("uncompiled")
+def test_other_dynamics_and_objectives(tmp_path):
     loss = Loss(4, LossOptions(balance=0.5)).double()
     network = {"width": 8, "depth": 2, "activation": "silu"}
     node = make_dynamics(
@@ -106,7 +108,8 @@ def test_other_dynamics_and_objectives(uncompiled, tmp_path):
     assert len(stepper.programs) == 2
 
 
-def test_batches_of_another_size_are_left_to_autograd(uncompiled, tmp_path):
+@pytest.mark.usefixtures("uncompiled")
+def test_batches_of_another_size_are_left_to_autograd(tmp_path):
     dynamics, loss = hamiltonian(torch.float64), Loss(4, LossOptions()).double()
     stepper = Compiled(7, tmp_path)
     assert_agree(stepper, Recursive(loss, 2), loss, dynamics, windows(torch.float64), 0.0)
@@ -190,8 +193,9 @@ def test_auto_compiles_where_it_pays_back(monkeypatch):
     assert announced(0.0, monkeypatch) == (False, [])  # a short training tries and says nothing
 
 
-def test_a_cut_training_ends_with_the_same_bits(uncompiled, monkeypatch, tmp_path):
-    """Under auto, the default, the resumed training takes compiled steps since the first did, though it pays back no more."""
+@pytest.mark.usefixtures("uncompiled")
+def test_a_cut_training_ends_with_the_same_bits(monkeypatch, tmp_path):
+    """Under auto a resumed training takes compiled steps as the first did, though they pay back no more."""
     monkeypatch.setattr("ahnn.train.judge", lambda *_, **__: 0.0)
     steps = []
     monkeypatch.setattr(Compiled, "_program", counting(Compiled._program, steps))
@@ -218,7 +222,8 @@ def counting(function, calls):
     return counted
 
 
-def test_another_setting_is_another_training(uncompiled, monkeypatch, tmp_path, capfd):
+@pytest.mark.usefixtures("uncompiled")
+def test_another_setting_is_another_training(monkeypatch, tmp_path, capfd):
     monkeypatch.setattr("ahnn.train.judge", lambda *_, **__: 0.0)
     options = [*FIRST, f"run={tmp_path / 'run'}", "trainer.max_epochs=1"]
     assert call("ahnn.train", *options, "compile=true") == 0
