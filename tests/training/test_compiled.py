@@ -235,7 +235,7 @@ REFUSED = {
     "compile=true": "optimizer: expected one that takes gradients with compile=true",
     "compile=true recipe=first_order integrator=gl4": "integrator: expected an explicit method with compile",
     "compile=maybe": "compile: expected auto or bool; received 'maybe'",
-    "compile=true recipe=measurements data.noise=0.01 optimizer=adamw": "loss: expected recursive predictions",
+    "compile=true recipe=measurements data.noise=0.01 optimizer=adamw": "loss: expected recursive",
 }
 
 
