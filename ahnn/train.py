@@ -108,7 +108,7 @@ def prepare(cfg: DictConfig, source: Source | None = None) -> Parts:
     model = build_model(cfg, data)
     plugins = build_plugins(cfg, data.splits)
     trainer = build_trainer(cfg)
-    check_together(trainer, model)
+    check_together(cfg, trainer, model)
     checkpoint = resume_point(cfg.ckpt, model, trainer, Path(cfg.folder) / "checkpoints")
     return Parts(data, model, plugins, trainer, checkpoint)
 
@@ -153,6 +153,7 @@ def fit(
 ) -> float:
     """Train and return the seconds that it took."""
     from ahnn.checkpoints import read_checkpoint
+    from ahnn.cli.compiling import choose_steps
     from ahnn.cli.stops import interruptible
     from ahnn.files import write_atomically
     from ahnn.uncertainty import find_domain
@@ -163,6 +164,7 @@ def fit(
     model.about["dt"] = statistics.dt
     if cfg.weights is not None and checkpoint is None:
         begin_at(model, cfg.weights)
+    choose_steps(cfg, trainer, data, model, checkpoint)
     model.about["domain"] = find_domain(model.dynamics.frozen(), data.examples()).about()
     if trainer.is_global_zero:
         write_atomically(folder / "config.yaml", stored(cfg))

@@ -41,7 +41,8 @@ ahnn is faster. The floor is the time that the multiply-adds of the network take
 All follow a generic Hamiltonian network of three degrees of freedom by Runge-Kutta steps of order four. A
 training step is the Huber loss of the recursive predictions over a window, its gradient and AdamW, in
 float32, without Lightning; the optimiser of ahnn is fused, as `recipe=first_order` has it, that of the
-peers in PyTorch is the default one.
+peers in PyTorch is the default one. Compiled is the same step with `compile=true`; its compilation is not
+counted either.
 """
 
 
@@ -58,6 +59,8 @@ def cpu() -> str:
 def table(rows: list[Row], what: str) -> str:
     """Return rows as a Markdown table."""
     heads = [f"{what} [ms]", "ahnn", "floor", "ahnn / floor", *(f"ahnn / {peer}" for peer in PEERS)]
+    compiled = any("compiled" in row.times for row in rows)
+    heads += ["compiled", "compiled / JAX"] if compiled else []
     lines = ["| " + " | ".join(heads) + " |", "|---" + "|--:" * (len(heads) - 1) + "|"]
     for row in rows:
         own, floor = row.times["ahnn"], row.floor
@@ -65,6 +68,9 @@ def table(rows: list[Row], what: str) -> str:
         times = (f"{1e3 * median(own):.4g}", f"{1e3 * median(floor):.3g}")
         cells = [row.name, *times, f"{ratio(own, floor):.1f}"]
         cells += [f"{ratio(own, row.times[peer]):.2f}" if peer in row.times else "" for peer in PEERS]
+        if compiled:
+            made, jax = row.times["compiled"], row.times.get("JAX")
+            cells += [f"{1e3 * median(made):.4g}", f"{ratio(made, jax):.2f}" if jax else ""]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
@@ -77,13 +83,13 @@ def picture(rows: list[Row], path: Path) -> None:
     from matplotlib import pyplot as plt
 
     figure, axes = plt.subplots(figsize=(8, 0.75 * len(rows) + 1.2), layout="constrained")
-    names = ("ahnn", *(peer for peer in PEERS if any(peer in row.times for row in rows)))
+    names = ("ahnn", *(who for who in ("compiled", *PEERS) if any(who in row.times for row in rows)))
     for k, who in enumerate(names):
-        places = [i + 0.2 * k for i, row in enumerate(rows) if who in row.times]
+        places = [i + 0.18 * k for i, row in enumerate(rows) if who in row.times]
         lengths = [ratio(row.times[who], row.floor or []) for row in rows if who in row.times]
-        axes.barh(places, lengths, height=0.18, label=who)
+        axes.barh(places, lengths, height=0.16, label=who)
     axes.axvline(1.0, color="black", linewidth=1, linestyle="--", label="floor: matrix products alone")
-    axes.set_yticks([i + 0.1 * (len(names) - 1) for i in range(len(rows))], [row.name for row in rows])
+    axes.set_yticks([i + 0.09 * (len(names) - 1) for i in range(len(rows))], [row.name for row in rows])
     axes.invert_yaxis()
     axes.set_xlabel("CPU time / floor")
     axes.legend()

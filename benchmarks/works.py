@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
+from pathlib import Path
 
 import torch
 import torch_peer
@@ -12,12 +14,14 @@ from torch import Tensor
 
 from ahnn.dynamics import HamiltonianDynamics
 from ahnn.rollouts import rollout
-from ahnn.training import LossOptions
+from ahnn.training import FirstOrder, LossOptions, Stepper
+from ahnn.training.compiled import Compiled
 from ahnn.training.loss import Loss
 from ahnn.training.objectives import Recursive
 from ahnn.types import Window
 
 SIZE, DT, STAGES = 6, 0.05, 4
+CACHE = Path(os.environ.get("AHNN_CACHE", "~/.cache/ahnn"))
 NEEDS = {"torchdiffeq": ("torchdiffeq",), "JAX": ("jax", "equinox", "optax")}
 """Packages that a peer is made of."""
 TRAINING = (
@@ -57,17 +61,19 @@ def dynamics(width: int, depth: int, activation: str) -> HamiltonianDynamics:
     return HamiltonianDynamics(3, network=network, integrator={"name": "rk4"}, **options)  # pyright: ignore[reportArgumentType]
 
 
-def own_step(width: int, depth: int, activation: str, batch: Window, steps: int) -> Work:
+def own_step(
+    width: int, depth: int, activation: str, batch: Window, steps: int, stepper: Stepper | None = None
+) -> Work:
     """Return work: optimiser steps of ahnn, as `recipe=first_order` takes them, without Lightning."""
     learned = dynamics(width, depth, activation)
     loss = Loss(SIZE, LossOptions())
-    objective = Recursive(loss, batch.increments.shape[1])
+    objective, stepper = Recursive(loss, batch.increments.shape[1]), stepper or FirstOrder()
     optimizer = torch.optim.AdamW(learned.parameters(), lr=1e-3, fused=True)
 
     def work() -> None:
         for _ in range(steps):
             optimizer.zero_grad()
-            loss(objective.residuals(learned, batch)).backward()
+            stepper.step(objective, loss, learned, batch, optimizer).backward()
             optimizer.step()
 
     return work
@@ -80,7 +86,8 @@ def training(repeats: int) -> Iterator[Row]:
         start = torch.randn(batch, SIZE, generator=generator)
         targets = 0.01 * torch.randn(batch, window, SIZE, generator=generator)
         steps = max(1, 10 * 256 // (batch * window))
-        works = {"ahnn": own_step(width, depth, activation, Window(start, targets, DT), steps)}
+        own = width, depth, activation, Window(start, targets, DT), steps
+        works = {"ahnn": own_step(*own), "compiled": own_step(*own, Compiled(batch, CACHE))}
         for peer, follow in torch_peers():
             net = torch_peer.network(width, depth, activation, SIZE)
             works[peer] = torch_peer.training_step(net, follow, start, targets, DT, steps)

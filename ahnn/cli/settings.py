@@ -31,6 +31,7 @@ class Settings(Again):
     weights: str | None
     folder: str
     seeds: list[Seed] | None = None
+    compile: Literal["auto"] | bool = "auto"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -57,6 +57,7 @@ class AbstractModel(LightningModule, ABC):
         self.dof, self.window = dof, window
         self.stepper: Stepper = FirstOrder()
         self.optimisation: Optimisation | None = None
+        self.compiled: Stepper | None = None  # in place of the stepper of optimisers that take gradients
         self.about: dict[str, Any] = {}
 
     @property
@@ -84,12 +85,17 @@ class AbstractModel(LightningModule, ABC):
         """Return optimiser and per-epoch scheduler for Lightning."""
         assert self.optimisation is not None, "set `optimisation` before fit"
         optimizer = self.optimisation.optimizer(self.dynamics.parameters())
-        self.stepper = stepper_of(optimizer)
+        self.stepper = self.stepper_for(optimizer)
         self.automatic_optimization = self.stepper.automatic
         if self.optimisation.scheduler is None or not self.automatic_optimization:
             return optimizer
         scheduler = self.optimisation.scheduler(optimizer)
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": scheduler, "interval": "epoch"}}
+
+    def stepper_for(self, optimizer: Optimizer) -> Stepper:
+        """Return how an optimiser is asked for a step."""
+        own = stepper_of(optimizer)
+        return self.compiled if self.compiled is not None and isinstance(own, FirstOrder) else own
 
     def check(self, trainer: Trainer) -> None:
         """Try optimiser and scheduler before anything is generated, and let the stepper look at the trainer.

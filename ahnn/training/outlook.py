@@ -12,7 +12,6 @@ import torch
 
 from ahnn.data.datamodule import WindowDataModule
 from ahnn.training.objectives import Objective
-from ahnn.training.steppers import stepper_of
 
 TRIALS = 3
 """Steps that are timed."""
@@ -38,7 +37,7 @@ def expected_seconds(
     for epoch in epochs:
         objective = model.curriculum.at(epoch, epochs.stop)
         if objective not in of_step:
-            of_step[objective] = _step_seconds(model, data, objective)
+            of_step[objective] = step_seconds(model, data, objective)
         total += per_epoch * of_step[objective] + validation
     return total
 
@@ -50,7 +49,7 @@ def _on_measurements(model: Any, data: WindowDataModule, per_epoch: int, epochs:
     """
     objective = model.curriculum.at(0, epochs.stop)
     loader = data.train_dataloader()
-    each = _step_seconds(model, data, objective) / next(iter(loader)).times.numel()
+    each = step_seconds(model, data, objective) / next(iter(loader)).times.numel()
     total = len(epochs) * next(iter(data.val_dataloader())).times.numel()
     total += (model.curriculum.closing + 1) * data.trajectories("train").times.numel()
     for epoch in epochs:
@@ -67,11 +66,11 @@ def _validation_seconds(model: Any, data: WindowDataModule) -> float:
         return len(batches) * _median(lambda: model.curriculum.judge.validation(model.dynamics, first))
 
 
-def _step_seconds(model: Any, data: WindowDataModule, objective: Objective) -> float:
+def step_seconds(model: Any, data: WindowDataModule, objective: Objective) -> float:
     """Return the median time of an optimiser step on fresh batches, taken by a copy of the dynamics."""
     dynamics = copy.deepcopy(model.dynamics)
     optimizer = model.optimisation.optimizer(dynamics.parameters())
-    stepper = stepper_of(optimizer)
+    stepper = model.stepper_for(optimizer)
     loader = data.train_dataloader()
     draws = itertools.cycle(loader.batches()[: TRIALS + 1])
 

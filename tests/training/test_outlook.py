@@ -41,7 +41,7 @@ class Data:
 @pytest.mark.parametrize(("closing", "whole"), [(0, 1), (3, 4)])
 def test_last_steps_and_the_covariance_count_by_all_measurements(closing, whole, monkeypatch):
     """A step of 10 takes 1 s: three of 10 and three of 40, two validations, and passes over all of them."""
-    monkeypatch.setattr(outlook, "_step_seconds", lambda *_: 1.0)
+    monkeypatch.setattr(outlook, "step_seconds", lambda *_: 1.0)
     curriculum = SimpleNamespace(at=lambda *_: None, closing=closing)
     model, trainer = SimpleNamespace(curriculum=curriculum), SimpleNamespace(callbacks=[])
     seconds = outlook.expected_seconds(trainer, Data(), model, 3, range(2))  # pyright: ignore

@@ -1,0 +1,90 @@
+"""Optimiser steps whose loss and gradient are one compiled function.
+
+Autograd then has one node between parameters and loss, and nothing is dispatched operation by operation.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any, cast
+
+from torch import Tensor, nn
+from torch.autograd import Function
+
+from ahnn.dynamics import Dynamics
+from ahnn.training.compilation import Program, compiled
+from ahnn.training.objectives import Objective
+from ahnn.training.steppers import FirstOrder
+from ahnn.training.tracing import Compared, tensors, traced
+from ahnn.types import Window
+
+log = logging.getLogger(__name__)
+
+
+class Compiled(FirstOrder):
+    """Steps by the gradient of a compiled loss; batches of another size, and failures, are left to autograd.
+
+    Args:
+        batch_size: of the batches that are worth a compilation, all but the last of an epoch.
+        cache: folder of generated data, in which compiled code is kept.
+    """
+
+    def __init__(self, batch_size: int, cache: Path) -> None:
+        self.batch_size, self.cache = batch_size, cache
+        self.programs: dict[Any, Program] = {}
+        self.failed = False
+
+    def step(
+        self, objective: Objective, loss: nn.Module, dynamics: Dynamics, batch: Any, optimizer: Any
+    ) -> Tensor:
+        """Return the loss of the batch, with a graph of one node."""
+        compared = Compared(objective, loss, dynamics)
+        program = None
+        if not self.failed and len(batch.start) == self.batch_size:
+            program = self._program(_key(objective, batch), compared, batch)
+        if program is None:
+            return super().step(objective, loss, dynamics, batch, optimizer)
+        parameters = list(compared.parameters())
+        found = _Known.apply(program, [*tensors(batch), *parameters, *compared.buffers()], *parameters)
+        value = cast(Tensor, found)
+        return value if batch.weight == 1 else value * batch.weight
+
+    def _program(self, key: Any, compared: nn.Module, batch: Window) -> Program | None:
+        """Return the compiled loss of such batches; None, with a warning, where it cannot be had."""
+        if key not in self.programs:
+            try:
+                self.programs[key] = compiled(traced(compared, batch), self.cache)
+            except Exception as error:  # a missing compiler, or what a compiler makes of the graph
+                self.failed = True
+                log.warning(
+                    "compile: expected optimiser steps that can be compiled; received %s (%s). The training "
+                    "goes on without; install g++, or set compile=false",
+                    type(error).__name__,
+                    " ".join(str(error).split())[:200],
+                )
+        return self.programs.get(key)
+
+
+class _Known(Function):
+    """A loss whose gradients come with it."""
+
+    @staticmethod
+    def forward(ctx: Any, program: Program, inputs: list[Tensor], *parameters: Tensor) -> Tensor:
+        del parameters
+        value, *gradients = program.call(*inputs)
+        found = iter(gradients)
+        ctx.gradients = [next(found) if touched else None for touched in program.touched]
+        return value
+
+    @staticmethod
+    def backward(ctx: Any, *cotangents: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        by = float(cotangents[0])
+        scaled = (g if g is None or by == 1 else g * by for g in ctx.gradients)
+        return None, None, *scaled
+
+
+def _key(objective: Objective, batch: Window) -> Any:
+    """Return what a compiled function depends on besides the model."""
+    dt = None if isinstance(batch.dt, Tensor) else batch.dt
+    return objective, batch.start.shape, batch.increments.shape, batch.start.dtype, dt

@@ -1,0 +1,104 @@
+"""Whether a training compiles its optimiser steps: what it needs for that, and whether it pays back."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from pathlib import Path
+from typing import Any, Literal, cast
+
+from ahnn.data.datamodule import WindowDataModule
+from ahnn.errors import UserError
+from ahnn.integrators import GaussLegendre4
+from ahnn.training.compilation import price
+from ahnn.training.compiled import Compiled
+from ahnn.training.objectives import Derivative, Objective, Recursive
+from ahnn.training.outlook import step_seconds
+from ahnn.training.tracing import Compared, traced
+from ahnn.types import Window
+
+log = logging.getLogger(__name__)
+
+SAVED = 0.4
+"""Part of an optimiser step that compiled code saves, at least (docs/benchmarks.md)."""
+WORTH = 60.0
+"""Seconds below which nothing is tried: the compiler's modules alone take some to load."""
+
+
+def require_compilable(trainer: Any, model: Any) -> None:
+    """Refuse a training whose steps cannot be compiled.
+
+    Raises:
+        UserError: names the setting and its remedy.
+    """
+    for name, fits, expected, received in _conditions(trainer, model):
+        if not fits:
+            message = f"{name}: expected {expected} with compile=true; received {received}. Set compile=auto"
+            raise UserError(message)
+
+
+def _conditions(trainer: Any, model: Any) -> list[tuple[str, bool, str, Any]]:
+    """Return setting, whether it fits, what would, and what it is."""
+    dynamics, device = model.dynamics, trainer.strategy.root_device.type
+    integrator = getattr(dynamics, "integrator", None)
+    fixed = _is_own(dynamics) and (integrator is None or _is_own(integrator))
+    objectives = [type(phase.objective) for phase in model.curriculum.phases]
+    known = all(kind in (Recursive, Derivative) for kind in objectives)
+    return [
+        ("optimizer", model.automatic_optimization, "one that takes gradients", "levenberg_marquardt"),
+        ("loss", known, "recursive predictions or derivatives", ", ".join(k.__name__ for k in objectives)),
+        ("model", fixed, "dynamics of ahnn, whose operations are always the same,", type(dynamics).__name__),
+        ("integrator", not isinstance(integrator, GaussLegendre4), "an explicit method", "gl4"),
+        ("trainer.accelerator", device == "cpu", "cpu", device),
+        ("trainer.devices", trainer.world_size == 1, "one", trainer.world_size),
+        ("trainer.precision", trainer.precision == "32-true", "its default", trainer.precision),
+    ]
+
+
+def _is_own(part: object) -> bool:
+    return type(part).__module__.startswith("ahnn.")
+
+
+def choose(
+    asked: Literal["auto"] | bool, trainer: Any, data: WindowDataModule, model: Any, cache: Path
+) -> None:
+    """Let a model compile its optimiser steps, if that is asked for or pays back within the training.
+
+    Args:
+        asked: auto, or what holds.
+        trainer: of the training.
+        data: of the training.
+        model: calibrated.
+        cache: folder of generated data, in which compiled code is kept.
+    """
+    if asked is True or (asked == "auto" and _pays_back(trainer, data, model, cache)):
+        model.compiled = Compiled(len(data.train_dataloader().batches()[0]), cache)
+    model.about["compiled"] = model.compiled is not None
+
+
+def _pays_back(trainer: Any, data: WindowDataModule, model: Any, cache: Path) -> bool:
+    """Return whether compiled steps save more time than their compilation takes, and say so."""
+    if not all(fits for _, fits, *_ in _conditions(trainer, model)):
+        return False
+    per_epoch = len(data.train_dataloader())
+    epochs = int(trainer.max_epochs or 1)
+    counts = Counter(model.curriculum.at(epoch, epochs) for epoch in range(epochs))
+    total = sum(n * per_epoch * step_seconds(model, data, objective) for objective, n in counts.items())
+    if total * SAVED < WORTH:
+        return False
+    cost = sum(_price(model, data, objective, cache) for objective in counts)
+    pays = cost < total * SAVED
+    log.info(
+        "compile: auto %s the optimiser steps: about %.0f s of compilation, about %.0f s saved",
+        "compiles" if pays else "does not compile",
+        cost,
+        total * SAVED,
+    )
+    return pays
+
+
+def _price(model: Any, data: WindowDataModule, objective: Objective, cache: Path) -> float:
+    """Return about how long the compilation for an objective takes."""
+    loader = data.train_dataloader()
+    batch = cast(Window, loader.gather(loader.batches()[0]))
+    return price(traced(Compared(objective, model.loss, model.dynamics), batch), cache)
