@@ -53,7 +53,7 @@ def parametrised(
 FieldJacobian = Callable[..., Tensor]
 """(theta (P,), x (..., D), factors (..., D) or none) -> factors df/dtheta, shape (..., L, P).
 
-They are the last L components of the field f, those that theta moves: all, or dp/dt alone where dq/dt is known.
+They are the last L components of the field f, which theta moves: all, or dp/dt alone where dq/dt is known.
 """
 IncrementJacobian = Callable[[Tensor, Tensor, TimeStep], tuple[Tensor, Tensor]]
 """(theta (P,), x (B, D), dt) -> derivatives (B, D, P) and (B, D, D) of the increment by theta and by x."""

@@ -1,4 +1,4 @@
-"""Jacobian of the field of H = T(p) + V(q) in closed form: of dp/dt = -dV/dq, and of dq/dt where T is learned."""
+"""Jacobian of the field of H = T(p) + V(q) in closed form: of dp/dt, and of dq/dt where T is learned."""
 
 from __future__ import annotations
 
