@@ -24,7 +24,8 @@ class _Forward(nn.Module):
 
     def __init__(self, module: nn.Module, function: Callable[..., Tensor]) -> None:
         super().__init__()
-        self.module, self.function = module, function
+        self.module = module
+        self.function = function.__call__  # a module would be a second name for parameters, wrongly put back
 
     def forward(self, *arguments: Any) -> Tensor:
         return self.function(*arguments)

@@ -113,3 +113,13 @@ def test_impossible_settings_are_refused_by_name(options):
     ((name, value),) = options.items()
     with pytest.raises(UserError, match=f"^{name}: expected float > 0; received {value}"):
         LevenbergMarquardt([nn.Parameter(torch.zeros(1))], **options)
+
+
+def test_a_problem_of_a_whole_module_leaves_its_parameters_in_place():
+    line = nn.Linear(2, 2).double()
+    before, x = list(line.parameters()), torch.eye(2, dtype=torch.float64)
+    problem = pointwise_problem(line, line, x, x, torch.ones_like(x))
+    LevenbergMarquardt(line.parameters()).step(lambda: (problem, None))
+    assert all(
+        p is q and p.is_leaf and p.requires_grad for p, q in zip(line.parameters(), before, strict=True)
+    )
