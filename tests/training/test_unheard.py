@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
+from helpers import SPRING, build_model
 from lightning import Callback, LightningModule
 
 from ahnn.training.callbacks import Telemetry, telemetry
@@ -71,3 +72,15 @@ def test_the_end_of_a_training_writes_what_still_waits(trainer: Any, monkeypatch
     more = (KeyboardInterrupt(),) if end == "on_exception" else ()
     getattr(watch, end)(trainer, cast(Any, None), *more)
     assert trainer.loggers[0].written == expected(range(1, 6))
+
+
+@pytest.mark.parametrize(("value", "clipped"), [(None, []), (0.0, []), (0.5, [(0.5, "norm")])])
+def test_gradients_are_clipped_where_that_is_asked_for(monkeypatch: Any, value: Any, clipped: list) -> None:
+    """What Lightning would do is left to it then, and else is not begun."""
+    asked = []
+    monkeypatch.setattr(
+        LightningModule, "clip_gradients", lambda *_, **named: asked.append((*named.values(),))
+    )
+    model = build_model("mlp", SPRING)
+    model.configure_gradient_clipping(cast(Any, None), value, "norm")
+    assert asked == clipped
