@@ -14,6 +14,7 @@ from lightning.pytorch.callbacks import Checkpoint
 from ahnn.arguments import Count, checked
 from ahnn.errors import Stopped, UserError
 from ahnn.training.finite import require_finite_weights
+from ahnn.training.unheard import Unheard
 
 MONITORED = ("val/loss", "val/one_step")
 """What every model logs in a validation; a callback adds the names in its `monitored`."""
@@ -28,7 +29,7 @@ def require_monitored(who: str, name: str, trainer: Trainer) -> None:
 
 
 @checked
-class BestPoint(Checkpoint):
+class BestPoint(Unheard, Checkpoint):
     """Writes best.ckpt after each validation whose value is the smallest so far.
 
     Args:
@@ -68,7 +69,7 @@ class BestPoint(Checkpoint):
 
 
 @checked
-class ResumePoint(Checkpoint):
+class ResumePoint(Unheard, Checkpoint):
     """Writes last.ckpt every few steps, after each validation, and when a scheduler ends the process.
 
     Never between the last step of an epoch and its validation: Lightning would skip that validation when it

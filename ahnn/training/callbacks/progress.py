@@ -11,12 +11,13 @@ from lightning.pytorch.callbacks import ProgressBar
 from rich.progress import Progress, TaskID, TextColumn
 
 from ahnn.progress import progress_bar
+from ahnn.training.unheard import Unheard
 
 REFRESH_SECONDS = 0.5
 log = logging.getLogger(__name__)
 
 
-class TrainingProgress(ProgressBar):
+class TrainingProgress(Unheard, ProgressBar):
     """A bar for the whole fit, which reads the loss twice a second and costs nothing in between.
 
     Where standard error is no terminal, each epoch is a line of the log.

@@ -14,6 +14,7 @@ from ahnn.data.datamodule import WindowDataModule
 from ahnn.metrics import errors, rmse_pooled, typical_error
 from ahnn.rollouts import rollout
 from ahnn.statistics import Statistics, sampling_interval
+from ahnn.training.unheard import Unheard
 
 LOST = 100.0
 """A position error this many times the size of the system is as bad as any."""
@@ -24,7 +25,7 @@ TRIED = 20
 
 
 @checked
-class ValidationRollout(Callback):
+class ValidationRollout(Unheard, Callback):
     """Logs `val/rollout`, the typical position error of whole validation rollouts, in the system's unit.
 
     It is what a user of the model sees, and may choose the best checkpoint: a one-step loss that falls does

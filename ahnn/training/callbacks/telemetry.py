@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from typing import Any
 
 from lightning import Callback, LightningModule, Trainer
@@ -11,6 +12,7 @@ from torch.optim import Optimizer
 
 from ahnn.arguments import Count, checked
 from ahnn.errors import TrainingError
+from ahnn.training.unheard import Unheard
 
 OF_STEP = ("lr", "damping", "gradient_norm")
 """Keys of a parameter group that are recorded where an optimiser has them."""
@@ -18,9 +20,12 @@ OF_STEP = ("lr", "damping", "gradient_norm")
 RECORDS = 100
 """Least number of records of a training, so that a short one has curves too."""
 
+PATIENCE = 0.5
+"""Seconds that records wait, to be written together: a training waits whenever the logger's thread wakes."""
+
 
 @checked
-class Telemetry(Callback):
+class Telemetry(Unheard, Callback):
     """Writes loss, learning rate and gradient norm, and stops the run when a gradient is not finite.
 
     Args:
@@ -29,6 +34,8 @@ class Telemetry(Callback):
 
     def __init__(self, every: Count) -> None:
         self.most = self.every = every
+        self._waiting: list[tuple[int, dict[str, float]]] = []
+        self._due = 0.0
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Record more often where the whole training is short."""
@@ -44,8 +51,10 @@ class Telemetry(Callback):
         Raises:
             TrainingError: the norm is not finite.
         """
+        if trainer.global_step % self.every:
+            return
         gradients = [p.grad for p in pl_module.parameters() if p.grad is not None]
-        if trainer.global_step % self.every or not gradients:
+        if not gradients:
             return
         norm = float(get_total_norm(gradients))
         if not math.isfinite(norm):
@@ -64,15 +73,30 @@ class Telemetry(Callback):
         if trainer.global_step % self.every == 0:
             group = trainer.optimizers[0].param_groups[0]
             of_step = {f"train/{name}": float(group[name]) for name in OF_STEP if name in group}
-            self._write(trainer, {"train/loss": float(outputs["loss"]), **of_step})
+            self._waiting.append((trainer.global_step, {"train/loss": float(outputs["loss"]), **of_step}))
+            if time.monotonic() >= self._due:
+                self._write(trainer)
 
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Record the validation metrics."""
         del pl_module
         metrics = {key: float(value) for key, value in trainer.callback_metrics.items() if "val/" in key}
-        self._write(trainer, metrics)
+        self._waiting.append((trainer.global_step, metrics))
+        self._write(trainer)
 
-    @staticmethod
-    def _write(trainer: Trainer, metrics: dict[str, float]) -> None:
-        for logger in trainer.loggers:
-            logger.log_metrics(metrics, step=trainer.global_step)
+    def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Write what still waits."""
+        del pl_module
+        self._write(trainer)
+
+    def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
+        """Write what still waits, before the training ends."""
+        del pl_module, exception
+        self._write(trainer)
+
+    def _write(self, trainer: Trainer) -> None:
+        for step, metrics in self._waiting:
+            for logger in trainer.loggers:
+                logger.log_metrics(metrics, step=step)
+        self._waiting.clear()
+        self._due = time.monotonic() + PATIENCE
