@@ -33,7 +33,7 @@ class Measure(NamedTuple):
 
 
 class Board(NamedTuple):
-    """The runs of a system by model; models of the paper have its names, however they are capitalised.
+    """The runs of a system by model; those of the paper's recipe have its names, in capitals.
 
     Attributes:
         system: its name.
@@ -82,14 +82,9 @@ def board(collection: Collection, system: str) -> Board:
     """Return the scores of a system."""
     groups: dict[str, list[Entry]] = {}
     for entry in collection.of(system):
-        groups.setdefault(known_as(entry.model), []).append(entry)
+        groups.setdefault(entry.model, []).append(entry)
     order = [*(m for m in MODELS if m in groups), *(m for m in groups if m not in MODELS)]
     return Board(system, {model: groups[model] for model in order}, estimator(collection.of(system)))
-
-
-def known_as(label: str) -> str:
-    """Return the paper's name of a model, or the label itself."""
-    return label.upper() if label.upper() in MODELS else label
 
 
 def estimator(entries: Iterable[Entry]) -> str | None:

@@ -125,10 +125,18 @@ def test_all_scores_are_a_csv_table_with_all_digits(orbit):
     assert row["unit"] == "km"
 
 
+def test_a_run_of_another_recipe_is_no_row_of_the_paper(tmp_path):
+    """`ahnn5` is the label of the plain command, whose recipe is not the paper's."""
+    write(tmp_path / "paper", results(paper_rows("mass_spring", "AHNN5", 1.0), "AHNN5", 7))
+    write(tmp_path / "own", results(paper_rows("mass_spring", "AHNN5", 0.01), "ahnn5", 201))
+    groups = board(collect([tmp_path]), "mass_spring").groups
+    assert {model: len(entries) for model, entries in groups.items()} == {"AHNN5": 1, "ahnn5": 1}
+
+
 def test_missing_models_filters_seeds_and_unequal_runs_are_said(tmp_path):
     reproduction(tmp_path / "a", models=("HNN", "AHNN3"), filtered=False)
     rows = paper_rows("mass_spring", "MLP", 1.0)
-    changed = results(rows, "mlp", 7)
+    changed = results(rows, "MLP", 7)
     write(tmp_path / "b", changed._replace(training=changed.training | {"steps": 5}, assumes="more"))
     write(tmp_path / "c", results(rows, "MLP", 7))
     (tmp_path / "d").mkdir()

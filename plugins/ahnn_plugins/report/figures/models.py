@@ -16,14 +16,14 @@ SLOTS = {name: slot for slot, name in enumerate(reversed(ORDER))}
 
 def ordered(models: Sequence[str]) -> list[str]:
     """Return models in the order of the paper, those that it does not have behind."""
-    known = [m for name in ORDER for m in models if m.upper() == name]
+    known = [name for name in ORDER if name in models]
     return known + [m for m in models if m not in known]
 
 
 def slots(collection: Collection) -> dict[str, int]:
     """Return the slot of every model of a report, the same for all its systems."""
     models = ordered(list(dict.fromkeys(entry.model for entry in collection.entries)))
-    taken = {model: SLOTS[model.upper()] for model in models if model.upper() in SLOTS}
+    taken = {model: SLOTS[model] for model in models if model in SLOTS}
     free = (slot for slot in count() if slot not in taken.values())
     return {model: taken[model] if model in taken else next(free) for model in models}
 
