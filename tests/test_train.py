@@ -16,7 +16,13 @@ from safetensors.torch import load_file
 from ahnn.checkpoints import read_checkpoint
 from ahnn.evaluation import Who, load_results
 
-SPRING = ["recipe=first_order", "budget=smoke", "trainer.accelerator=cpu", "model.network.width=8"]
+SPRING = [
+    "recipe=first_order",
+    "budget=smoke",
+    "system.steps=240",
+    "trainer.accelerator=cpu",
+    "model.network.width=8",
+]
 
 
 @pytest.fixture(scope="module")
