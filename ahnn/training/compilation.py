@@ -86,7 +86,15 @@ def record(traced: Traced, cache: Path) -> Path:
 
 def place(cache: Path) -> Path:
     """Return the folder of compiled code: in the cache unless the environment names another."""
-    return Path(os.environ.get(PLACE) or cache / FOLDER).expanduser()
+    return Path(asked() or cache / FOLDER).expanduser()
+
+
+def asked() -> str | None:
+    """Return the folder that the user names; torch sets the variable to its own default as it is imported."""
+    from torch._inductor.runtime.cache_dir_utils import default_cache_dir
+
+    named = os.environ.get(PLACE)
+    return named if named and named != default_cache_dir() else None
 
 
 @contextmanager
@@ -96,7 +104,7 @@ def kept_in(folder: Path) -> Iterator[None]:
     Raises:
         PermissionError: others can write there, whose code would be executed.
     """
-    if os.environ.get(PLACE):  # the user's own choice
+    if asked():
         yield
         return
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -106,8 +114,11 @@ def kept_in(folder: Path) -> Iterator[None]:
     ):
         message = f"{folder}: a folder of executable code that others can write. Set {PLACE} to another"
         raise PermissionError(message)
+    before = os.environ.get(PLACE)
     os.environ[PLACE] = str(folder)
     try:
         yield
     finally:
-        del os.environ[PLACE]
+        os.environ.pop(PLACE)
+        if before is not None:
+            os.environ[PLACE] = before

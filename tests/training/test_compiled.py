@@ -246,6 +246,7 @@ def test_what_cannot_be_compiled_is_refused(options, tmp_path, capfd):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the compiler's own modules
 @pytest.mark.slow
 @pytest.mark.parametrize(("dtype", "rtol"), [(torch.float32, 1e-6), (torch.float64, 1e-12)])
 def test_compiled_steps_are_those_of_autograd(dtype, rtol, tmp_path, monkeypatch):
