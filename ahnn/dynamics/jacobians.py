@@ -17,7 +17,7 @@ from ahnn.dynamics.gradients import Layers, Record, recorded_gradient
 from ahnn.dynamics.hamiltonians import GenericHamiltonian
 from ahnn.dynamics.inputs import Cartesian
 from ahnn.dynamics.networks import Perceptron
-from ahnn.dynamics.rows import Stage, reversed_rows, write_rows
+from ahnn.dynamics.rows import Stage, layers_at, reversed_rows, write_rows
 from ahnn.dynamics.written_out import combined, moved
 from ahnn.integrators.base import column
 from ahnn.integrators.tableaus import ButcherTableau
@@ -57,18 +57,18 @@ class Scaled(NamedTuple):
     @classmethod
     def of(cls, field: GenericHamiltonian, theta: Tensor) -> Scaled:
         """Return the field at the parameters theta, (P,), in their precision."""
-        parameters = list(field.network.parameters())
-        parts = theta.split([p.numel() for p in parameters])
-        *hidden, last, _ = [part.view_as(p) for part, p in zip(parts, parameters, strict=True)]
+        network = field.network
+        assert isinstance(network, Perceptron)
+        layers = layers_at(network, theta)
         assert isinstance(field.positions, Cartesian)
         maps = (field.positions.affine, field.momenta.affine)
         scale = torch.cat([m.scale for m in maps]).to(theta)
         shift = torch.cat([m.shift for m in maps]).to(theta)
         of_q, of_p = scale.chunk(2)
         c = field.unit.to(theta) / (of_q * of_p)
-        first_q, first_p = hidden[0].chunk(2, dim=1)
-        layers = Layers(hidden[::2], hidden[1::2], last[0], torch.cat((c * first_p, -c * first_q), dim=1))
-        kernels = field.network.activation.kernels
+        first_q, first_p = layers.weights[0].chunk(2, dim=1)
+        layers = layers._replace(leave=torch.cat((c * first_p, -c * first_q), dim=1))
+        kernels = network.activation.kernels
         assert kernels is not None
         return cls(layers, c, shift, scale, kernels)
 

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ahnn.dynamics.gradients import Record
+from ahnn.dynamics.gradients import Layers, Record
+from ahnn.dynamics.networks import Perceptron
 
 
 class Stage(NamedTuple):
@@ -27,6 +28,14 @@ class Stage(NamedTuple):
     records: list[Record]
     along: list[Tensor]
     back: list[Tensor]
+
+
+def layers_at(network: Perceptron, theta: Tensor) -> Layers:
+    """Return the layers of a network of one output whose parameters are theta, (P,)."""
+    parameters = list(network.parameters())
+    parts = theta.split([p.numel() for p in parameters])
+    *hidden, last, _ = [part.view_as(p) for part, p in zip(parts, parameters, strict=True)]
+    return Layers(hidden[::2], hidden[1::2], last[0], hidden[0])
 
 
 def reversed_rows(t: Tensor, records: list[Record], weights: list[Tensor]) -> tuple[Stage, Tensor]:

@@ -9,10 +9,10 @@ from torch import Tensor, nn
 
 from ahnn.cores import each, slices
 from ahnn.dynamics.energies import CentralBody, NetworkEnergy, Quadratic
-from ahnn.dynamics.gradients import Layers, recorded_gradient
+from ahnn.dynamics.gradients import recorded_gradient
 from ahnn.dynamics.hamiltonians import SeparableHamiltonian
 from ahnn.dynamics.networks import Perceptron
-from ahnn.dynamics.rows import reversed_rows, write_rows
+from ahnn.dynamics.rows import layers_at, reversed_rows, write_rows
 
 SAMPLES = 256
 """Samples whose rows are made at once."""
@@ -83,17 +83,9 @@ def _write(energy: nn.Module, theta: Tensor, q: Tensor, factors: Tensor, out: Te
     # dV/dq is linear in the gradient of the network: row i of each sample is a cotangent of it.
     linear = torch.stack([pullback(unit.expand_as(z)) for unit in inputs], dim=-1)
     cotangents = (factors * network_energy.unit).unsqueeze(-1) * linear
-    layers = _layers(cast(Perceptron, network_energy.network), theta)
-    kernels = cast(Perceptron, network_energy.network).activation.kernels
+    network = cast(Perceptron, network_energy.network)
+    layers, kernels = layers_at(network, theta), network.activation.kernels
     assert kernels is not None
     _, records = recorded_gradient(z.to(theta).T.contiguous().T, layers, kernels)
     stage, _ = reversed_rows(cotangents.to(theta), records, layers.weights)
     write_rows([stage], out)
-
-
-def _layers(network: Perceptron, theta: Tensor) -> Layers:
-    """Return the layers of a network whose parameters are theta, (P,)."""
-    parameters = list(network.parameters())
-    parts = theta.split([p.numel() for p in parameters])
-    *hidden, last, _ = [part.view_as(p) for part, p in zip(parts, parameters, strict=True)]
-    return Layers(hidden[::2], hidden[1::2], last[0], hidden[0])
