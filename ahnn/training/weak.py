@@ -5,7 +5,8 @@ For a function phi that vanishes at both ends of a span, the integral of phi dx/
     r = integral of (phi f(x) + phi' x) dt
 
 is zero for the true field f, and its noise is that of a weighted sum of samples (Messenger & Bortz 2021,
-Multiscale Model. Simul. 19, 1474-1497). It is linear in the field.
+Multiscale Model. Simul. 19, 1474-1497). It is linear in the field. What the field still misses of itself
+counts as noise (`discrepancy`), for positions and for momenta.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple, cast
+from typing import ClassVar, cast
 
 import torch
 from torch import Tensor
@@ -24,113 +25,13 @@ from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.errors import UserError
 from ahnn.measurements import Segment, State
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
+from ahnn.training.banded import Factor
+from ahnn.training.discrepancy import share
 from ahnn.training.normal_equations import Equations, Rows, accumulated
+from ahnn.training.spans import bumps, integrated
 
-POWER = 8
-"""Of phi = (1 - u^2)^p: so many derivatives vanish at its ends, where sums then equal integrals."""
-NARROWEST = 10
-"""Samples in half a span, at least: over fewer the sums are no integrals, however little the noise."""
-PER_WIDTH = 3
-"""Test functions that begin within half a span."""
-UNEVEN = 3.0
-"""Ratio of neighbouring steps beyond which straight lines are trusted more than a parabola."""
 CELLS = 1e8
 """Numbers in the largest tensor of sensitivities; longer batches are cut into parts of segments."""
-
-
-class Tests(NamedTuple):
-    """Test functions of some segments, times the weights of a rule of integration.
-
-    Attributes:
-        stride: samples between the first ones of neighbouring spans.
-        values: phi over its span of S samples, (B, J, S); B may be 1 for all alike.
-        slopes: phi', (B, J, S).
-        whiten: (B, J, J) that makes the noise of the integrals white; 0 for one with a missing sample.
-    """
-
-    stride: int
-    values: Tensor
-    slopes: Tensor
-    whiten: Tensor
-
-    def rows(self, part: slice) -> Tests:
-        """Return those of some segments."""
-        if len(self.values) == 1:
-            return self
-        return Tests(self.stride, self.values[part], self.slopes[part], self.whiten[part])
-
-
-def integrated(weights: Tensor, stride: int, samples: Tensor) -> Tensor:
-    """Return the sums over each span of weights (B, J, S) times samples (B, K + 1, M), shape (B, J, M).
-
-    Span j begins with the sample j x stride.
-    """
-    reach = stride * (weights.shape[1] - 1) + 1
-    total = weights[..., :1].to(samples) * samples[:, :reach:stride]
-    for offset in range(1, weights.shape[-1]):
-        of_each = samples[:, offset : offset + reach : stride]
-        total.addcmul_(weights[..., offset, None].to(samples), of_each)
-    return total
-
-
-def bumps(times: Tensor, present: Tensor, width: int) -> Tests:
-    """Return test functions over spans of 2 x width intervals, or of all of them if these are fewer.
-
-    Args:
-        times: (B, K + 1).
-        present: (B, K + 1) bool, whether a sample is there.
-        width: half of a span, in samples, of which there are at least `NARROWEST` where data reach so far.
-    """
-    last = times.shape[1] - 1
-    width = max(1, min(max(width, NARROWEST), last // 2))
-    stride = max(1, width // PER_WIDTH)
-    begins = torch.arange(0, last - 2 * width + 1, stride)
-    spans = begins.unsqueeze(-1) + torch.arange(2 * width + 1)
-    of_span = times[:, spans]
-    half = (of_span[..., -1:] - of_span[..., :1]) / 2
-    u = ((of_span - of_span[..., :1]) / half - 1).clamp(-1, 1)
-    weights, bump = quadrature(times)[:, spans], 1 - u * u
-    values = weights * bump**POWER
-    slopes = weights * (-2 * POWER * u * bump ** (POWER - 1) / half)
-    missing = ((values != 0) & ~present[:, spans]).any(-1)
-    return Tests(stride, values, slopes, whitening(spans, slopes, missing))
-
-
-def whitening(spans: Tensor, slopes: Tensor, missing: Tensor) -> Tensor:
-    """Return W, (B, J, J), so that W sums of independent noise over the spans are independent.
-
-    Args:
-        spans: (J, S) the samples of each sum.
-        slopes: (B, J, S) their weights.
-        missing: (B, J) bool, sums that are not there; their rows and columns are zero.
-    """
-    everywhere = slopes.new_zeros(*slopes.shape[:2], int(spans.max()) + 1)
-    everywhere = everywhere.scatter(-1, spans.expand_as(slopes), slopes)
-    covariance = everywhere @ everywhere.mT
-    one = torch.eye(covariance.shape[-1]).to(covariance)
-    apart = missing.unsqueeze(-1) | missing.unsqueeze(-2)
-    factor = torch.linalg.cholesky(torch.where(apart, one, covariance))
-    whiten = torch.linalg.solve_triangular(factor, one.expand_as(factor), upper=False)
-    return whiten * ~missing.unsqueeze(-2) * ~missing.unsqueeze(-1)
-
-
-def quadrature(times: Tensor) -> Tensor:
-    """Return the weights (B, K + 1) of sums that are integrals of what vanishes at both ends, and beyond.
-
-    Simpson's rule over every two neighbouring steps, halved. At equal steps all weights are equal, and sums
-    of smooth functions exact to high order; at others the trapezoidal rule would be of second order.
-    """
-    steps = times.diff(dim=1)
-    steps = torch.cat((steps[:, :1].expand(-1, 2), steps, steps[:, -1:].expand(-1, 2)), dim=1)
-    a, b = steps[:, :-1], steps[:, 1:]
-    left = a * (2 * a + 3 * b) - b**3 / a
-    right = b * (2 * b + 3 * a) - a**3 / b
-    uneven = torch.maximum(a / b, b / a) > UNEVEN
-    left, right = (
-        torch.where(uneven, own / 2, found / (6 * (a + b))) for own, found in ((a, left), (b, right))
-    )
-    middle = a + b - left - right
-    return (left[:, 2:] + middle[:, 1:-1] + right[:, :-2]) / 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,14 +89,43 @@ class WeakProblem:
         kept = slice(1) if alike else slice(None)
         self.tests = bumps(times[kept], present[kept], batch.instrument.width)
         self.values = batch.values.nan_to_num(0.0)
-        used = (self.tests.whiten.diagonal(dim1=1, dim2=2) != 0).sum()
-        self.count = int(used) * self.values.shape[-1] * (len(self.values) if alike else 1)
+        self.count = int(self.tests.there.sum()) * self.values.shape[-1] * (len(self.values) if alike else 1)
+        self.factor = self._factor()
+
+    @torch.no_grad()
+    def _factor(self) -> Factor:
+        """Return the factor of the covariances of positions and of momenta, (B, 2, J, J) or one for all."""
+        tests, covariance = self.tests, self.tests.covariance().unsqueeze(1)
+        field = cast(HasField, self._exact).field
+        parts = [(self._sums(field, part), self._sums(None, part)) for part in self._parts(50)]
+        sums, effects = (
+            torch.cat(some).unflatten(-1, (2, -1)).transpose(1, 2) for some in zip(*parts, strict=True)
+        )
+        squares = effects.square().mean(-1) * tests.there.unsqueeze(1)
+        noise = covariance.diagonal(dim1=2, dim2=3)[:, 0]
+        shares = [share(sums[:, half], squares[:, half], noise, tests.there) for half in range(2)]
+        if not any(shares):
+            return Factor.of(covariance, tests.band)
+        extra = squares * sums.new_tensor(shares).square().unsqueeze(-1)
+        return Factor.of(covariance + torch.diag_embed(extra), tests.band)
+
+    def _sums(self, field: torch.nn.Module | None, part: slice) -> Tensor:
+        """Return the sums of some of the segments in deviations, (B, J, D); without a field those of data."""
+        tests, x = self.tests.rows(part), self.values[part]
+        sums = integrated(tests.slopes, tests.stride, x)
+        if field is not None:
+            sums = sums + integrated(tests.values, tests.stride, field(x))
+        return sums * tests.there.unsqueeze(-1) / self.batch.instrument.deviations.to(x)
+
+    def _whitened(self, sums: Tensor, part: slice) -> Tensor:
+        """Return sums (B, J, L, ...) of the last L components of some of the segments, their noise white."""
+        halves = sums.unflatten(2, (-1, self.values.shape[-1] // 2)).transpose(1, 2)
+        white = self.factor.rows(part, halves.shape[1]).whiten(halves.flatten(3))
+        return white.unflatten(-1, halves.shape[3:]).transpose(1, 2).flatten(2, 3)
 
     def integrals(self, field: torch.nn.Module, part: slice) -> Tensor:
         """Return the whitened integrals (B, J, D) of some of the segments."""
-        tests, x = self.tests.rows(part), self.values[part]
-        sums = integrated(tests.values, tests.stride, field(x)) + integrated(tests.slopes, tests.stride, x)
-        return tests.whiten @ sums / self.batch.instrument.deviations.to(x)
+        return self._whitened(self._sums(field, part), part)
 
     def _parts(self, numbers: int) -> Iterator[slice]:
         rows = max(1, int(CELLS // (self.values.shape[1] * self.values.shape[2] * numbers)))
@@ -227,10 +157,12 @@ class WeakProblem:
         weight = self.robust.weight(plain).sqrt()
         tests, x = self.tests.rows(part), self.values[part]
         forcing = self._forcing(theta, x)  # (B, K + 1, L, P): of the last L components, which parameters move
-        sums = integrated(tests.values, tests.stride, forcing.flatten(2))
-        sums = (tests.whiten.float() @ sums).unflatten(-1, forcing.shape[2:])
         moved = slice(x.shape[-1] - forcing.shape[2], None)
-        residuals, weight = plain[..., moved], weight[..., moved]
-        scale = (weight / self.batch.instrument.deviations[moved].to(weight)).float()
-        jacobian = sums.mul_(scale.unsqueeze(-1)).flatten(0, 2)
-        return Rows(self.robust.cost(plain).sum(), (weight * residuals).flatten(), jacobian)
+        sums = integrated(tests.values, tests.stride, forcing.flatten(2)).unflatten(-1, forcing.shape[2:])
+        scale = tests.there.unsqueeze(-1) / self.batch.instrument.deviations[moved]
+        jacobian = self._whitened(sums.mul_(scale.unsqueeze(-1).to(sums)), part)
+        weight = weight[..., moved]
+        jacobian.mul_(weight.unsqueeze(-1).to(jacobian))
+        return Rows(
+            self.robust.cost(plain).sum(), (weight * plain[..., moved]).flatten(), jacobian.flatten(0, 2)
+        )

@@ -14,7 +14,9 @@ from ahnn.shooting.robust import ROBUST
 from ahnn.systems import Molniya
 from ahnn.systems.truth import exact_flow
 from ahnn.training import LevenbergMarquardt
-from ahnn.training.weak import Weak, WeakProblem, bumps, integrated, quadrature
+from ahnn.training.banded import Factor
+from ahnn.training.spans import bumps, integrated, quadrature
+from ahnn.training.weak import Weak, WeakProblem
 
 
 @torch.no_grad()
@@ -72,7 +74,7 @@ def test_the_integrals_of_an_orbit_are_exact_beside_the_noise():
     tests = bumps(times[:1], torch.ones(1, 721, dtype=torch.bool), instrument.width)
     field = torch.cat((system.velocity(truth[..., 3:]), system.force(truth[..., :3])), dim=-1)
     sums = integrated(tests.values, tests.stride, field) + integrated(tests.slopes, tests.stride, truth)
-    left = tests.whiten @ sums / deviations
+    left = Factor.of(tests.covariance(), tests.band).whiten(sums / deviations)
     assert float(left.square().mean()) < 0.01
 
 
@@ -82,7 +84,8 @@ def test_the_noise_of_the_integrals_is_white():
     batch = states(rows=4000)
     noise = batch._replace(values=0.01 * torch.randn(batch.values.shape, generator=generator(4), **DOUBLE))
     tests = bumps(batch.times[:1], torch.ones(1, 301, dtype=torch.bool), 25)
-    integrals = tests.whiten @ integrated(tests.slopes, tests.stride, noise.values) / 0.01
+    sums = integrated(tests.slopes, tests.stride, noise.values) / 0.01
+    integrals = Factor.of(tests.covariance(), tests.band).whiten(sums)
     flat = integrals[..., 0]
     covariance = flat.T @ flat / len(flat)
     assert float((covariance - torch.eye(len(covariance))).abs().max()) < 0.1
@@ -92,6 +95,10 @@ def test_a_missing_sample_takes_its_integrals_away_and_no_others():
     batch = states(rows=2)
     values = batch.values.clone()
     values[1, 150] = torch.nan
+    wide = batch.instrument._replace(
+        deviations=2 * batch.instrument.deviations
+    )  # no share of the field is missing
+    batch = batch._replace(instrument=wide)
     whole, full = residuals(batch)
     got, problem = residuals(batch._replace(values=values))
     gone = (got[1] == 0).all(-1)
@@ -129,3 +136,16 @@ def test_a_field_is_found_from_noisy_states():
     for _ in range(6):
         optimizer.step(lambda: (Weak().problem(model, batch), None))
     close(model.field.stiffness, torch.tensor([2.0, 0.5]), 2e-3)
+
+
+@torch.no_grad()
+def test_a_wrong_field_counts_as_noise_by_the_share_that_is_wrong():
+    """Stiffness and all: a force that is off by 3 % leaves residuals of which each costs one."""
+    batch = states(rows=200)
+    near, true = (residuals(batch, Swing(2.0 * s, 0.5 * s))[1] for s in (1.03, 1.0))
+    theta = torch.tensor([2.06, 0.515], **DOUBLE)
+    momenta = near.integrals(Swing(*theta.tolist()).field, slice(None))[..., 1:]
+    close(momenta.abs().median(), torch.tensor(0.6745, **DOUBLE), 0.2)
+    plain = Factor.of(true.tests.covariance(), true.tests.band)
+    sums = near._sums(Swing(*theta.tolist()).field, slice(None))
+    assert float(plain.whiten(sums)[..., 1:].square().mean()) > 3

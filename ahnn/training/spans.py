@@ -1,0 +1,110 @@
+"""Test functions over spans of samples, their integrals, and the noise of these."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+POWER = 8
+"""Of phi = (1 - u^2)^p: so many derivatives vanish at its ends, where sums then equal integrals."""
+NARROWEST = 10
+"""Samples in half a span, at least: over fewer the sums are no integrals, however little the noise."""
+PER_WIDTH = 3
+"""Test functions that begin within half a span."""
+UNEVEN = 3.0
+"""Ratio of neighbouring steps beyond which straight lines are trusted more than a parabola."""
+
+
+class Tests(NamedTuple):
+    """Test functions of some segments, times the weights of a rule of integration.
+
+    Attributes:
+        stride: samples between the first ones of neighbouring spans.
+        values: phi over its span of S samples, (B, J, S); B may be 1 for all alike.
+        slopes: phi', (B, J, S).
+        there: (B, J) bool, whether no sample of the span is missing.
+    """
+
+    stride: int
+    values: Tensor
+    slopes: Tensor
+    there: Tensor
+
+    @property
+    def band(self) -> int:
+        """How many of the following spans a span overlaps."""
+        return (self.values.shape[-1] - 1) // self.stride
+
+    def rows(self, part: slice) -> Tests:
+        """Return those of some segments."""
+        if len(self.values) == 1:
+            return self
+        return Tests(self.stride, self.values[part], self.slopes[part], self.there[part])
+
+    def covariance(self) -> Tensor:
+        """Return that of the sums of unit noise over the spans, (B, J, J); one for a sum that is missing."""
+        count, reach = self.slopes.shape[1:]
+        spans = self.stride * torch.arange(count).unsqueeze(-1) + torch.arange(reach)
+        everywhere = self.slopes.new_zeros(len(self.slopes), count, int(spans.max()) + 1)
+        everywhere = everywhere.scatter(-1, spans.expand_as(self.slopes), self.slopes)
+        covariance = everywhere @ everywhere.mT
+        one = torch.eye(count).to(covariance)
+        both = self.there.unsqueeze(-1) & self.there.unsqueeze(-2)
+        return torch.where(both, covariance, one)
+
+
+def integrated(weights: Tensor, stride: int, samples: Tensor) -> Tensor:
+    """Return the sums over each span of weights (B, J, S) times samples (B, K + 1, M), shape (B, J, M).
+
+    Span j begins with the sample j x stride.
+    """
+    reach = stride * (weights.shape[1] - 1) + 1
+    total = weights[..., :1].to(samples) * samples[:, :reach:stride]
+    for offset in range(1, weights.shape[-1]):
+        of_each = samples[:, offset : offset + reach : stride]
+        total.addcmul_(weights[..., offset, None].to(samples), of_each)
+    return total
+
+
+def bumps(times: Tensor, present: Tensor, width: int) -> Tests:
+    """Return test functions over spans of 2 x width intervals, or of all of them if these are fewer.
+
+    Args:
+        times: (B, K + 1).
+        present: (B, K + 1) bool, whether a sample is there.
+        width: half of a span, in samples, of which there are at least `NARROWEST` where data reach so far.
+    """
+    last = times.shape[1] - 1
+    width = max(1, min(max(width, NARROWEST), last // 2))
+    stride = max(1, width // PER_WIDTH)
+    begins = torch.arange(0, last - 2 * width + 1, stride)
+    spans = begins.unsqueeze(-1) + torch.arange(2 * width + 1)
+    of_span = times[:, spans]
+    half = (of_span[..., -1:] - of_span[..., :1]) / 2
+    u = ((of_span - of_span[..., :1]) / half - 1).clamp(-1, 1)
+    weights, bump = quadrature(times)[:, spans], 1 - u * u
+    values = weights * bump**POWER
+    slopes = weights * (-2 * POWER * u * bump ** (POWER - 1) / half)
+    missing = ((values != 0) & ~present[:, spans]).any(-1)
+    return Tests(stride, values, slopes, ~missing)
+
+
+def quadrature(times: Tensor) -> Tensor:
+    """Return the weights (B, K + 1) of sums that are integrals of what vanishes at both ends, and beyond.
+
+    Simpson's rule over every two neighbouring steps, halved. At equal steps all weights are equal, and sums
+    of smooth functions exact to high order; at others the trapezoidal rule would be of second order.
+    """
+    steps = times.diff(dim=1)
+    steps = torch.cat((steps[:, :1].expand(-1, 2), steps, steps[:, -1:].expand(-1, 2)), dim=1)
+    a, b = steps[:, :-1], steps[:, 1:]
+    left = a * (2 * a + 3 * b) - b**3 / a
+    right = b * (2 * b + 3 * a) - a**3 / b
+    uneven = torch.maximum(a / b, b / a) > UNEVEN
+    left, right = (
+        torch.where(uneven, own / 2, found / (6 * (a + b))) for own, found in ((a, left), (b, right))
+    )
+    middle = a + b - left - right
+    return (left[:, 2:] + middle[:, 1:-1] + right[:, :-2]) / 2

@@ -1,0 +1,50 @@
+"""The share of itself by which a field is wrong, read off residuals of known origin."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from helpers import close, generator
+
+from ahnn.training.discrepancy import share
+
+DOUBLE = {"dtype": torch.float64}
+SHAPE = (50, 400)
+
+
+def drawn(e, seed=0):
+    """Residuals of sums whose field is wrong by the share e, what it contributes and their noise."""
+    one, two, three = (torch.randn(*SHAPE, 3, generator=generator(seed + k), **DOUBLE) for k in range(3))
+    effects, noise = 1e6 * one[..., 0].square(), 0.5 + two[..., 0].square()
+    return three * (noise + e * e * effects).sqrt().unsqueeze(-1), effects, noise
+
+
+@pytest.mark.parametrize("e", [1e-1, 1e-2, 1e-3])
+def test_a_share_is_found(e):
+    there = torch.ones(1, SHAPE[1], dtype=torch.bool)
+    got = share(*drawn(e), there)
+    assert abs(got / e - 1) < 0.15
+
+
+def test_noise_alone_is_no_share():
+    residuals, effects, noise = drawn(0.0)
+    there = torch.ones(*SHAPE, dtype=torch.bool)
+    assert share(0.9 * residuals, effects, noise, there) == 0.0
+
+
+def test_sums_that_are_missing_say_nothing():
+    residuals, effects, noise = drawn(1e-2)
+    there = torch.ones(*SHAPE, dtype=torch.bool)
+    there[:, ::3] = False
+    kept = there[0]
+    whole = share(*(of[:, kept] for of in (residuals, effects, noise, there)))
+    residuals[:, ::3] = 1e9
+    close(torch.tensor(share(residuals, effects, noise, there)), torch.tensor(whole), 1e-9)
+    assert share(residuals, effects, noise, torch.zeros_like(there)) == 0.0
+
+
+def test_outliers_hardly_count():
+    residuals, effects, noise = drawn(1e-2)
+    residuals[torch.rand(residuals.shape, generator=generator(9)) < 0.05] *= 50
+    got = share(residuals, effects, noise, torch.ones(*SHAPE, dtype=torch.bool))
+    assert abs(got / 1e-2 - 1) < 0.1
