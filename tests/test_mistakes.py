@@ -63,6 +63,7 @@ MISTAKES = {
     "+trainer.max_epoch=3": "trainer: unknown key 'max_epoch'; did you mean 'max_epochs'?",
     "+trainer.callbacks=3": "trainer: unknown key 'callbacks'",
     "+evaluation.foo=3": "evaluation: unknown key 'foo'; it takes seed, save_predictions, figures",
+    "~data.seed": "data: expected key 'seed'; received",
     "~model.network": "model: expected key 'network'",
     "+callbacks.x._target_=ahnn.systems.Kepler": "callbacks.x: expected key 'name'",
     "+callbacks.x._target_=torch.nn.Identity": "callbacks.x: expected Callback; received Identity",

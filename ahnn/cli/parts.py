@@ -40,7 +40,7 @@ def build_source(cfg: DictConfig) -> Source:
         built.check()
     if not isinstance(built, System):
         return built
-    options = {name: cfg.data[name] for name in SIMULATION}
+    options = {name: cfg.data[name] for name in SIMULATION if name in cfg.data}
     check_arguments("data", Simulated, options, ("system",))
     source = Simulated(built, **options)
     source.check()
