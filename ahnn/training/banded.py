@@ -2,50 +2,71 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-LEAST = 16
-"""Rows of a block, at least."""
+ROWS = 16
+"""Of a block, at least."""
 
 
 class Factor(NamedTuple):
-    """The Cholesky factor L of banded matrices (..., J, J), in blocks that touch their neighbours alone.
+    """The Cholesky factor L of the covariances of J sums of D components, in blocks of neighbouring sums.
 
     Attributes:
-        diagonal: the blocks L_kk, (..., K, K).
-        below: the blocks L_k,k-1 that stand left of these; none of the first.
+        diagonal: the blocks L_kk, (B, N, R, R), R / D sums each; the last one may stand for fewer.
+        below: the blocks L_k,k-1 that stand left of these, (B, N, R, R); zero for the first.
     """
 
-    diagonal: list[Tensor]
-    below: list[Tensor]
+    diagonal: Tensor
+    below: Tensor
 
     @classmethod
-    def of(cls, matrix: Tensor, band: int) -> Factor:
-        """Return the factor of positive definite matrices (..., J, J), zero beyond `band` diagonals."""
-        size = max(band, LEAST)
-        parts = [slice(k, k + size) for k in range(0, matrix.shape[-1], size)]
-        diagonal = [torch.linalg.cholesky(matrix[..., parts[0], parts[0]])]
-        below: list[Tensor] = []
-        for before, own in pairwise(parts):
-            left = torch.linalg.solve_triangular(diagonal[-1], matrix[..., before, own], upper=False).mT
-            below.append(left)
-            diagonal.append(torch.linalg.cholesky(matrix[..., own, own] - left @ left.mT))
-        return cls(diagonal, below)
+    def of(cls, bands: Sequence[Tensor]) -> Factor:
+        """Return the factor of positive definite covariances.
+
+        Args:
+            bands: for each distance d from 0 the covariances (B, J - d, D, D) of the sums j + d, in rows,
+                with the sums j, in columns; those further apart are independent.
+        """
+        diagonal, left = (blocks.unbind(1) for blocks in _blocks(bands))
+        factors, below = [torch.linalg.cholesky(diagonal[0])], [left[0]]
+        for own, beside in zip(diagonal[1:], left[1:], strict=True):
+            below.append(torch.linalg.solve_triangular(factors[-1], beside.mT, upper=False).mT)
+            factors.append(torch.linalg.cholesky(own - below[-1] @ below[-1].mT))
+        return cls(torch.stack(factors, 1), torch.stack(below, 1))
 
     def whiten(self, sums: Tensor) -> Tensor:
-        """Return L^-1 s of sums (..., J, M) whose covariance is L L^T, in their precision."""
-        done: list[Tensor] = []
-        sizes = [block.shape[-1] for block in self.diagonal]
-        for k, own in enumerate(sums.split(sizes, dim=-2)):
-            rest = own - self.below[k - 1].to(own) @ done[-1] if k else own
-            done.append(torch.linalg.solve_triangular(self.diagonal[k].to(own), rest, upper=False))
-        return torch.cat(done, dim=-2)
+        """Return L^-1 s of sums (B, J, D, M) whose covariance is L L^T, in their precision."""
+        blocks, rows = self.diagonal.shape[1:3]
+        flat = sums.flatten(1, 2)
+        missing = blocks * rows - flat.shape[1]
+        parts = torch.nn.functional.pad(flat, (0, 0, 0, missing)).unflatten(1, (blocks, rows)).unbind(1)
+        diagonal, below = (of.to(sums).unbind(1) for of in self)
+        done = [torch.linalg.solve_triangular(diagonal[0], parts[0], upper=False)]
+        for own, beside, part in zip(diagonal[1:], below[1:], parts[1:], strict=True):
+            done.append(torch.linalg.solve_triangular(own, part - beside @ done[-1], upper=False))
+        return torch.cat(done, dim=1)[:, : flat.shape[1]].unflatten(1, sums.shape[1:3])
 
-    def rows(self, part: slice, last: int) -> Factor:
-        """Return the last so many (dimension 1) of some of the matrices (0); one for all alike stays."""
-        part = slice(None) if len(self.diagonal[0]) == 1 else part
-        return Factor(*([block[part, -last:] for block in blocks] for blocks in self))
+    def rows(self, part: slice) -> Factor:
+        """Return those of some of the B."""
+        return Factor(self.diagonal[part], self.below[part])
+
+
+def _blocks(bands: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+    """Return diagonal blocks, of which the lower triangle counts, and those left of them, (B, N, R, R)."""
+    count, size = bands[0].shape[1], bands[0].shape[-1]
+    many = max(len(bands) - 1, -(-ROWS // size))  # sums of a block, no fewer than a band reaches
+    number = -(-count // many)
+    # (B, N, row, column, D, D), columns of the block before and of its own
+    store = bands[0].new_zeros(len(bands[0]), number, many, 2 * many, size, size)
+    for distance, band in enumerate(bands):
+        column = torch.arange(count - distance)
+        block, row = (column + distance) // many, (column + distance) % many
+        store[:, block, row, column - (block - 1) * many] = band
+    beyond = torch.arange(count, number * many)
+    store[:, beyond // many, beyond % many, beyond % many + many] = torch.eye(size).to(store)
+    flat = store.transpose(3, 4).flatten(4, 5).flatten(2, 3)
+    return flat[..., many * size :], flat[..., : many * size]

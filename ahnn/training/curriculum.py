@@ -17,11 +17,12 @@ from ahnn.training.objectives import OBJECTIVES, Derivative, Objective
 from ahnn.training.shooting import Shooting
 from ahnn.training.weak import Weak
 
-WEAK = "weak"
-"""Name of the stage in the weak form, on whole trajectories of measured states."""
+RELATIVE, WEAK = "relative", "weak"
+"""Names of the stages in the weak form, on whole trajectories of measured states: first in shares of the
+field, then in deviations of the noise."""
 WHOLE = "whole"
 """Name of the stage of shooting over whole trajectories."""
-STAGE = "intervals >= 3, weak or whole, with a fraction of the epochs and, if wanted, stretches of a step"
+STAGE = "intervals >= 3, relative, weak or whole, with a fraction of the epochs and, if wanted, stretches of a step"
 
 
 @checked
@@ -30,9 +31,9 @@ class SegmentOptions:
     """What training on measurements minimises, and when.
 
     Attributes:
-        stages: intervals of a stretch, `weak` or `whole`, the fraction of the epochs up to which they hold,
-            and, where these are not `data.batch_size`, the stretches of a step. Short ones first: over long
-            ones a model that is still wrong never meets them.
+        stages: intervals of a stretch, or `relative`, `weak`, `whole`, the fraction of the epochs up to
+            which they hold, and, where these are not `data.batch_size`, the stretches of a step. Short ones
+            first: over long ones a model that is still wrong never meets them.
         robust: the loss of single residuals: none (squares), huber or student.
         closing: steps on all measurements, at most, that follow the last epoch.
         balance: 0, since standard deviations weigh measurements.
@@ -173,7 +174,7 @@ def _is_stage(stage: list[int | float | str]) -> bool:
         return False
     if len(stage) == 3 and not (isinstance(stage[2], int) and stage[2] >= 1):
         return False
-    return stage[0] in (WHOLE, WEAK) or (isinstance(stage[0], int) and stage[0] >= 3)
+    return stage[0] in (RELATIVE, WEAK, WHOLE) or (isinstance(stage[0], int) and stage[0] >= 3)
 
 
 def _covers(ends: list[Any]) -> bool:
@@ -183,6 +184,6 @@ def _covers(ends: list[Any]) -> bool:
 
 def objective_of(stage: int | str, robust: RobustName) -> Shooting | Weak:
     """Return the objective of a stage of this name."""
-    if stage == WEAK:
-        return Weak(robust)
+    if stage in (RELATIVE, WEAK):
+        return Weak(robust, stage == RELATIVE)
     return Shooting(None if stage == WHOLE else int(stage), robust)

@@ -29,16 +29,16 @@ def share(residuals: Tensor, effects: Tensor, noise: Tensor, there: Tensor) -> f
 
     Args:
         residuals: of sums, shape (B, J, M), in standard deviations of single measurements.
-        effects: g^2, (B, J), squares of what the field contributes.
-        noise: c, (B, J) or (1, J), variances of the sums of unit noise.
+        effects: g^2, (B, J, M), squares of what the field contributes.
+        noise: c, (B, J, M), variances of the sums of unit noise.
         there: (B, J) or (1, J) bool, whether a sum is there.
     """
-    there = there.expand_as(effects)
-    residuals, effects, noise = (of[there] for of in (residuals, effects, noise.expand_as(effects)))
+    there = there.expand(residuals.shape[:2])
+    residuals, effects, noise = (of[there] for of in (residuals, effects, noise))
 
     def excess(e: float) -> bool:
         deviations = (noise + e * e * effects).sqrt()
-        return float((residuals.abs() / deviations.unsqueeze(-1)).median()) > MEDIAN
+        return float((residuals.abs() / deviations).median()) > MEDIAN
 
     if not bool(there.any()) or not excess(SMALLEST):
         return 0.0

@@ -32,27 +32,42 @@ class Tests(NamedTuple):
     slopes: Tensor
     there: Tensor
 
-    @property
-    def band(self) -> int:
-        """How many of the following spans a span overlaps."""
-        return (self.values.shape[-1] - 1) // self.stride
-
     def rows(self, part: slice) -> Tests:
         """Return those of some segments."""
         if len(self.values) == 1:
             return self
         return Tests(self.stride, self.values[part], self.slopes[part], self.there[part])
 
-    def covariance(self) -> Tensor:
-        """Return that of the sums of unit noise over the spans, (B, J, J); one for a sum that is missing."""
-        count, reach = self.slopes.shape[1:]
-        spans = self.stride * torch.arange(count).unsqueeze(-1) + torch.arange(reach)
-        everywhere = self.slopes.new_zeros(len(self.slopes), count, int(spans.max()) + 1)
-        everywhere = everywhere.scatter(-1, spans.expand_as(self.slopes), self.slopes)
-        covariance = everywhere @ everywhere.mT
-        one = torch.eye(count).to(covariance)
-        both = self.there.unsqueeze(-1) & self.there.unsqueeze(-2)
-        return torch.where(both, covariance, one)
+    def covariances(self, rates: Tensor) -> list[Tensor]:
+        """Return the covariances of sums over spans that overlap, the closest first, for `Factor.of`.
+
+        Noise n of the samples moves a sum by phi' n + phi J n, where J is the derivative of the field: where
+        a momentum makes a position move, its noise counts in both (Bortz, Messenger & Dukic 2023, Bull.
+        Math. Biol. 85, 110). A sum with a missing sample has no noise.
+
+        Args:
+            rates: J in units of the noise of each component, (B, K + 1, D, D).
+        """
+        count, reach = self.values.shape[1:]
+        one, squares = torch.eye(rates.shape[-1]).to(rates), rates @ rates.mT
+        found = []
+        for distance in range((reach - 1) // self.stride + 1):
+            shift = distance * self.stride
+            value, slope = (of[:, distance:, : reach - shift] for of in (self.values, self.slopes))
+            value_before, slope_before = (
+                of[:, : count - distance, shift:] for of in (self.values, self.slopes)
+            )
+            band = (slope * slope_before).sum(-1)[..., None, None] * one
+            for weights, samples in (
+                (value * slope_before, rates),
+                (slope * value_before, rates.mT),
+                (value * value_before, squares),
+            ):
+                flat = integrated(weights, self.stride, samples[:, shift:].flatten(2))
+                band = band + flat.unflatten(-1, rates.shape[2:])
+            both = self.there[:, distance:] & self.there[:, : count - distance]
+            found.append(band * both[..., None, None])
+        return found
 
 
 def integrated(weights: Tensor, stride: int, samples: Tensor) -> Tensor:

@@ -5,8 +5,7 @@ For a function phi that vanishes at both ends of a span, the integral of phi dx/
     r = integral of (phi f(x) + phi' x) dt
 
 is zero for the true field f, and its noise is that of a weighted sum of samples (Messenger & Bortz 2021,
-Multiscale Model. Simul. 19, 1474-1497). It is linear in the field. What the field still misses of itself
-counts as noise (`discrepancy`), for positions and for momenta.
+Multiscale Model. Simul. 19, 1474-1497). It is linear in the field.
 """
 
 from __future__ import annotations
@@ -24,6 +23,7 @@ from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.errors import UserError
 from ahnn.measurements import Segment, State
+from ahnn.shooting.paths import TOGETHER, pointwise_jacobian
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
 from ahnn.training.banded import Factor
 from ahnn.training.discrepancy import share
@@ -40,9 +40,12 @@ class Weak:
 
     Attributes:
         robust: the loss of single residuals: none (squares), huber or student.
+        relative: count what the field still misses of itself as noise, too. So begins what is far from the
+            truth; where all residuals are nearly noise, sums of many of them say more without it.
     """
 
     robust: RobustName = "none"
+    relative: bool = False
     intervals: ClassVar[None] = None  # whole trajectories
 
     def residuals(self, dynamics: Dynamics, batch: Segment) -> Tensor:
@@ -53,7 +56,7 @@ class Weak:
 
     def problem(self, dynamics: Dynamics, batch: Segment) -> WeakProblem:
         """Return the same residuals as a problem in the parameters of the dynamics."""
-        return WeakProblem(dynamics, batch, ROBUST[self.robust])
+        return WeakProblem(dynamics, batch, ROBUST[self.robust], self.relative)
 
     def divided(self, batch: Segment) -> tuple[Segment, None]:
         """Return the whole batch to step on."""
@@ -72,7 +75,7 @@ class WeakProblem:
         UserError: measurements that are no states, or dynamics without a field.
     """
 
-    def __init__(self, dynamics: Dynamics, batch: Segment, robust: Robust) -> None:
+    def __init__(self, dynamics: Dynamics, batch: Segment, robust: Robust, relative: bool = False) -> None:
         if not isinstance(batch.instrument.measurement, State) or not isinstance(dynamics, HasField):
             message = (
                 "loss.stages: weak expects measured states and dynamics with a field; received "
@@ -88,26 +91,37 @@ class WeakProblem:
         alike = bool((times - times[:1]).abs().max() <= 1e-9 * times.max()) and bool(present.all())
         kept = slice(1) if alike else slice(None)
         self.tests = bumps(times[kept], present[kept], batch.instrument.width)
-        self.values = batch.values.nan_to_num(0.0)
+        anywhere = batch.values.nanmean(1, keepdim=True)  # in place of a sample whose sums do not count
+        self.values = torch.where(batch.values.isnan(), anywhere, batch.values)
         self.count = int(self.tests.there.sum()) * self.values.shape[-1] * (len(self.values) if alike else 1)
-        self.factor = self._factor()
+        self.factor = self._factor(relative)
 
     @torch.no_grad()
-    def _factor(self) -> Factor:
-        """Return the factor of the covariances of positions and of momenta, (B, 2, J, J) or one for all."""
-        tests, covariance = self.tests, self.tests.covariance().unsqueeze(1)
-        field = cast(HasField, self._exact).field
+    def _factor(self, relative: bool) -> Factor:
+        """Return the factor of the covariances of the sums' noise, and of what the field misses."""
+        there, field = self.tests.there.unsqueeze(-1), cast(HasField, self._exact).field
+        bands = self.tests.covariances(self._rates(field))
+        noise = bands[0].diagonal(dim1=-2, dim2=-1)
+        noise += ~there
+        if relative:
+            noise += self._missed(field, noise) * there
+        return Factor.of(bands)
+
+    def _missed(self, field: torch.nn.Module, noise: Tensor) -> Tensor:
+        """Return e^2 g^2, (B, J, D), of what the field misses; e is one of positions and one of momenta."""
         parts = [(self._sums(field, part), self._sums(None, part)) for part in self._parts(50)]
-        sums, effects = (
-            torch.cat(some).unflatten(-1, (2, -1)).transpose(1, 2) for some in zip(*parts, strict=True)
-        )
-        squares = effects.square().mean(-1) * tests.there.unsqueeze(1)
-        noise = covariance.diagonal(dim1=2, dim2=3)[:, 0]
-        shares = [share(sums[:, half], squares[:, half], noise, tests.there) for half in range(2)]
-        if not any(shares):
-            return Factor.of(covariance, tests.band)
-        extra = squares * sums.new_tensor(shares).square().unsqueeze(-1)
-        return Factor.of(covariance + torch.diag_embed(extra), tests.band)
+        sums, effects = (torch.cat(some).chunk(2, -1) for some in zip(*parts, strict=True))
+        missed = []
+        for residual, effect, variance in zip(sums, effects, noise.chunk(2, -1), strict=True):
+            square = effect.square().mean(-1, keepdim=True).expand_as(residual)
+            missed.append(share(residual, square, variance, self.tests.there) ** 2 * square)
+        return torch.cat(missed, -1)
+
+    def _rates(self, field: torch.nn.Module) -> Tensor:
+        """Return the derivatives of the field at the samples, in deviations, (B, K + 1, D, D)."""
+        rows = [pointwise_jacobian(field, x) for x in self.values.split(1 + TOGETHER // self.values.shape[1])]
+        deviations = self.batch.instrument.deviations.to(self.values)
+        return torch.cat(rows) * deviations / deviations.unsqueeze(-1)
 
     def _sums(self, field: torch.nn.Module | None, part: slice) -> Tensor:
         """Return the sums of some of the segments in deviations, (B, J, D); without a field those of data."""
@@ -117,15 +131,9 @@ class WeakProblem:
             sums = sums + integrated(tests.values, tests.stride, field(x))
         return sums * tests.there.unsqueeze(-1) / self.batch.instrument.deviations.to(x)
 
-    def _whitened(self, sums: Tensor, part: slice) -> Tensor:
-        """Return sums (B, J, L, ...) of the last L components of some of the segments, their noise white."""
-        halves = sums.unflatten(2, (-1, self.values.shape[-1] // 2)).transpose(1, 2)
-        white = self.factor.rows(part, halves.shape[1]).whiten(halves.flatten(3))
-        return white.unflatten(-1, halves.shape[3:]).transpose(1, 2).flatten(2, 3)
-
     def integrals(self, field: torch.nn.Module, part: slice) -> Tensor:
         """Return the whitened integrals (B, J, D) of some of the segments."""
-        return self._whitened(self._sums(field, part), part)
+        return self.factor.rows(part).whiten(self._sums(field, part).unsqueeze(-1)).squeeze(-1)
 
     def _parts(self, numbers: int) -> Iterator[slice]:
         rows = max(1, int(CELLS // (self.values.shape[1] * self.values.shape[2] * numbers)))
@@ -157,12 +165,11 @@ class WeakProblem:
         weight = self.robust.weight(plain).sqrt()
         tests, x = self.tests.rows(part), self.values[part]
         forcing = self._forcing(theta, x)  # (B, K + 1, L, P): of the last L components, which parameters move
-        moved = slice(x.shape[-1] - forcing.shape[2], None)
+        still, moved = (x.shape[-1] - forcing.shape[2], forcing.shape[2])
         sums = integrated(tests.values, tests.stride, forcing.flatten(2)).unflatten(-1, forcing.shape[2:])
-        scale = tests.there.unsqueeze(-1) / self.batch.instrument.deviations[moved]
-        jacobian = self._whitened(sums.mul_(scale.unsqueeze(-1).to(sums)), part)
-        weight = weight[..., moved]
-        jacobian.mul_(weight.unsqueeze(-1).to(jacobian))
-        return Rows(
-            self.robust.cost(plain).sum(), (weight * plain[..., moved]).flatten(), jacobian.flatten(0, 2)
+        sums.mul_(
+            (tests.there.unsqueeze(-1) / self.batch.instrument.deviations[-moved:]).unsqueeze(-1).to(sums)
         )
+        jacobian = self.factor.rows(part).whiten(torch.nn.functional.pad(sums, (0, 0, still, 0)))
+        jacobian.mul_(weight.unsqueeze(-1).to(jacobian))
+        return Rows(self.robust.cost(plain).sum(), (weight * plain).flatten(), jacobian.flatten(0, 2))

@@ -11,25 +11,27 @@ from ahnn.training.banded import Factor
 DOUBLE = {"dtype": torch.float64}
 
 
-def banded(count, band, rows=3):
-    lower = torch.randn(rows, 2, count, count, generator=generator(0), **DOUBLE).tril()
-    lower = 0.2 * (lower - lower.tril(-band - 1))
-    lower.diagonal(dim1=-2, dim2=-1).copy_(1 + torch.rand(count, generator=generator(1), **DOUBLE))
-    return lower @ lower.mT, lower
+def banded(count, band, size, rows=3):
+    """A lower triangle of so many diagonals of blocks, and its square as bands."""
+    total = count * size
+    lower = torch.randn(rows, total, total, generator=generator(0), **DOUBLE).tril()
+    lower = 0.2 * (lower - lower.tril(-(band - 1) * size - 1))
+    lower.diagonal(dim1=-2, dim2=-1).copy_(1 + torch.rand(total, generator=generator(1), **DOUBLE))
+    matrix = (lower @ lower.mT).unflatten(2, (count, size)).unflatten(1, (count, size)).transpose(2, 3)
+    index = torch.arange(count)
+    bands = [matrix[:, index[d:], index[: count - d]] for d in range(band + 1)]
+    return bands, lower
 
 
-@pytest.mark.parametrize(("count", "band"), [(50, 6), (16, 3), (17, 16), (100, 30), (5, 1)])
-def test_blocks_whiten_as_the_whole_factor_does(count, band):
-    matrix, lower = banded(count, band)
-    sums = torch.randn(3, 2, count, 4, generator=generator(2), **DOUBLE)
-    factor = Factor.of(matrix, band)
-    close(factor.whiten(lower @ sums), sums, 1e-9)
-    close(factor.whiten((lower @ sums).float()).double(), sums, 1e-3)
-    got = factor.rows(slice(1, 2), 1).whiten((lower @ sums)[1:2, -1:])
-    close(got, sums[1:2, -1:], 1e-9)
-
-
-def test_one_matrix_serves_all():
-    matrix, lower = banded(40, 6, rows=1)
-    sums = torch.randn(3, 2, 40, 4, generator=generator(2), **DOUBLE)
-    close(Factor.of(matrix, 6).rows(slice(0, 2), 2).whiten(lower @ sums), sums, 1e-9)
+@pytest.mark.parametrize(
+    ("count", "band", "size"), [(50, 6, 1), (16, 3, 2), (17, 16, 1), (23, 6, 6), (5, 1, 4), (3, 1, 2)]
+)
+def test_blocks_whiten_as_the_whole_factor_does(count, band, size):
+    bands, lower = banded(count, band, size)
+    sums = torch.randn(3, count * size, 4, generator=generator(2), **DOUBLE)
+    colored = (lower @ sums).unflatten(1, (count, size))
+    white = sums.unflatten(1, (count, size))
+    factor = Factor.of(bands)
+    close(factor.whiten(colored), white, 1e-9)
+    close(factor.whiten(colored.float()).double(), white, 1e-3)
+    close(factor.rows(slice(1, 2)).whiten(colored[1:2]), white[1:2], 1e-9)

@@ -15,8 +15,8 @@ SHAPE = (50, 400)
 def drawn(e, seed=0):
     """Residuals of sums whose field is wrong by the share e, what it contributes and their noise."""
     one, two, three = (torch.randn(*SHAPE, 3, generator=generator(seed + k), **DOUBLE) for k in range(3))
-    effects, noise = 1e6 * one[..., 0].square(), 0.5 + two[..., 0].square()
-    return three * (noise + e * e * effects).sqrt().unsqueeze(-1), effects, noise
+    effects, noise = 1e6 * one.square(), 0.5 + two.square()
+    return three * (noise + e * e * effects).sqrt(), effects, noise
 
 
 @pytest.mark.parametrize("e", [1e-1, 1e-2, 1e-3])

@@ -32,8 +32,8 @@ def states(rows=30, samples=301, dt=0.02, sd=0.01, irregular=False):
     return Segment(truth + sd * noise, times, instrument)
 
 
-def residuals(batch, model=None, robust="none"):
-    problem = WeakProblem(model or Swing(), batch, ROBUST[robust])
+def residuals(batch, model=None, robust="none", relative=False):
+    problem = WeakProblem(model or Swing(), batch, ROBUST[robust], relative)
     return problem.integrals((model or Swing()).field, slice(None)), problem
 
 
@@ -74,21 +74,25 @@ def test_the_integrals_of_an_orbit_are_exact_beside_the_noise():
     tests = bumps(times[:1], torch.ones(1, 721, dtype=torch.bool), instrument.width)
     field = torch.cat((system.velocity(truth[..., 3:]), system.force(truth[..., :3])), dim=-1)
     sums = integrated(tests.values, tests.stride, field) + integrated(tests.slopes, tests.stride, truth)
-    left = Factor.of(tests.covariance(), tests.band).whiten(sums / deviations)
+    still = torch.zeros(4, 721, 6, 6, **DOUBLE)
+    left = Factor.of(tests.covariances(still)).whiten((sums / deviations).unsqueeze(-1))
     assert float(left.square().mean()) < 0.01
 
 
 @torch.no_grad()
 def test_the_noise_of_the_integrals_is_white():
-    """Of pure noise about zero, where the field has no part in it."""
-    batch = states(rows=4000)
-    noise = batch._replace(values=0.01 * torch.randn(batch.values.shape, generator=generator(4), **DOUBLE))
-    tests = bumps(batch.times[:1], torch.ones(1, 301, dtype=torch.bool), 25)
-    sums = integrated(tests.slopes, tests.stride, noise.values) / 0.01
-    integrals = Factor.of(tests.covariance(), tests.band).whiten(sums)
-    flat = integrals[..., 0]
+    """That of the slopes and that of the field: the noise of momenta moves positions, and the other way."""
+    model, clean = Swing(), states(rows=1, sd=0.0).values
+    noise = 0.01 * torch.randn(4000, 301, 2, generator=generator(4), **DOUBLE)
+    batch = states(rows=4000)._replace(values=clean + noise)
+    integrals, problem = residuals(batch, model)
+    flat = (integrals - integrals.mean(0)).flatten(1)
     covariance = flat.T @ flat / len(flat)
     assert float((covariance - torch.eye(len(covariance))).abs().max()) < 0.1
+    alone = [band * torch.eye(2) for band in problem.tests.covariances(torch.zeros(1, 301, 2, 2, **DOUBLE))]
+    sums = problem._sums(model.field, slice(None))
+    white = Factor.of(alone).whiten((sums - sums.mean(0)).unsqueeze(-1))
+    assert float(white.square().mean()) > 1.1  # without the field's part they are too large
 
 
 def test_a_missing_sample_takes_its_integrals_away_and_no_others():
@@ -142,10 +146,10 @@ def test_a_field_is_found_from_noisy_states():
 def test_a_wrong_field_counts_as_noise_by_the_share_that_is_wrong():
     """Stiffness and all: a force that is off by 3 % leaves residuals of which each costs one."""
     batch = states(rows=200)
-    near, true = (residuals(batch, Swing(2.0 * s, 0.5 * s))[1] for s in (1.03, 1.0))
+    near, true = (residuals(batch, Swing(2.0 * s, 0.5 * s), relative=True)[1] for s in (1.03, 1.0))
     theta = torch.tensor([2.06, 0.515], **DOUBLE)
     momenta = near.integrals(Swing(*theta.tolist()).field, slice(None))[..., 1:]
     close(momenta.abs().median(), torch.tensor(0.6745, **DOUBLE), 0.2)
-    plain = Factor.of(true.tests.covariance(), true.tests.band)
+    plain = Factor.of(true.tests.covariances(torch.zeros(1, 301, 2, 2, **DOUBLE)))
     sums = near._sums(Swing(*theta.tolist()).field, slice(None))
-    assert float(plain.whiten(sums)[..., 1:].square().mean()) > 3
+    assert float(plain.whiten(sums.unsqueeze(-1))[..., 1, 0].square().mean()) > 3
