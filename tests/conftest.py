@@ -23,3 +23,14 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         patch.setenv("AHNN_CACHE", folder)
         patch.setenv("OMP_NUM_THREADS", THREADS)
         yield folder
+
+
+@pytest.fixture
+def two(monkeypatch):
+    """Two cores that the process may use, and one thread in each operation."""
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {3, 5}, raising=False)
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield monkeypatch
+    torch.set_num_threads(threads)

@@ -15,17 +15,6 @@ from ahnn.training.normal_equations import PANEL, gram
 CPU = torch.device("cpu")
 
 
-@pytest.fixture
-def two(monkeypatch):
-    """Two cores that the process may use, and one thread in each operation."""
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {3, 5}, raising=False)
-    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield monkeypatch
-    torch.set_num_threads(threads)
-
-
 @pytest.mark.parametrize(
     ("limit", "threads", "count"),
     [

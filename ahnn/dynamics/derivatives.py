@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from functools import partial
 from typing import Any, cast
@@ -31,6 +32,10 @@ class _Forward(nn.Module):
         return self.function(*arguments)
 
 
+SWAPPED = threading.RLock()
+"""Held while a module has other parameters than its own, which parts side by side must not see."""
+
+
 def parametrised(
     module: nn.Module, function: Callable[..., Tensor], dtype: torch.dtype
 ) -> Callable[..., Tensor]:
@@ -46,7 +51,8 @@ def parametrised(
     def call(theta: Tensor, *arguments: Any) -> Tensor:
         parts = zip(shapes.items(), theta.split(sizes), strict=True)
         parameters = {name: part.view(shape) for (name, shape), part in parts}
-        return functional_call(wrapped, {**parameters, **buffers}, arguments)
+        with SWAPPED:
+            return functional_call(wrapped, {**parameters, **buffers}, arguments)
 
     return call
 

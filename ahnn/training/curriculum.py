@@ -22,7 +22,10 @@ RELATIVE, WEAK = "relative", "weak"
 field, then in deviations of the noise."""
 WHOLE = "whole"
 """Name of the stage of shooting over whole trajectories."""
-STAGE = "intervals >= 3, relative, weak or whole, with a fraction of the epochs and, if wanted, stretches of a step"
+STAGE = (
+    "intervals >= 3, relative, weak or whole, with a fraction of the epochs and, if wanted, "
+    "stretches of a step"
+)
 
 
 @checked

@@ -7,7 +7,8 @@ known kinetic energy leaves half of the rows empty, and no residual depends on t
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from itertools import islice
 from typing import NamedTuple
 
 import torch
@@ -17,6 +18,8 @@ from ahnn.cores import each, slices
 
 PANEL = 160
 """Columns of a product in J^T J: few enough to waste little above the diagonal, many enough for a BLAS."""
+TOGETHER = 8
+"""Parts of a problem whose equations are kept until they are added up."""
 
 
 class Block(NamedTuple):
@@ -61,15 +64,23 @@ class Rows(NamedTuple):
     jacobian: Tensor
 
 
-def accumulated(parts: Iterable[Rows], theta: Tensor, degrees: int) -> Equations:
-    """Return the equations of all parts in the parameters theta, shape (P,), in one block."""
+def accumulated(
+    rows: Callable[[slice], Rows], parts: Iterable[slice], theta: Tensor, degrees: int
+) -> Equations:
+    """Return the equations of all parts, side by side, in the parameters theta, shape (P,), in one block."""
+
+    def summed(part: slice) -> tuple[Tensor, Tensor, Tensor]:
+        own = rows(part)
+        gradient = own.jacobian.T @ own.residuals.to(own.jacobian)
+        return own.loss, gradient.to(theta), gram(own.jacobian).to(theta)
+
     count = len(theta)
-    loss, gradient = theta.new_zeros(()), theta.new_zeros(count)
-    matrix = theta.new_zeros(count, count)
-    for part in parts:
-        loss += part.loss
-        gradient += (part.jacobian.T @ part.residuals.to(part.jacobian)).to(theta)
-        matrix += gram(part.jacobian).to(theta)
+    loss, gradient, matrix = theta.new_zeros(()), theta.new_zeros(count), theta.new_zeros(count, count)
+    every = iter(parts)
+    while some := list(islice(every, TOGETHER)):
+        for own_loss, own_gradient, own_matrix in each(summed, some, theta.device):
+            loss, gradient = loss + own_loss, gradient + own_gradient
+            matrix += own_matrix
     return Equations(loss, degrees, [Block(torch.arange(count), matrix, gradient)])
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ahnn.shooting.starts import refine
+from ahnn.shooting.starts import Trial, refine
 from ahnn.training.evidence import Prior
 from ahnn.training.normal_equations import Block, Rows
 from ahnn.training.shooting import REFITS, Limit, ShootingProblem, freedom
@@ -14,8 +14,8 @@ from ahnn.training.shooting import REFITS, Limit, ShootingProblem, freedom
 class WideProblem(ShootingProblem):
     """Segments whose normal equations are summed in float64: badly known directions keep their digits."""
 
-    def _projected(self, theta: Tensor, part: slice) -> Rows:
-        rows = super()._projected(theta, part)
+    def _projected(self, trial: Trial, theta: Tensor, part: slice) -> Rows:
+        rows = super()._projected(trial, theta, part)
         return rows._replace(jacobian=rows.jacobian.to(theta))
 
     @torch.no_grad()

@@ -144,14 +144,15 @@ class ShootingProblem:
         del sizes
         if not len(self.starts):
             return Equations(theta.new_tensor(HOPELESS), 1, [])
-        parts = (self._projected(theta, part) for part in self._parts(len(theta)))
-        return accumulated(parts, theta, self.count)
+        trial = self._at(theta)
+        return accumulated(
+            lambda part: self._projected(trial, theta, part), self._parts(len(theta)), theta, self.count
+        )
 
-    def _projected(self, theta: Tensor, part: slice) -> Rows:
+    def _projected(self, trial: Trial, theta: Tensor, part: slice) -> Rows:
         """Return residuals and their Jacobian, float32, in the complement of the starts."""
         steps = self.steps.rows(part)
-        trial, segment = self._at(theta), self.batch.rows(part)
-        limit = self.limit.rows(part)
+        segment, limit = self.batch.rows(part), self.limit.rows(part)
         states, sums = followed(trial, self.starts[part], segment, steps)
         now = linearised(trial, states, segment, steps)
         moved = sensitivities(now.jacobians.float(), self._forcing(theta, states), steps)

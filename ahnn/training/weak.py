@@ -30,7 +30,7 @@ from ahnn.training.discrepancy import share
 from ahnn.training.normal_equations import Equations, Rows, accumulated
 from ahnn.training.spans import bumps, integrated
 
-CELLS = 1e8
+CELLS = 5e7
 """Numbers in the largest tensor of sensitivities; longer batches are cut into parts of segments."""
 
 
@@ -83,7 +83,7 @@ class WeakProblem:
                 "Begin with stretches, such as [[4, 0.5], [whole, 1.0]]"
             )
             raise UserError(message)
-        self.batch, self.robust = batch, robust
+        self.batch, self.robust, self.relative = batch, robust, relative
         self._exact = copy.deepcopy(dynamics).requires_grad_(False)
         self._forcing = field_jacobian(dynamics)
         present = batch.values.isfinite().all(-1)
@@ -94,16 +94,16 @@ class WeakProblem:
         anywhere = batch.values.nanmean(1, keepdim=True)  # in place of a sample whose sums do not count
         self.values = torch.where(batch.values.isnan(), anywhere, batch.values)
         self.count = int(self.tests.there.sum()) * self.values.shape[-1] * (len(self.values) if alike else 1)
-        self.factor = self._factor(relative)
+        self.factor = self._factor()
 
     @torch.no_grad()
-    def _factor(self, relative: bool) -> Factor:
+    def _factor(self) -> Factor:
         """Return the factor of the covariances of the sums' noise, and of what the field misses."""
         there, field = self.tests.there.unsqueeze(-1), cast(HasField, self._exact).field
         bands = self.tests.covariances(self._rates(field))
         noise = bands[0].diagonal(dim1=-2, dim2=-1)
         noise += ~there
-        if relative:
+        if self.relative:
             noise += self._missed(field, noise) * there
         return Factor.of(bands)
 
@@ -156,11 +156,11 @@ class WeakProblem:
         del sizes
         field = self._at(theta)
         return accumulated(
-            (self._rows(theta, field, part) for part in self._parts(len(theta))), theta, self.count
+            lambda part: self._rows(theta, field, part), self._parts(len(theta)), theta, self.count
         )
 
     def _rows(self, theta: Tensor, field: torch.nn.Module, part: slice) -> Rows:
-        """Return the residuals of some segments and their Jacobian, float32."""
+        """Return the residuals of some segments and their Jacobian."""
         plain = self.integrals(field, part)
         weight = self.robust.weight(plain).sqrt()
         tests, x = self.tests.rows(part), self.values[part]
@@ -171,5 +171,7 @@ class WeakProblem:
             (tests.there.unsqueeze(-1) / self.batch.instrument.deviations[-moved:]).unsqueeze(-1).to(sums)
         )
         jacobian = self.factor.rows(part).whiten(torch.nn.functional.pad(sums, (0, 0, still, 0)))
-        jacobian.mul_(weight.unsqueeze(-1).to(jacobian))
-        return Rows(self.robust.cost(plain).sum(), (weight * plain).flatten(), jacobian.flatten(0, 2))
+        jacobian = jacobian.mul_(weight.unsqueeze(-1).to(jacobian)).flatten(0, 2)
+        if not self.relative:  # sums of many residuals decide, whose matrix has no digits left in float32
+            jacobian = jacobian.to(theta)
+        return Rows(self.robust.cost(plain).sum(), (weight * plain).flatten(), jacobian)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from helpers import close, generator
 from test_shooting import DOUBLE, Swing
@@ -13,8 +14,9 @@ from ahnn.shooting.paths import path
 from ahnn.shooting.robust import ROBUST
 from ahnn.systems import Molniya
 from ahnn.systems.truth import exact_flow
-from ahnn.training import LevenbergMarquardt
+from ahnn.training import LevenbergMarquardt, shooting, weak
 from ahnn.training.banded import Factor
+from ahnn.training.curriculum import objective_of
 from ahnn.training.spans import bumps, integrated, quadrature
 from ahnn.training.weak import Weak, WeakProblem
 
@@ -153,3 +155,19 @@ def test_a_wrong_field_counts_as_noise_by_the_share_that_is_wrong():
     plain = Factor.of(true.tests.covariances(torch.zeros(1, 301, 2, 2, **DOUBLE)))
     sums = near._sums(Swing(*theta.tolist()).field, slice(None))
     assert float(plain.whiten(sums.unsqueeze(-1))[..., 1, 0].square().mean()) > 3
+
+
+@pytest.mark.parametrize("stage", ["relative", "weak", "whole"])
+def test_parts_of_a_problem_have_the_same_bits_on_two_cores(two, stage):
+    two.setattr(weak, "CELLS", 1.5e3)
+    two.setattr(shooting, "CELLS", 1.5e3)
+    model, batch = Swing(2.1, 0.4), states(rows=40, samples=101)
+    problem = objective_of(stage, "none").problem(model, batch)
+    theta = parameters_to_vector(model.parameters()).detach()
+    assert len([*problem._parts(2)]) > 8
+    loss, _, (block,) = problem.equations(theta, [2])
+    two.setenv("OMP_NUM_THREADS", "1")
+    alone, _, (single,) = problem.equations(theta, [2])
+    assert torch.equal(block.matrix, single.matrix)
+    assert torch.equal(block.gradient, single.gradient)
+    assert torch.equal(loss, alone)
