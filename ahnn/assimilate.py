@@ -31,7 +31,8 @@ from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Literal, cast
 
 from ahnn.arguments import Count, Finite, Positive, Within
 from ahnn.cli.guard import run_command
-from ahnn.cli.stops import ended, held
+from ahnn.cli.importing import importing
+from ahnn.cli.stops import ended
 
 if TYPE_CHECKING:
     from ahnn.assimilation.journal import Journal
@@ -75,7 +76,7 @@ def assimilate(arguments: list[str]) -> None:
         UserError: no such run or file, or options that do not go together.
         TrainingError: the filter has diverged.
     """
-    with held():
+    with importing():
         import torch
 
         from ahnn.assimilation.clock import Clock

@@ -43,8 +43,10 @@ def train(cfg: DictConfig) -> float:
     Several `seeds` train in folders of their own, seed_7 and so on, inside the run folder.
     """
     from ahnn.cli.before import quiet, require_new
+    from ahnn.cli.importing import importing
 
-    quiet()
+    with importing():
+        quiet()
     check_settings(cfg)
     parts = [of_seed(cfg, seed) for seed in cfg.seeds] if cfg.seeds else [cfg]
     for part in parts:
@@ -66,9 +68,11 @@ def check(cfg: DictConfig) -> None:
         UserError: a job that cannot work.
     """
     from ahnn.cli.before import quiet
+    from ahnn.cli.importing import importing
     from ahnn.cli.stops import held
 
-    quiet()
+    with importing():
+        quiet()
     check_settings(cfg)
     with held():
         prepare(of_seed(cfg, cfg.seeds[0]) if cfg.seeds else cfg)
