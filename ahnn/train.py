@@ -45,9 +45,9 @@ def train(cfg: DictConfig) -> float:
     from ahnn.cli.before import quiet, require_new
     from ahnn.cli.importing import importing
 
+    check_settings(cfg)  # a mistake among them is told before anything heavy is imported
     with importing():
         quiet()
-    check_settings(cfg)
     parts = [of_seed(cfg, seed) for seed in cfg.seeds] if cfg.seeds else [cfg]
     for part in parts:
         require_new(Path(part.folder), part.ckpt)
@@ -71,9 +71,9 @@ def check(cfg: DictConfig) -> None:
     from ahnn.cli.importing import importing
     from ahnn.cli.stops import held
 
+    check_settings(cfg)
     with importing():
         quiet()
-    check_settings(cfg)
     with held():
         prepare(of_seed(cfg, cfg.seeds[0]) if cfg.seeds else cfg)
 
