@@ -71,16 +71,14 @@ def one(cfg: DictConfig) -> float:
 
     A run that is finished is kept, and one that another process works on is left to it.
     """
-    from ahnn.cli.before import quiet
-    from ahnn.cli.settings import check_settings
+    from ahnn.cli.before import begin
     from ahnn.errors import Occupied
     from ahnn.files import claimed
     from ahnn.reproduction import is_finished
     from ahnn.train import train_once
 
     folder = Path(cfg.folder)
-    quiet()
-    check_settings(cfg)
+    begin(cfg)
     try:
         with claimed(folder, ".turn"):
             if is_finished(folder, cfg):
