@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -24,7 +25,7 @@ from ahnn.integrators import INTEGRATORS
 from ahnn.measurements import Position
 from ahnn.paths import conf_dir
 from ahnn.systems import MassSpring, Molniya, System
-from ahnn.types import Flow
+from ahnn.types import Flow, Trajectories
 
 RK4 = INTEGRATORS["rk4"]
 SPRING = MassSpring(name="spring", dt=0.01, steps=200)
@@ -32,12 +33,18 @@ STIFFER = MassSpring(name="stiffer", dt=0.01, steps=200, stiffness=5.02)
 ORBITS = Molniya(name="orbits", dt=60.0, steps=130)
 
 
+@cache
+def trajectories(system: System) -> tuple[Trajectories, Trajectories]:
+    """Return trajectories to test and to validate on."""
+    return generate(system, 6, seed=1), generate(system, 4, seed=2)
+
+
 @pytest.fixture
 def make_case(tmp_path: Path) -> Callable[..., Case]:
     """Return a factory of cases on six trajectories of a system."""
 
     def make(system: System, flow: Flow) -> Case:
-        test, validation = generate(system, 6, seed=1), generate(system, 4, seed=2)
+        test, validation = trajectories(system)
         return Case(
             label="mine",
             assumes="nothing",
