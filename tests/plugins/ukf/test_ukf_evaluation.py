@@ -25,18 +25,13 @@ from ahnn.integrators import INTEGRATORS
 from ahnn.measurements import Position
 from ahnn.paths import conf_dir
 from ahnn.systems import MassSpring, Molniya, System
-from ahnn.types import Flow, Trajectories
+from ahnn.types import Flow
 
+drawn = cache(generate)
 RK4 = INTEGRATORS["rk4"]
 SPRING = MassSpring(name="spring", dt=0.01, steps=200)
 STIFFER = MassSpring(name="stiffer", dt=0.01, steps=200, stiffness=5.02)
 ORBITS = Molniya(name="orbits", dt=60.0, steps=130)
-
-
-@cache
-def trajectories(system: System) -> tuple[Trajectories, Trajectories]:
-    """Return trajectories to test and to validate on."""
-    return generate(system, 6, seed=1), generate(system, 4, seed=2)
 
 
 @pytest.fixture
@@ -44,7 +39,7 @@ def make_case(tmp_path: Path) -> Callable[..., Case]:
     """Return a factory of cases on six trajectories of a system."""
 
     def make(system: System, flow: Flow) -> Case:
-        test, validation = trajectories(system)
+        test, validation = drawn(system, 6, seed=1), drawn(system, 4, seed=2)
         return Case(
             label="mine",
             assumes="nothing",
@@ -270,8 +265,8 @@ def test_measurement_noise_is_not_the_initial_error(spring: Case) -> None:
     setting = Setting(Position(1, "m"), torch.ones(1), SPRING.deviations(), (1, 2))
     truth = torch.zeros(6, 3, 2, dtype=torch.float64)
     noise = simulated(setting, truth, 0.01, seed=0).flatten()
-    drawn = (spring.perturbation / SPRING.deviations()).flatten()
-    assert not torch.isclose(noise[:, None], drawn).any()
+    start = (spring.perturbation / SPRING.deviations()).flatten()
+    assert not torch.isclose(noise[:, None], start).any()
 
 
 def test_a_filter_that_spoils_the_velocity_alone_says_so(make_case: Callable[..., Case]) -> None:
