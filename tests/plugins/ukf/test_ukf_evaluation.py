@@ -39,7 +39,6 @@ def make_case(tmp_path: Path) -> Callable[..., Case]:
     """Return a factory of cases on six trajectories of a system."""
 
     def make(system: System, flow: Flow) -> Case:
-        test, validation = drawn(system, 6, seed=1), drawn(system, 4, seed=2)
         return Case(
             label="mine",
             assumes="nothing",
@@ -49,9 +48,9 @@ def make_case(tmp_path: Path) -> Callable[..., Case]:
             energy=None,
             integrator=RK4,
             dt=system.dt,
-            test=test,
-            validation=validation,
-            train=validation,
+            test=drawn(system, 6, seed=1),
+            validation=drawn(system, 4, seed=2),
+            train=drawn(system, 4, seed=2),
             perturbation=perturbations(system, 6, seed=0),
             folder=tmp_path,
         )
@@ -263,8 +262,7 @@ def test_satellites_and_whole_states_are_measured_from_yaml(make_case: Callable[
 
 def test_measurement_noise_is_not_the_initial_error(spring: Case) -> None:
     setting = Setting(Position(1, "m"), torch.ones(1), SPRING.deviations(), (1, 2))
-    truth = torch.zeros(6, 3, 2, dtype=torch.float64)
-    noise = simulated(setting, truth, 0.01, seed=0).flatten()
+    noise = simulated(setting, torch.zeros(6, 3, 2, dtype=torch.float64), 0.01, seed=0).flatten()
     start = (spring.perturbation / SPRING.deviations()).flatten()
     assert not torch.isclose(noise[:, None], start).any()
 
