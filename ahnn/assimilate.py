@@ -22,6 +22,7 @@ if __name__ == "__main__":  # until `guard` listens, Ctrl-C ends this process wi
 
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
+import gc
 import logging
 import sys
 from contextlib import closing, nullcontext
@@ -31,7 +32,8 @@ from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Literal, cast
 
 from ahnn.arguments import Count, Finite, Positive, Within
 from ahnn.cli.guard import run_command
-from ahnn.cli.stops import ended, held
+from ahnn.cli.importing import importing
+from ahnn.cli.stops import ended
 
 if TYPE_CHECKING:
     from ahnn.assimilation.journal import Journal
@@ -75,7 +77,7 @@ def assimilate(arguments: list[str]) -> None:
         UserError: no such run or file, or options that do not go together.
         TrainingError: the filter has diverged.
     """
-    with held():
+    with importing():
         import torch
 
         from ahnn.assimilation.clock import Clock
@@ -108,6 +110,8 @@ def assimilate(arguments: list[str]) -> None:
         session = Session(filtering, lines, rows, options.output, state, options.every, clock)
         view = View(run.space) if options.watch else None
         kept = ended(lambda: "the same command goes on where it was") if state else nullcontext()
+        gc.collect()
+        gc.freeze()  # no line waits while the collector looks through what is there
         with kept, view or nullcontext():
             session.run(view)
     log.info("%s lines: %s", f"{session.counted:,}", said(session.counts))

@@ -21,7 +21,7 @@ import sys
 from typing import Any
 
 from ahnn.cli.guard import run_command
-from ahnn.cli.stops import held
+from ahnn.cli.importing import importing
 
 log = logging.getLogger("ahnn")
 
@@ -34,7 +34,7 @@ def evaluate(arguments: list[str]) -> None:
     Raises:
         UserError: no such run, or an override that has no effect on a finished one.
     """
-    with held():
+    with importing():
         from ahnn.cli.again import Request, run_config
         from ahnn.cli.parts import build_plugins, build_sensor, build_source, report_options, robust_of
         from ahnn.data import SplitData

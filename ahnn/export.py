@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ahnn.cli.guard import run_command
-from ahnn.cli.stops import held
+from ahnn.cli.importing import importing
 
 USAGE = "usage: python -m ahnn.export run=DIR | pretrained=NAME output=FOLDER [ckpt=best]"
 
@@ -38,7 +38,7 @@ def export(arguments: list[str]) -> None:
     Raises:
         UserError: no such run, one that has no graph, or a folder that exists.
     """
-    with held():
+    with importing():
         from ahnn.cli.pairs import named_runs, read_pairs
         from ahnn.evaluation.terminal import show
         from ahnn.graphs import write_export

@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from ahnn.cli.guard import run_command
-from ahnn.cli.stops import held
+from ahnn.cli.importing import importing
 
 log = logging.getLogger("ahnn")
 
@@ -58,7 +58,7 @@ def predict(arguments: list[str]) -> None:
     Raises:
         UserError: no such run, starts that are no states of it, or an output that cannot be written.
     """
-    with held():
+    with importing():
         from ahnn.cli.pairs import named_runs, read_pairs
         from ahnn.evaluation.terminal import show
         from ahnn.prediction import amounts, output, together

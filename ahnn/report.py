@@ -19,7 +19,7 @@ if __name__ == "__main__":  # until `guard` listens, Ctrl-C ends this process wi
 from pathlib import Path
 
 from ahnn.cli.guard import run_command
-from ahnn.cli.stops import held
+from ahnn.cli.importing import importing
 
 USAGE = "usage: python -m ahnn.report DIR... | run=DIR [output=FOLDER]"
 
@@ -30,7 +30,7 @@ def report(arguments: list[str]) -> None:
     Raises:
         UserError: no runs, an unknown key, or a folder of something else.
     """
-    with held():
+    with importing():
         from ahnn.cli.build import build
         from ahnn.cli.compose import composed
         from ahnn.errors import UserError

@@ -29,7 +29,8 @@ from typing import TYPE_CHECKING
 
 from ahnn.cli.entry import start
 from ahnn.cli.guard import run_command
-from ahnn.cli.stops import ended, held
+from ahnn.cli.importing import importing
+from ahnn.cli.stops import ended
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -52,7 +53,7 @@ def reproduce(arguments: list[str]) -> None:
     log.setLevel(logging.INFO)
     made = plan(arguments, USAGE)
     require_same_settings(made)
-    with held():
+    with importing():
         from ahnn.evaluation.over_seeds import summary
         from ahnn.evaluation.terminal import show
     log.info(made.announcement())
@@ -70,16 +71,14 @@ def one(cfg: DictConfig) -> float:
 
     A run that is finished is kept, and one that another process works on is left to it.
     """
-    from ahnn.cli.before import quiet
-    from ahnn.cli.settings import check_settings
+    from ahnn.cli.before import begin
     from ahnn.errors import Occupied
     from ahnn.files import claimed
     from ahnn.reproduction import is_finished
     from ahnn.train import train_once
 
     folder = Path(cfg.folder)
-    quiet()
-    check_settings(cfg)
+    begin(cfg)
     try:
         with claimed(folder, ".turn"):
             if is_finished(folder, cfg):

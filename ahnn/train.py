@@ -24,7 +24,6 @@ from omegaconf import DictConfig, OmegaConf
 
 from ahnn.cli.build import plain_config
 from ahnn.cli.entry import run_hydra
-from ahnn.cli.settings import check_settings
 
 if TYPE_CHECKING:
     from lightning import Trainer
@@ -42,10 +41,9 @@ def train(cfg: DictConfig) -> float:
 
     Several `seeds` train in folders of their own, seed_7 and so on, inside the run folder.
     """
-    from ahnn.cli.before import quiet, require_new
+    from ahnn.cli.before import begin, require_new
 
-    quiet()
-    check_settings(cfg)
+    begin(cfg)
     parts = [of_seed(cfg, seed) for seed in cfg.seeds] if cfg.seeds else [cfg]
     for part in parts:
         require_new(Path(part.folder), part.ckpt)
@@ -65,11 +63,10 @@ def check(cfg: DictConfig) -> None:
     Raises:
         UserError: a job that cannot work.
     """
-    from ahnn.cli.before import quiet
+    from ahnn.cli.before import begin
     from ahnn.cli.stops import held
 
-    quiet()
-    check_settings(cfg)
+    begin(cfg)
     with held():
         prepare(of_seed(cfg, cfg.seeds[0]) if cfg.seeds else cfg)
 

@@ -31,11 +31,11 @@ ROUNDS = [
 ]
 """An option of every other group at once, so that each of them is in one of the rounds."""
 
-BUDGETS = [
-    pytest.param(b, marks=() if b in ("laptop", "smoke") else pytest.mark.slow) for b in GROUPS["budget"]
-]
+ALWAYS = ("laptop", "smoke")
+BUDGETS = [pytest.param(b, marks=() if b in ALWAYS else pytest.mark.slow) for b in GROUPS["budget"]]
 PAIRS = [("system", "recipe"), ("experiment", "budget"), ("sweep", "model")]
-CROSSED = [((a, x), (b, y)) for a, b in PAIRS for x, y in product(GROUPS[a], GROUPS[b])]
+CROSSED = [((a, x), (b, y)) for a, b in PAIRS for x, y in product(GROUPS[a], GROUPS[b]) if y not in ALWAYS]
+"""Without the budgets that every experiment meets as one of `BUNDLES`."""
 
 
 @cache

@@ -10,9 +10,12 @@ from pathlib import Path
 
 import pytest
 import torch
-from entry import SMALL, Interrupted, call
+from entry import SMALL, Interrupted, call, untouched
+from omegaconf import DictConfig
 
 from ahnn.checkpoints import read_checkpoint
+from ahnn.cli.compose import compose_job
+from ahnn.train import train
 
 CASES = {
     "mlp": ["model=mlp"],
@@ -33,9 +36,9 @@ CASES = {
 # Ten steps an epoch, a checkpoint every four (or ten) steps and at the end of each epoch.
 EVERY = {"in mid-epoch": 4, "at the first batch of an epoch": 4, "after the last batch of an epoch": 10}
 CUTS = {
-    "in mid-epoch": ["+callbacks.cut.steps=15"],
-    "at the first batch of an epoch": ["+callbacks.cut.steps=11"],
-    "after the last batch of an epoch": ["+callbacks.cut.steps=20", "+callbacks.cut.validation=true"],
+    "in mid-epoch": {"steps": 15},
+    "at the first batch of an epoch": {"steps": 11},
+    "after the last batch of an epoch": {"steps": 20, "validation": True},
 }
 
 RESUMES_FROM = {
@@ -65,24 +68,36 @@ def assert_same_bits(a: Path, b: Path, names: tuple[str, ...] = ("last", "best")
         assert not different, f"{name}: {different}"
 
 
+def trained(cfg: DictConfig, folder: Path, **changes: object) -> None:
+    """Train a composed job in a folder, with some keys changed."""
+    job = cfg.copy()
+    job.folder = str(folder)
+    for key, value in changes.items():
+        job[key] = value
+    with untouched():
+        train(job)
+
+
 @pytest.fixture(scope="module", params=CASES)
 def uninterrupted(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp(request.param) / "whole"
-    overrides = [*CASES[request.param], *SMALL]
-    assert call("ahnn.train", *overrides, f"run={folder}") == 0
+    cfg = compose_job([*CASES[request.param], *SMALL], folder)
+    trained(cfg, folder)
     assert read_checkpoint(folder / "checkpoints" / "last.ckpt")["global_step"] == 30
-    return overrides, folder
+    return cfg, folder
 
 
 @pytest.mark.parametrize("cut", CUTS)
 def test_a_cut_training_ends_with_the_same_bits(uninterrupted, tmp_path, cut):
-    overrides, whole = uninterrupted
+    cfg, whole = uninterrupted
     folder = tmp_path / "cut"
-    arguments = [*overrides, f"run={folder}", f"callbacks.last.every={EVERY[cut]}"]
+    often = cfg.copy()
+    often.callbacks.last.every = EVERY[cut]
+    callbacks = {**often.callbacks, "cut": {"_target_": "entry.CutAfter", **CUTS[cut]}}
     with pytest.raises(Interrupted):
-        call("ahnn.train", *arguments, *CUTS[cut], "+callbacks.cut._target_=entry.CutAfter")
+        trained(often, folder, callbacks=callbacks)
     assert read_checkpoint(folder / "checkpoints" / "last.ckpt")["global_step"] == RESUMES_FROM[cut]
-    assert call("ahnn.train", *arguments, "ckpt=last") == 0
+    trained(often, folder, ckpt="last")
     assert_same_bits(whole, folder)
 
 

@@ -7,7 +7,6 @@ the same numbers come out, bit for bit.
 
 from __future__ import annotations
 
-import gc
 import json
 import logging
 from collections import Counter
@@ -72,8 +71,6 @@ class Session:
         else:
             require_new(output)
             lines.begin()
-        gc.collect()
-        gc.freeze()  # no line waits while the collector looks through what was imported
 
     def run(self, watch: Watcher | None = None) -> None:
         """Assimilate all lines that come.
@@ -89,7 +86,6 @@ class Session:
 
     def close(self) -> None:
         """Give back the files; what was not saved is taken again by who goes on."""
-        gc.unfreeze()
         self.lines.close(discard=self.output is None)
         if self.output is not None:
             self.output.close()

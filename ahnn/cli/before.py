@@ -1,4 +1,4 @@
-"""Before the fit: a quiet Lightning, and a folder that holds no other training."""
+"""Before the fit: settings that can be, a quiet Lightning, and a folder that holds no other training."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ import logging
 import warnings
 from pathlib import Path
 
+from omegaconf import DictConfig
+
+from ahnn.cli.importing import importing
+from ahnn.cli.settings import check_settings
 from ahnn.cli.stops import held
 from ahnn.errors import UserError
 
@@ -18,6 +22,17 @@ HINTS = (
     ".*did not find any unused parameters.*",
 )
 """What Lightning warns of though it is intended, such as short epochs or a folder that is used again."""
+
+
+def begin(cfg: DictConfig) -> None:
+    """Check the settings of a job, and only then import what is heavy.
+
+    Raises:
+        UserError: a setting that is impossible.
+    """
+    check_settings(cfg)
+    with importing():
+        quiet()
 
 
 def quiet() -> None:

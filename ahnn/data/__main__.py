@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from ahnn.cli.guard import run_command
-from ahnn.cli.stops import held
+from ahnn.cli.importing import importing
 
 USAGE = "usage: python -m ahnn.data check PATH... [figures=DIR] [mass=M] [gap=10] [frame=GCRF] [key=value]"
 KEYS = ("mass", "gap", "frame", "step", "duration")
@@ -30,7 +30,7 @@ def check(arguments: list[str]) -> None:
     Raises:
         UserError: something that would spoil a training, or a mistake in the command.
     """
-    with held():
+    with importing():
         from ahnn.data.doctor import examine
         from ahnn.data.files.reading import Reading
         from ahnn.errors import UserError

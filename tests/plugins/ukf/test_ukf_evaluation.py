@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -26,6 +27,7 @@ from ahnn.paths import conf_dir
 from ahnn.systems import MassSpring, Molniya, System
 from ahnn.types import Flow
 
+drawn = cache(generate)
 RK4 = INTEGRATORS["rk4"]
 SPRING = MassSpring(name="spring", dt=0.01, steps=200)
 STIFFER = MassSpring(name="stiffer", dt=0.01, steps=200, stiffness=5.02)
@@ -37,7 +39,6 @@ def make_case(tmp_path: Path) -> Callable[..., Case]:
     """Return a factory of cases on six trajectories of a system."""
 
     def make(system: System, flow: Flow) -> Case:
-        test, validation = generate(system, 6, seed=1), generate(system, 4, seed=2)
         return Case(
             label="mine",
             assumes="nothing",
@@ -47,9 +48,9 @@ def make_case(tmp_path: Path) -> Callable[..., Case]:
             energy=None,
             integrator=RK4,
             dt=system.dt,
-            test=test,
-            validation=validation,
-            train=validation,
+            test=drawn(system, 6, seed=1),
+            validation=drawn(system, 4, seed=2),
+            train=drawn(system, 4, seed=2),
             perturbation=perturbations(system, 6, seed=0),
             folder=tmp_path,
         )
@@ -261,10 +262,9 @@ def test_satellites_and_whole_states_are_measured_from_yaml(make_case: Callable[
 
 def test_measurement_noise_is_not_the_initial_error(spring: Case) -> None:
     setting = Setting(Position(1, "m"), torch.ones(1), SPRING.deviations(), (1, 2))
-    truth = torch.zeros(6, 3, 2, dtype=torch.float64)
-    noise = simulated(setting, truth, 0.01, seed=0).flatten()
-    drawn = (spring.perturbation / SPRING.deviations()).flatten()
-    assert not torch.isclose(noise[:, None], drawn).any()
+    noise = simulated(setting, torch.zeros(6, 3, 2, dtype=torch.float64), 0.01, seed=0).flatten()
+    start = (spring.perturbation / SPRING.deviations()).flatten()
+    assert not torch.isclose(noise[:, None], start).any()
 
 
 def test_a_filter_that_spoils_the_velocity_alone_says_so(make_case: Callable[..., Case]) -> None:

@@ -1,0 +1,33 @@
+"""The heavy imports of a command: no signal cuts them, and nobody looks for garbage in them."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+from collections.abc import Iterator
+from functools import cache
+
+from ahnn.cli.stops import held
+
+
+@contextlib.contextmanager
+def importing() -> Iterator[None]:
+    """Import what stays until the process ends, at the beginning of a command.
+
+    Signals wait, as `held` says. Python's collector rests: it would go through all modules again and again.
+    What is alive after the first such block is left out of every later collection, that of the exit too.
+    """
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        with held():
+            yield
+        _leave_alone()
+    finally:
+        if collects:
+            gc.enable()
+
+
+@cache  # once: of several jobs in one process, the later find garbage of the earlier, which must go
+def _leave_alone() -> None:
+    gc.freeze()

@@ -1,0 +1,98 @@
+"""What a command imports: no garbage is looked for in it, then or later, and a mistake is told before it."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+from entry import SMALL, call, untouched
+
+from ahnn.cli.importing import importing
+
+ONCE = """
+import gc
+from ahnn.cli.importing import importing
+
+with importing():
+    assert not gc.isenabled()
+    modules = [[]]
+assert gc.isenabled()
+assert not any(one is modules for one in gc.get_objects())
+with importing():
+    job = [[]]
+assert any(one is job for one in gc.get_objects())
+"""
+
+
+def test_what_is_imported_first_is_left_alone_and_what_a_later_job_makes_is_not():
+    done = subprocess.run([sys.executable, "-c", ONCE], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_garbage_is_collected_again_after_an_import_that_fails():
+    with pytest.raises(ImportError), importing():
+        raise ImportError
+    assert gc.isenabled()
+
+
+def test_a_collector_that_was_off_stays_off():
+    gc.disable()
+    try:
+        with importing():
+            pass
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
+
+
+def test_a_signal_waits_until_all_is_imported():
+    done = []
+
+    def interrupted() -> None:
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # under nohup it is ignored
+        with importing():
+            os.kill(os.getpid(), signal.SIGINT)
+            done.append("imported")
+
+    with untouched(), pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert done == ["imported"]
+
+
+@pytest.mark.parametrize(
+    ("module", "mistake"),
+    [
+        ("ahnn.train", [*SMALL, "ckpt=last"]),
+        ("ahnn.evaluate", ["run=nowhere"]),
+        ("ahnn.predict", ["run=nowhere", "start=[0,0]", "duration=1"]),
+        ("ahnn.export", ["run=nowhere"]),
+        ("ahnn.report", ["nowhere"]),
+        ("ahnn.assimilate", ["run=nowhere"]),
+        ("ahnn.data.__main__", ["check", "nowhere.csv"]),
+    ],
+)
+def test_every_command_imports_in_this_way(tmp_path, monkeypatch, module, mistake):
+    monkeypatch.chdir(tmp_path)
+    left = []
+    monkeypatch.setattr("ahnn.cli.importing._leave_alone", lambda: left.append(module))
+    assert call(module, *mistake) == 2
+    assert left
+
+
+@pytest.mark.parametrize("mode", [[], ["-m"]])
+def test_a_setting_that_is_wrong_is_told_before_torch_is_imported(tmp_path, mode):
+    code = (
+        f"import sys; sys.argv = ['ahnn-train', *{mode}, 'seed=x', 'hydra.sweep.dir={tmp_path}']\n"
+        "from ahnn.train import main\n"
+        "try: main()\n"
+        "finally: assert not {'torch', 'lightning'} & {*sys.modules}"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2, done.stderr
+    assert "ahnn: seed: expected int" in done.stderr
