@@ -51,7 +51,7 @@ class Tests(NamedTuple):
         count, reach = self.values.shape[1:]
         one, squares = torch.eye(rates.shape[-1]).to(rates), rates @ rates.mT
         found = []
-        for distance in range((reach - 1) // self.stride + 1):
+        for distance in range(min(count, (reach - 1) // self.stride + 1)):
             shift = distance * self.stride
             value, slope = (of[:, distance:, : reach - shift] for of in (self.values, self.slopes))
             value_before, slope_before = (

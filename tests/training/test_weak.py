@@ -171,3 +171,11 @@ def test_parts_of_a_problem_have_the_same_bits_on_two_cores(two, stage):
     assert torch.equal(block.matrix, single.matrix)
     assert torch.equal(block.gradient, single.gradient)
     assert torch.equal(loss, alone)
+
+
+@pytest.mark.parametrize("samples", [21, 24, 30])
+def test_short_trajectories_have_a_few_spans(samples):
+    """One alone, and fewer than overlap on a long one."""
+    integrals, problem = residuals(states(rows=300, samples=samples, dt=0.1))
+    assert problem.count == integrals.numel() > 0
+    close(integrals.square().mean(), torch.tensor(1.0, **DOUBLE), 0.3)
