@@ -118,7 +118,12 @@ class WeakProblem:
         return torch.cat(missed, -1)
 
     def _rates(self, field: torch.nn.Module) -> Tensor:
-        """Return the derivatives of the field at the samples, in deviations, (B, K + 1, D, D)."""
+        """Return the derivatives of the field at the samples, in deviations, (B, K + 1, D, D).
+
+        They are zero while it is relative: a field that is still wrong does not say how noise moves it.
+        """
+        if self.relative:
+            return torch.diag_embed(torch.zeros_like(self.values))
         rows = [pointwise_jacobian(field, x) for x in self.values.split(1 + TOGETHER // self.values.shape[1])]
         deviations = self.batch.instrument.deviations.to(self.values)
         return torch.cat(rows) * deviations / deviations.unsqueeze(-1)
