@@ -14,12 +14,15 @@ from typing import NamedTuple
 
 import pytest
 from entry import call, untouched
+from helpers import close, generator
 
 from ahnn.cli import commandline
 from ahnn.cli.again import Request, run_config
 from ahnn.cli.compose import compose_job
 from ahnn.cli.help import ABOUT
 from ahnn.reproduction import plan
+from ahnn.rollouts import rollout
+from ahnn.systems.truth import exact_flow
 from ahnn.train import stored
 
 ROOT = Path(__file__).parents[1]
@@ -106,6 +109,18 @@ def test_a_snippet_runs(text, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "snippet", module)  # where dataclasses look for what they stand in
     with untouched():
         exec(compile(text, "snippet", "exec"), vars(module))
+
+
+def test_the_system_of_the_readme_moves_as_its_energy_says(monkeypatch):
+    module = ModuleType("snippet")
+    monkeypatch.setitem(sys.modules, "snippet", module)
+    shown = FENCE.findall((ROOT / "README.md").read_text())
+    exec(next(text for _, text in shown if "class Quartic" in text), vars(module))
+    system = module.Quartic(name="quartic", dt=0.01, steps=1000)
+    states = rollout(exact_flow(system), system.initial_states(5, generator(0)), 0.01, 101)
+    energies = system.energy(states)
+    close(energies, energies[:, :1].expand_as(energies), 1e-9)
+    assert float((states[:, -1] - states[:, 0]).norm(dim=-1).min()) > 0
 
 
 EXPORTED = "run_exported.py"

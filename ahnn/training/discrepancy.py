@@ -30,11 +30,11 @@ def share(residuals: Tensor, effects: Tensor, noise: Tensor, there: Tensor) -> f
     Args:
         residuals: of sums, shape (B, J, M), in standard deviations of single measurements.
         effects: g^2, (B, J, M), squares of what the field contributes.
-        noise: c, (B, J, M), variances of the sums of unit noise.
+        noise: c, (B, J, M) or (1, J, M), variances of the sums of unit noise.
         there: (B, J) or (1, J) bool, whether a sum is there.
     """
     there = there.expand(residuals.shape[:2])
-    residuals, effects, noise = (of[there] for of in (residuals, effects, noise))
+    residuals, effects, noise = (of[there] for of in (residuals, effects, noise.expand_as(effects)))
 
     def excess(e: float) -> bool:
         deviations = (noise + e * e * effects).sqrt()

@@ -38,7 +38,7 @@ class Tests(NamedTuple):
             return self
         return Tests(self.stride, self.values[part], self.slopes[part], self.there[part])
 
-    def covariances(self, rates: Tensor) -> list[Tensor]:
+    def covariances(self, size: int, rates: Tensor | None = None) -> list[Tensor]:
         """Return the covariances of sums over spans that overlap, the closest first, for `Factor.of`.
 
         Noise n of the samples moves a sum by phi' n + phi J n, where J is the derivative of the field: where
@@ -46,10 +46,11 @@ class Tests(NamedTuple):
         Math. Biol. 85, 110). A sum with a missing sample has no noise.
 
         Args:
-            rates: J in units of the noise of each component, (B, K + 1, D, D).
+            size: D, components of a sample.
+            rates: J in units of the noise of each component, (B, K + 1, D, D); None leaves it out.
         """
         count, reach = self.values.shape[1:]
-        one, squares = torch.eye(rates.shape[-1]).to(rates), rates @ rates.mT
+        one = torch.eye(size).to(self.slopes)
         found = []
         for distance in range(min(count, (reach - 1) // self.stride + 1)):
             shift = distance * self.stride
@@ -58,13 +59,14 @@ class Tests(NamedTuple):
                 of[:, : count - distance, shift:] for of in (self.values, self.slopes)
             )
             band = (slope * slope_before).sum(-1)[..., None, None] * one
-            for weights, samples in (
-                (value * slope_before, rates),
-                (slope * value_before, rates.mT),
-                (value * value_before, squares),
-            ):
-                flat = integrated(weights, self.stride, samples[:, shift:].flatten(2))
-                band = band + flat.unflatten(-1, rates.shape[2:])
+            if rates is not None:
+                for weights, samples in (
+                    (value * slope_before, rates),
+                    (slope * value_before, rates.mT),
+                    (value * value_before, rates @ rates.mT),
+                ):
+                    flat = integrated(weights, self.stride, samples[:, shift:].flatten(2))
+                    band = band + flat.unflatten(-1, (size, size))
             both = self.there[:, distance:] & self.there[:, : count - distance]
             found.append(band * both[..., None, None])
         return found

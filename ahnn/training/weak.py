@@ -78,7 +78,7 @@ class WeakProblem:
     def __init__(self, dynamics: Dynamics, batch: Segment, robust: Robust, relative: bool = False) -> None:
         if not isinstance(batch.instrument.measurement, State) or not isinstance(dynamics, HasField):
             message = (
-                "loss.stages: weak expects measured states and dynamics with a field; received "
+                "loss.stages: weak and relative expect measured states and dynamics with a field; received "
                 f"{type(batch.instrument.measurement).__name__} and {type(dynamics).__name__}. "
                 "Begin with stretches, such as [[4, 0.5], [whole, 1.0]]"
             )
@@ -100,12 +100,14 @@ class WeakProblem:
     def _factor(self) -> Factor:
         """Return the factor of the covariances of the sums' noise, and of what the field misses."""
         there, field = self.tests.there.unsqueeze(-1), cast(HasField, self._exact).field
-        bands = self.tests.covariances(self._rates(field))
-        noise = bands[0].diagonal(dim1=-2, dim2=-1)
-        noise += ~there
+        # A field that is still wrong does not say how noise moves it.
+        rates = None if self.relative else self._rates(field)
+        nearest, *further = self.tests.covariances(self.values.shape[-1], rates)
+        nearest = nearest + torch.diag_embed((~there).expand(-1, -1, nearest.shape[-1]).to(nearest))
         if self.relative:
-            noise += self._missed(field, noise) * there
-        return Factor.of(bands)
+            missed = self._missed(field, nearest.diagonal(dim1=-2, dim2=-1))
+            nearest = nearest + torch.diag_embed(missed * there)
+        return Factor.of([nearest, *further])
 
     def _missed(self, field: torch.nn.Module, noise: Tensor) -> Tensor:
         """Return e^2 g^2, (B, J, D), of what the field misses; e is one of positions and one of momenta."""
@@ -118,12 +120,7 @@ class WeakProblem:
         return torch.cat(missed, -1)
 
     def _rates(self, field: torch.nn.Module) -> Tensor:
-        """Return the derivatives of the field at the samples, in deviations, (B, K + 1, D, D).
-
-        They are zero while it is relative: a field that is still wrong does not say how noise moves it.
-        """
-        if self.relative:
-            return torch.diag_embed(torch.zeros_like(self.values))
+        """Return the derivatives of the field at the samples, in deviations, (B, K + 1, D, D)."""
         rows = [pointwise_jacobian(field, x) for x in self.values.split(1 + TOGETHER // self.values.shape[1])]
         deviations = self.batch.instrument.deviations.to(self.values)
         return torch.cat(rows) * deviations / deviations.unsqueeze(-1)

@@ -76,8 +76,7 @@ def test_the_integrals_of_an_orbit_are_exact_beside_the_noise():
     tests = bumps(times[:1], torch.ones(1, 721, dtype=torch.bool), instrument.width)
     field = torch.cat((system.velocity(truth[..., 3:]), system.force(truth[..., :3])), dim=-1)
     sums = integrated(tests.values, tests.stride, field) + integrated(tests.slopes, tests.stride, truth)
-    still = torch.zeros(4, 721, 6, 6, **DOUBLE)
-    left = Factor.of(tests.covariances(still)).whiten((sums / deviations).unsqueeze(-1))
+    left = Factor.of(tests.covariances(6)).whiten((sums / deviations).unsqueeze(-1))
     assert float(left.square().mean()) < 0.01
 
 
@@ -91,7 +90,7 @@ def test_the_noise_of_the_integrals_is_white():
     flat = (integrals - integrals.mean(0)).flatten(1)
     covariance = flat.T @ flat / len(flat)
     assert float((covariance - torch.eye(len(covariance))).abs().max()) < 0.1
-    alone = [band * torch.eye(2) for band in problem.tests.covariances(torch.zeros(1, 301, 2, 2, **DOUBLE))]
+    alone = [band * torch.eye(2) for band in problem.tests.covariances(2)]
     sums = problem._sums(model.field, slice(None))
     white = Factor.of(alone).whiten((sums - sums.mean(0)).unsqueeze(-1))
     assert float(white.square().mean()) > 1.1  # without the field's part they are too large
@@ -152,7 +151,7 @@ def test_a_wrong_field_counts_as_noise_by_the_share_that_is_wrong():
     theta = torch.tensor([2.06, 0.515], **DOUBLE)
     momenta = near.integrals(Swing(*theta.tolist()).field, slice(None))[..., 1:]
     close(momenta.abs().median(), torch.tensor(0.6745, **DOUBLE), 0.2)
-    plain = Factor.of(true.tests.covariances(torch.zeros(1, 301, 2, 2, **DOUBLE)))
+    plain = Factor.of(true.tests.covariances(2))
     sums = near._sums(Swing(*theta.tolist()).field, slice(None))
     assert float(plain.whiten(sums.unsqueeze(-1))[..., 1, 0].square().mean()) > 3
 
