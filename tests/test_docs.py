@@ -235,7 +235,7 @@ def run_in(folder, text):
 
 def exact():
     """Commands without a word in capitals to fill in; once where they do not depend on earlier ones."""
-    whole = [c for c in commands() if not re.search(r"=[A-Z]+\b", c.text)]
+    whole = [c for c in commands() if not re.search(r"[=\s][A-Z]+\b", c.text)]
     once = {(c.text, c.section if "run" in c.text else ""): c for c in whole}
     return [pytest.param(c, id=f"{c.section.split()[0]} {c.text}") for c in once.values()]
 

@@ -9,8 +9,11 @@ from torch import Tensor
 
 POWER = 8
 """Of phi = (1 - u^2)^p: so many derivatives vanish at its ends, where sums then equal integrals."""
-NARROWEST = 10
-"""Samples in half a span, at least: over fewer the sums are no integrals, however little the noise."""
+NARROWEST = {1: 10, 2: 6}
+"""Samples in half a span, at least, by the order of the equation: over fewer the sums are no integrals,
+however little the noise. Positions come rarely, and wide spans would look past the places of large forces."""
+DEGREE = 7
+"""Of polynomials of which sums are exact at the samples, and not only in the limit of many."""
 PER_WIDTH = 3
 """Test functions that begin within half a span."""
 UNEVEN = 3.0
@@ -22,48 +25,48 @@ class Tests(NamedTuple):
 
     Attributes:
         stride: samples between the first ones of neighbouring spans.
-        values: phi over its span of S samples, (B, J, S); B may be 1 for all alike.
-        slopes: phi', (B, J, S).
+        on_field: phi over its span of S samples, (B, J, S); B may be 1 for all alike.
+        on_data: -(-1)^k times the k-th derivative of phi, (B, J, S), of an equation of order k.
         there: (B, J) bool, whether no sample of the span is missing.
     """
 
     stride: int
-    values: Tensor
-    slopes: Tensor
+    on_field: Tensor
+    on_data: Tensor
     there: Tensor
 
     def rows(self, part: slice) -> Tests:
         """Return those of some segments."""
-        if len(self.values) == 1:
+        if len(self.on_field) == 1:
             return self
-        return Tests(self.stride, self.values[part], self.slopes[part], self.there[part])
+        return Tests(self.stride, self.on_field[part], self.on_data[part], self.there[part])
 
     def covariances(self, size: int, rates: Tensor | None = None) -> list[Tensor]:
         """Return the covariances of sums over spans that overlap, the closest first, for `Factor.of`.
 
-        Noise n of the samples moves a sum by phi' n + phi J n, where J is the derivative of the field: where
-        a momentum makes a position move, its noise counts in both (Bortz, Messenger & Dukic 2023, Bull.
+        Noise n of the samples moves a sum by phi' n + phi J n, or -phi'' n + phi J n where the equation is of
+        second order, and J is the derivative of its right-hand side: where a momentum makes a position move, its noise counts in both (Bortz, Messenger & Dukic 2023, Bull.
         Math. Biol. 85, 110). A sum with a missing sample has no noise.
 
         Args:
             size: D, components of a sample.
             rates: J in units of the noise of each component, (B, K + 1, D, D); None leaves it out.
         """
-        count, reach = self.values.shape[1:]
-        one = torch.eye(size).to(self.slopes)
+        count, reach = self.on_field.shape[1:]
+        one = torch.eye(size).to(self.on_data)
         found = []
         for distance in range(min(count, (reach - 1) // self.stride + 1)):
             shift = distance * self.stride
-            value, slope = (of[:, distance:, : reach - shift] for of in (self.values, self.slopes))
-            value_before, slope_before = (
-                of[:, : count - distance, shift:] for of in (self.values, self.slopes)
+            field, data = (of[:, distance:, : reach - shift] for of in (self.on_field, self.on_data))
+            field_before, data_before = (
+                of[:, : count - distance, shift:] for of in (self.on_field, self.on_data)
             )
-            band = (slope * slope_before).sum(-1)[..., None, None] * one
+            band = (data * data_before).sum(-1)[..., None, None] * one
             if rates is not None:
                 for weights, samples in (
-                    (value * slope_before, rates),
-                    (slope * value_before, rates.mT),
-                    (value * value_before, rates @ rates.mT),
+                    (field * data_before, rates),
+                    (data * field_before, rates.mT),
+                    (field * field_before, rates @ rates.mT),
                 ):
                     flat = integrated(weights, self.stride, samples[:, shift:].flatten(2))
                     band = band + flat.unflatten(-1, (size, size))
@@ -85,16 +88,17 @@ def integrated(weights: Tensor, stride: int, samples: Tensor) -> Tensor:
     return total
 
 
-def bumps(times: Tensor, present: Tensor, width: int) -> Tests:
+def bumps(times: Tensor, present: Tensor, width: int, order: int = 1) -> Tests:
     """Return test functions over spans of 2 x width intervals, or of all of them if these are fewer.
 
     Args:
         times: (B, K + 1).
         present: (B, K + 1) bool, whether a sample is there.
         width: half of a span, in samples, of which there are at least `NARROWEST` where data reach so far.
+        order: k of the equation, 1 or 2.
     """
     last = times.shape[1] - 1
-    width = max(1, min(max(width, NARROWEST), last // 2))
+    width = max(1, min(max(width, NARROWEST[order]), last // 2))
     stride = max(1, width // PER_WIDTH)
     begins = torch.arange(0, last - 2 * width + 1, stride)
     spans = begins.unsqueeze(-1) + torch.arange(2 * width + 1)
@@ -102,10 +106,35 @@ def bumps(times: Tensor, present: Tensor, width: int) -> Tests:
     half = (of_span[..., -1:] - of_span[..., :1]) / 2
     u = ((of_span - of_span[..., :1]) / half - 1).clamp(-1, 1)
     weights, bump = quadrature(times)[:, spans], 1 - u * u
-    values = weights * bump**POWER
-    slopes = weights * (-2 * POWER * u * bump ** (POWER - 1) / half)
-    missing = ((values != 0) & ~present[:, spans]).any(-1)
-    return Tests(stride, values, slopes, ~missing)
+    on_field = weights * bump**POWER
+    on_data = weights * _derivative(u, bump, order) / half**order
+    on_data = on_data + _correction(on_field, on_data, u, half, order)
+    missing = ((on_field != 0) & ~present[:, spans]).any(-1)
+    return Tests(stride, on_field, on_data, ~missing)
+
+
+def _correction(on_field: Tensor, on_data: Tensor, u: Tensor, half: Tensor, order: int) -> Tensor:
+    """Return what makes the sums vanish for polynomials x(t) of `DEGREE` and their derivatives.
+
+    It is the smallest such, small where phi is. Where a span has few samples, a large mean position would
+    show in its sums without it.
+    """
+    degree = min(DEGREE, u.shape[-1] - 3)
+    power = torch.arange(degree + 1).to(u)
+    factor = power if order == 1 else power * (power - 1)
+    basis = u.unsqueeze(-1) ** power
+    derivatives = factor * u.unsqueeze(-1) ** (power - order).clamp(min=0) / half.unsqueeze(-1) ** order
+    left = (on_field.unsqueeze(-1) * derivatives + on_data.unsqueeze(-1) * basis).sum(-2)
+    near = basis * ((1 - u * u) ** (POWER // 2)).unsqueeze(-1)
+    return -(near @ torch.linalg.solve(basis.mT @ near, left.unsqueeze(-1))).squeeze(-1)
+
+
+def _derivative(u: Tensor, bump: Tensor, order: int) -> Tensor:
+    """Return d phi/du, or -d^2 phi/du^2, of phi = bump^p with bump = 1 - u^2."""
+    slope = -2 * POWER * u * bump ** (POWER - 1)
+    if order == 1:
+        return slope
+    return 2 * POWER * bump ** (POWER - 2) * (bump - 2 * (POWER - 1) * u * u)
 
 
 def quadrature(times: Tensor) -> Tensor:

@@ -5,13 +5,14 @@ For a function phi that vanishes at both ends of a span, the integral of phi dx/
     r = integral of (phi f(x) + phi' x) dt
 
 is zero for the true field f, and its noise is that of a weighted sum of samples (Messenger & Bortz 2021,
-Multiscale Model. Simul. 19, 1474-1497). It is linear in the field.
+Multiscale Model. Simul. 19, 1474-1497). It is linear in the field. Measured positions q obey an equation of
+second order, and -phi'' q takes the place of phi' x.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, cast
 
@@ -20,16 +21,16 @@ from torch import Tensor
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from ahnn.dynamics import Dynamics, HasField
-from ahnn.dynamics.derivatives import field_jacobian
-from ahnn.errors import UserError
-from ahnn.measurements import Segment, State
+from ahnn.measurements import Segment
 from ahnn.shooting.paths import TOGETHER, pointwise_jacobian
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
 from ahnn.training.banded import Factor
 from ahnn.training.discrepancy import share
+from ahnn.training.motion import equation_of_motion
 from ahnn.training.normal_equations import Equations, Rows, accumulated
 from ahnn.training.spans import bumps, integrated
 
+Function = Callable[[Tensor], Tensor]
 CELLS = 5e7
 """Numbers in the largest tensor of sensitivities; longer batches are cut into parts of segments."""
 
@@ -51,7 +52,7 @@ class Weak:
     def residuals(self, dynamics: Dynamics, batch: Segment) -> Tensor:
         """Return the weighted residuals, shape (B, J, D), with a graph."""
         problem = self.problem(dynamics, batch)
-        residuals = problem.integrals(cast(HasField, dynamics).field, slice(None))
+        residuals = problem.integrals(problem.motion.right(cast(HasField, dynamics).field), slice(None))
         return residuals * problem.robust.weight(residuals.detach()).sqrt()
 
     def problem(self, dynamics: Dynamics, batch: Segment) -> WeakProblem:
@@ -69,28 +70,21 @@ class Weak:
 
 
 class WeakProblem:
-    """Integrals of noisy states as a problem in the parameters theta, shape (P,), of dynamics with a field.
+    """Integrals of noisy samples as a problem in the parameters theta, shape (P,), of dynamics with a field.
 
     Raises:
-        UserError: measurements that are no states, or dynamics without a field.
+        UserError: measurements whose equation of motion the field does not say.
     """
 
     def __init__(self, dynamics: Dynamics, batch: Segment, robust: Robust, relative: bool = False) -> None:
-        if not isinstance(batch.instrument.measurement, State) or not isinstance(dynamics, HasField):
-            message = (
-                "loss.stages: weak and relative expect measured states and dynamics with a field; received "
-                f"{type(batch.instrument.measurement).__name__} and {type(dynamics).__name__}. "
-                "Begin with stretches, such as [[4, 0.5], [whole, 1.0]]"
-            )
-            raise UserError(message)
+        self.motion = equation_of_motion(dynamics, batch.instrument)
         self.batch, self.robust, self.relative = batch, robust, relative
         self._exact = copy.deepcopy(dynamics).requires_grad_(False)
-        self._forcing = field_jacobian(dynamics)
         present = batch.values.isfinite().all(-1)
         times = batch.times - batch.times[:, :1]
         alike = bool((times - times[:1]).abs().max() <= 1e-9 * times.max()) and bool(present.all())
         kept = slice(1) if alike else slice(None)
-        self.tests = bumps(times[kept], present[kept], batch.instrument.width)
+        self.tests = bumps(times[kept], present[kept], batch.instrument.width, self.motion.order)
         anywhere = batch.values.nanmean(1, keepdim=True)  # in place of a sample whose sums do not count
         self.values = torch.where(batch.values.isnan(), anywhere, batch.values)
         self.count = int(self.tests.there.sum()) * self.values.shape[-1] * (len(self.values) if alike else 1)
@@ -99,7 +93,8 @@ class WeakProblem:
     @torch.no_grad()
     def _factor(self) -> Factor:
         """Return the factor of the covariances of the sums' noise, and of what the field misses."""
-        there, field = self.tests.there.unsqueeze(-1), cast(HasField, self._exact).field
+        there = self.tests.there.unsqueeze(-1)
+        field = self.motion.right(cast(HasField, self._exact).field)
         # A field that is still wrong does not say how noise moves it.
         rates = None if self.relative else self._rates(field)
         nearest, *further = self.tests.covariances(self.values.shape[-1], rates)
@@ -109,31 +104,32 @@ class WeakProblem:
             nearest = nearest + torch.diag_embed(missed * there)
         return Factor.of([nearest, *further])
 
-    def _missed(self, field: torch.nn.Module, noise: Tensor) -> Tensor:
-        """Return e^2 g^2, (B, J, D), of what the field misses; e is one of positions and one of momenta."""
+    def _missed(self, field: Function, noise: Tensor) -> Tensor:
+        """Return e^2 g^2, (B, J, D), of what the field misses; each kind of quantity has an e of its own."""
         parts = [(self._sums(field, part), self._sums(None, part)) for part in self._parts(50)]
-        sums, effects = (torch.cat(some).chunk(2, -1) for some in zip(*parts, strict=True))
+        kinds = self.motion.kinds
+        sums, effects = (torch.cat(some).chunk(kinds, -1) for some in zip(*parts, strict=True))
         missed = []
-        for residual, effect, variance in zip(sums, effects, noise.chunk(2, -1), strict=True):
+        for residual, effect, variance in zip(sums, effects, noise.chunk(kinds, -1), strict=True):
             square = effect.square().mean(-1, keepdim=True).expand_as(residual)
             missed.append(share(residual, square, variance, self.tests.there) ** 2 * square)
         return torch.cat(missed, -1)
 
-    def _rates(self, field: torch.nn.Module) -> Tensor:
+    def _rates(self, field: Function) -> Tensor:
         """Return the derivatives of the field at the samples, in deviations, (B, K + 1, D, D)."""
         rows = [pointwise_jacobian(field, x) for x in self.values.split(1 + TOGETHER // self.values.shape[1])]
         deviations = self.batch.instrument.deviations.to(self.values)
         return torch.cat(rows) * deviations / deviations.unsqueeze(-1)
 
-    def _sums(self, field: torch.nn.Module | None, part: slice) -> Tensor:
+    def _sums(self, field: Function | None, part: slice) -> Tensor:
         """Return the sums of some of the segments in deviations, (B, J, D); without a field those of data."""
         tests, x = self.tests.rows(part), self.values[part]
-        sums = integrated(tests.slopes, tests.stride, x)
+        sums = integrated(tests.on_data, tests.stride, x)
         if field is not None:
-            sums = sums + integrated(tests.values, tests.stride, field(x))
+            sums = sums + integrated(tests.on_field, tests.stride, field(x))
         return sums * tests.there.unsqueeze(-1) / self.batch.instrument.deviations.to(x)
 
-    def integrals(self, field: torch.nn.Module, part: slice) -> Tensor:
+    def integrals(self, field: Function, part: slice) -> Tensor:
         """Return the whitened integrals (B, J, D) of some of the segments."""
         return self.factor.rows(part).whiten(self._sums(field, part).unsqueeze(-1)).squeeze(-1)
 
@@ -141,9 +137,9 @@ class WeakProblem:
         rows = max(1, int(CELLS // (self.values.shape[1] * self.values.shape[2] * numbers)))
         return (slice(k, k + rows) for k in range(0, len(self.values), rows))
 
-    def _at(self, theta: Tensor) -> torch.nn.Module:
+    def _at(self, theta: Tensor) -> Function:
         vector_to_parameters(theta, self._exact.parameters())
-        return cast(HasField, self._exact).field
+        return self.motion.right(cast(HasField, self._exact).field)
 
     @torch.no_grad()
     def loss(self, theta: Tensor) -> Tensor:
@@ -161,14 +157,14 @@ class WeakProblem:
             lambda part: self._rows(theta, field, part), self._parts(len(theta)), theta, self.count
         )
 
-    def _rows(self, theta: Tensor, field: torch.nn.Module, part: slice) -> Rows:
+    def _rows(self, theta: Tensor, field: Function, part: slice) -> Rows:
         """Return the residuals of some segments and their Jacobian."""
         plain = self.integrals(field, part)
         weight = self.robust.weight(plain).sqrt()
         tests, x = self.tests.rows(part), self.values[part]
-        forcing = self._forcing(theta, x)  # (B, K + 1, L, P): of the last L components, which parameters move
+        forcing = self.motion.rows(theta, x)  # (B, K + 1, L, P): of the last L components, which parameters move
         still, moved = (x.shape[-1] - forcing.shape[2], forcing.shape[2])
-        sums = integrated(tests.values, tests.stride, forcing.flatten(2)).unflatten(-1, forcing.shape[2:])
+        sums = integrated(tests.on_field, tests.stride, forcing.flatten(2)).unflatten(-1, forcing.shape[2:])
         sums.mul_(
             (tests.there.unsqueeze(-1) / self.batch.instrument.deviations[-moved:]).unsqueeze(-1).to(sums)
         )

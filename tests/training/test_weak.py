@@ -75,7 +75,7 @@ def test_the_integrals_of_an_orbit_are_exact_beside_the_noise():
     times = (60.0 * torch.arange(721, **DOUBLE)).expand(4, -1)
     tests = bumps(times[:1], torch.ones(1, 721, dtype=torch.bool), instrument.width)
     field = torch.cat((system.velocity(truth[..., 3:]), system.force(truth[..., :3])), dim=-1)
-    sums = integrated(tests.values, tests.stride, field) + integrated(tests.slopes, tests.stride, truth)
+    sums = integrated(tests.on_field, tests.stride, field) + integrated(tests.on_data, tests.stride, truth)
     left = Factor.of(tests.covariances(6)).whiten((sums / deviations).unsqueeze(-1))
     assert float(left.square().mean()) < 0.01
 

@@ -1,0 +1,70 @@
+"""The differential equation that what is measured obeys, which needs no solver to be held against samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple, cast
+
+import torch
+from torch import Tensor, nn
+
+from ahnn.dynamics import Dynamics, HasField
+from ahnn.dynamics.derivatives import field_jacobian
+from ahnn.dynamics.energies import Quadratic
+from ahnn.dynamics.hamiltonians import SeparableHamiltonian
+from ahnn.errors import UserError
+from ahnn.measurements import Instrument, Position, State
+
+
+class Motion(NamedTuple):
+    """d^k y/dt^k = f(y) of what is measured, y.
+
+    Attributes:
+        order: k, 1 of states and 2 of positions.
+        kinds: of quantities in y, side by side: positions and momenta, or positions.
+        right: field of the dynamics -> f, which maps (..., M) to (..., M).
+        rows: (theta, y) -> df/dtheta, (..., L, P), of the last L components, which parameters move.
+    """
+
+    order: int
+    kinds: int
+    right: Callable[[nn.Module], Callable[[Tensor], Tensor]]
+    rows: Callable[[Tensor, Tensor], Tensor]
+
+
+def equation_of_motion(dynamics: Dynamics, instrument: Instrument) -> Motion:
+    """Return the equation of the measured states, or of positions where p^2 / 2m is known.
+
+    Raises:
+        UserError: other measurements, or dynamics whose field does not say how these move.
+    """
+    measurement = instrument.measurement
+    if isinstance(dynamics, HasField) and isinstance(measurement, State):
+        return Motion(1, 2, lambda field: field, field_jacobian(dynamics))
+    if (
+        isinstance(dynamics, HasField)
+        and isinstance(measurement, Position)
+        and isinstance(dynamics.field, SeparableHamiltonian)
+        and isinstance(dynamics.field.kinetic, Quadratic)
+    ):
+        return _of_positions(dynamics)
+    message = (
+        "loss.stages: weak and relative expect dynamics with a field and measured states, or positions where "
+        f"the kinetic energy is known; received {type(measurement).__name__} and {type(dynamics).__name__}. "
+        "Begin with stretches, such as [[4, 0.5], [whole, 1.0]]"
+    )
+    raise UserError(message)
+
+
+def _of_positions(dynamics: HasField) -> Motion:
+    """Return d^2 q/dt^2 = -V'(q) / m."""
+    rows, known = field_jacobian(dynamics), cast(SeparableHamiltonian, dynamics.field)
+
+    def right(field: nn.Module) -> Callable[[Tensor], Tensor]:
+        own = cast(SeparableHamiltonian, field)
+        return lambda q: own.velocity(own.force(q))
+
+    def of_parameters(theta: Tensor, q: Tensor) -> Tensor:
+        return known.velocity(rows(theta, torch.cat((q, torch.zeros_like(q)), -1)))  # both are linear
+
+    return Motion(2, 1, right, of_parameters)
