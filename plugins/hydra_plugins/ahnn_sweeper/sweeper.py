@@ -4,6 +4,7 @@ Hydra executes this module outside `sys.modules`, so it must not combine postpon
 dataclasses, and it imports Optuna inside functions because every start of every Hydra application imports it.
 """
 
+import copy
 import logging
 import signal
 from collections.abc import Mapping, Sequence
@@ -154,9 +155,11 @@ class AhnnOptunaSweeper(Sweeper):
             job.hydra.mode = RunMode.RUN  # whether a job may have several devices is known without it
             job.hydra.runtime.output_dir = str(Path(str(self.config.hydra.sweep.dir)).absolute() / "0")
             HydraConfig.instance().set_config(job)
-            del job["hydra"]
+        task = copy.deepcopy(job)  # what `hydra:` refers to keeps its root
+        with open_dict(task):
+            del task["hydra"]
         try:
-            check(job)
+            check(task)
         finally:
             HydraConfig.instance().cfg = before
 
