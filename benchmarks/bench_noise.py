@@ -1,6 +1,6 @@
 """Does the recursive loss pay under noise? Every objective on the same noisy states, for the same CPU time.
 
-    python benchmarks/bench_noise.py --seconds 30 --out noise.csv
+    python benchmarks/bench_noise.py --out noise.csv
 
 Rows are appended as they are measured, and those that the file has are not measured again. The error is
 that of rollouts of unseen trajectories from their true start, mean of the rms vector norm, as in every table.
@@ -38,6 +38,7 @@ def methods(system: str) -> dict[str, list[str]]:
         "derivative": ["recipe=second_order", "loss=derivative"],
         **rows,
         "weak": ["recipe=noisy_states", "loss.stages=[[weak,1.0]]", "data.batch_size=20"],
+        "relative": ["recipe=noisy_states", "loss.stages=[[relative,1.0]]", "data.batch_size=10"],
         "shooting": ["recipe=measurements", *noisy],
     }
 
@@ -46,7 +47,7 @@ def main() -> None:
     """Measure what the file does not have."""
     kind = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=kind)
-    parser.add_argument("--seconds", type=float, default=30, help="CPU time of each training")
+    parser.add_argument("--seconds", type=float, default=20, help="CPU time of each training")
     parser.add_argument("--seeds", type=int, nargs="+", default=[7, 201, 719])
     parser.add_argument("--systems", nargs="+", default=list(SYSTEMS), choices=SYSTEMS)
     parser.add_argument("--out", type=Path, default=Path("noise.csv"))
