@@ -162,7 +162,9 @@ class WeakProblem:
         plain = self.integrals(field, part)
         weight = self.robust.weight(plain).sqrt()
         tests, x = self.tests.rows(part), self.values[part]
-        forcing = self.motion.rows(theta, x)  # (B, K + 1, L, P): of the last L components, which parameters move
+        forcing = self.motion.rows(
+            theta, x
+        )  # (B, K + 1, L, P): of the last L components, which parameters move
         still, moved = (x.shape[-1] - forcing.shape[2], forcing.shape[2])
         sums = integrated(tests.on_field, tests.stride, forcing.flatten(2)).unflatten(-1, forcing.shape[2:])
         sums.mul_(

@@ -10,7 +10,7 @@ import optuna
 import pytest
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.utils import JobReturn, JobStatus
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from optuna.trial import TrialState, create_trial
 from sweeps import ROOT
 
@@ -20,6 +20,7 @@ from hydra_plugins.ahnn_sweeper._progress import progress_line
 from hydra_plugins.ahnn_sweeper._storage import resolved
 from hydra_plugins.ahnn_sweeper._study import open_study, sampler
 from hydra_plugins.ahnn_sweeper._trial import TrialCallback
+from hydra_plugins.ahnn_sweeper.sweeper import AhnnOptunaSweeper
 
 
 def running(**attributes: object) -> optuna.trial.FrozenTrial:
@@ -98,6 +99,24 @@ def test_the_pfl_callback_gets_the_trial_of_its_job(tmp_path: Path, monkeypatch:
     assert callback.settings.target_epoch == config.trainer.max_epochs
     assert callback.record.group == "spring/hnn"
     assert callback.record.path == tmp_path / "pfl_record.jsonl"
+
+
+def test_a_checked_job_finds_the_folder_that_its_search_names(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("AHNN_CONF", str(ROOT / "conf"))
+    with hydra.initialize(version_base=None, config_path="toy_conf"):
+        config = hydra.compose("toy", ["sweep=quick", "model=hnn"], return_hydra_config=True)
+    before, seen = HydraConfig.instance().cfg, []
+
+    def task(cfg: DictConfig) -> None:
+        raise AssertionError(cfg)
+
+    task.check = lambda cfg: seen.append(("hydra" in cfg, cfg.callbacks.pfl.record))  # pyright: ignore[reportFunctionMemberAccess]
+    options = OmegaConf.to_container(config.hydra.sweeper, resolve=True)
+    sweeper = AhnnOptunaSweeper(**{k: v for k, v in options.items() if k[0] != "_"})  # pyright: ignore
+    sweeper.config, sweeper.task_function = config, task
+    sweeper._check(config.copy())
+    assert seen == [(False, "multirun/quick_spring_hnn/pfl_record.jsonl")]
+    assert HydraConfig.instance().cfg is before
 
 
 @pytest.mark.parametrize("variable", ["LOCAL_RANK", "SLURM_PROCID"])
