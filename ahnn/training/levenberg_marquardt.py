@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -10,8 +10,10 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 from torch.optim import Optimizer
 
 from ahnn.arguments import Positive, checked
+from ahnn.errors import UserError
+from ahnn.training.acceleration import Bends, accelerated
 from ahnn.training.least_squares import Problem
-from ahnn.training.normal_equations import damped_step, gradient_norm, promised_decrease
+from ahnn.training.normal_equations import Block, damped_step, gradient_norm, promised_decrease
 from ahnn.training.steppers import SecondOrder
 
 SMALLEST, LARGEST = 1e-14, 1e6
@@ -38,14 +40,20 @@ class LevenbergMarquardt(Optimizer):
         params: the parameters of the module whose residuals are minimised.
         damping: of the first step; it adapts from there.
         tolerance: admitted relative rise of the loss on the windows held back.
+        acceleration: let steps follow the bend of the residuals, which those of the weak form know.
     """
 
     stepper = SecondOrder()
 
     def __init__(
-        self, params: Iterable[nn.Parameter], damping: Positive = 1e-2, tolerance: Positive = 0.3
+        self,
+        params: Iterable[nn.Parameter],
+        damping: Positive = 1e-2,
+        tolerance: Positive = 0.3,
+        acceleration: bool = False,
     ) -> None:
         super().__init__(params, {"damping": damping, "tolerance": tolerance})
+        self.acceleration = acceleration
 
     @torch.no_grad()
     def step(self, closure: Callable[[], tuple[Problem, Problem | None]]) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -53,6 +61,9 @@ class LevenbergMarquardt(Optimizer):
 
         Args:
             closure: returns the problem to step on and the one held back, if any is.
+
+        Raises:
+            UserError: acceleration on residuals whose bend is not known.
         """
         with torch.enable_grad():
             problem, held_back = closure()
@@ -64,12 +75,16 @@ class LevenbergMarquardt(Optimizer):
         group["gradient_norm"] = 2 * gradient_norm(blocks) / degrees  # of the mean square
         other: Tensor | None = None  # the loss held back, once it is asked for
         for _ in range(ATTEMPTS):
-            move = damped_step(blocks, group["damping"], theta)
-            if move is None:
+            straight = damped_step(blocks, group["damping"], theta)
+            if straight is None:
                 group["damping"] = min(group["damping"] * 10, LARGEST)
                 continue
+            move = self._followed(problem, theta, blocks, straight)
+            if move is None:
+                group["damping"] = min(group["damping"] * 3, LARGEST)
+                continue
             decrease = loss - problem.loss(theta + move)
-            gain, rise = float(decrease / promised_decrease(blocks, move)), 0.0
+            gain, rise = float(decrease / promised_decrease(blocks, straight)), 0.0
             if gain > SUFFICIENT and held_back is not None:
                 other = held_back.loss(theta) if other is None else other
                 rise = float(held_back.loss(theta + move) / other) - 1
@@ -79,6 +94,20 @@ class LevenbergMarquardt(Optimizer):
                 vector_to_parameters(theta + move, group["params"])
                 break
         return loss / degrees
+
+    def _followed(
+        self, problem: Problem, theta: Tensor, blocks: Sequence[Block], straight: Tensor
+    ) -> Tensor | None:
+        """Return the step with its acceleration, if that is asked for; None where the step is too long."""
+        if not self.acceleration:
+            return straight
+        if not isinstance(problem, Bends):
+            message = (
+                "optimizer.acceleration: expected stages `relative` and `weak` alone, whose bend is known; "
+                f"received a {type(problem).__name__}. Set optimizer.acceleration=false"
+            )
+            raise UserError(message)
+        return accelerated(problem, theta, blocks, straight, self.param_groups[0]["damping"])
 
 
 def adapted(damping: float, gain: float, rise: float, accepted: bool) -> float:

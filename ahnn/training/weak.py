@@ -18,9 +18,11 @@ from typing import ClassVar, cast
 
 import torch
 from torch import Tensor
+from torch.func import vjp
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from ahnn.dynamics import Dynamics, HasField
+from ahnn.dynamics.derivatives import parametrised
 from ahnn.measurements import Segment
 from ahnn.shooting.paths import TOGETHER, pointwise_jacobian
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
@@ -157,6 +159,22 @@ class WeakProblem:
             lambda part: self._rows(theta, field, part), self._parts(len(theta)), theta, self.count
         )
 
+    def bend(self, theta: Tensor, step: Tensor, reach: float) -> Tensor:
+        """Return J^T r_vv of the weighted residuals, as in `ahnn.training.acceleration.Bends`."""
+        total = torch.zeros_like(theta)
+        for part in self._parts(50):
+            with torch.no_grad():
+                here, ahead, behind = (
+                    self.integrals(self._at(theta + share * step), part) for share in (0.0, reach, -reach)
+                )
+            second = self.robust.weight(here) * (ahead - 2 * here + behind) / reach**2
+            whole = parametrised(self._exact, self._integrals_of(part), theta.dtype)
+            total = total + vjp(whole, theta)[1](second)[0]
+        return total
+
+    def _integrals_of(self, part: slice) -> Callable[[], Tensor]:
+        return lambda: self.integrals(self.motion.right(cast(HasField, self._exact).field), part)
+
     def _rows(self, theta: Tensor, field: Function, part: slice) -> Rows:
         """Return the residuals of some segments and their Jacobian."""
         plain = self.integrals(field, part)
@@ -165,7 +183,7 @@ class WeakProblem:
         forcing = self.motion.rows(
             theta, x
         )  # (B, K + 1, L, P): of the last L components, which parameters move
-        still, moved = (x.shape[-1] - forcing.shape[2], forcing.shape[2])
+        still, moved = x.shape[-1] - forcing.shape[2], forcing.shape[2]
         sums = integrated(tests.on_field, tests.stride, forcing.flatten(2)).unflatten(-1, forcing.shape[2:])
         sums.mul_(
             (tests.there.unsqueeze(-1) / self.batch.instrument.deviations[-moved:]).unsqueeze(-1).to(sums)

@@ -153,6 +153,24 @@ class Potential(nn.Module):
         return self.stiffness[0] * q + self.stiffness[1] * q**3
 
 
+class Saturating(nn.Module):
+    """The field of H = p^2 / 2 + k log cosh(c q) / c."""
+
+    def __init__(self, *theta):
+        super().__init__()
+        self.theta = nn.Parameter(torch.tensor(theta, **DOUBLE))
+
+    def forward(self, x):
+        q, p = x.chunk(2, -1)
+        return torch.cat((p, -self.theta[0] * torch.tanh(self.theta[1] * q)), -1)
+
+
+class Bent(Swing):
+    def __init__(self, *theta):
+        nn.Module.__init__(self)
+        self.field = Saturating(*theta)
+
+
 class Well(Swing):
     def __init__(self, *stiffness):
         nn.Module.__init__(self)
@@ -213,6 +231,32 @@ def test_equations_are_those_of_the_residuals():
         columns = [(at(e * d) - at(-e * d)).flatten() / (2 * e) for d in torch.eye(2, **DOUBLE)]
     numeric = torch.stack(columns, -1)
     close(block.matrix, numeric.T @ numeric, 1e-4)
+
+
+@pytest.mark.parametrize("robust", ["none", "huber"])
+def test_the_bend_is_the_second_derivative_of_the_residuals(robust):
+    """With a force k tanh(c q), which is linear in k and not in c."""
+    batch, model = states(rows=5), Bent(2.0, 0.7)
+    problem = WeakProblem(model, batch, ROBUST[robust])
+    theta, step = torch.tensor([2.0, 0.7], **DOUBLE), torch.tensor([0.01, 0.03], **DOUBLE)
+    field = lambda t: Bent(*t.tolist()).field  # noqa: E731
+    with torch.no_grad():
+        here = problem.integrals(field(theta), slice(None))
+        along = lambda d, e: problem.integrals(field(theta + e * d), slice(None))  # noqa: E731
+        second = along(step, 0.1) - 2 * here + along(step, -0.1)
+        columns = [(along(d, 1e-5) - along(d, -1e-5)) / 2e-5 for d in torch.eye(2, **DOUBLE)]
+        weighted = problem.robust.weight(here) * second / 0.01
+        expected = torch.stack([(column * weighted).sum() for column in columns])
+    close(problem.bend(theta, step, 0.1), expected, 1e-5)
+    zero = problem.bend(theta, torch.tensor([0.3, 0.0], **DOUBLE), 0.1)  # linear there
+    assert float(zero.abs().max()) < 1e-8 * float(expected.abs().max())
+
+
+def test_acceleration_is_refused_where_the_bend_is_not_known():
+    model, batch = Swing(), states(rows=3)
+    optimizer = LevenbergMarquardt(model.parameters(), acceleration=True)
+    with pytest.raises(UserError, match=r"optimizer.acceleration: expected stages .* ShootingProblem"):
+        optimizer.step(lambda: (objective_of("whole", "none").problem(model, batch), None))
 
 
 def test_a_field_is_found_from_noisy_states():

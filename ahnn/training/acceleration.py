@@ -1,0 +1,54 @@
+"""Steps that follow the bend of the residuals: geodesic acceleration.
+
+Residuals of a network bend along a Gauss-Newton step v, and damping is what keeps the step short of the bend.
+The acceleration a solves the same damped equations for the second derivative of the residuals along v,
+
+    (J^T J + damping D) a = -J^T r_vv,
+
+and v + a / 2 follows them further (Transtrum & Sethna 2012, arXiv:1201.5885). It costs a few evaluations of the
+residuals, and no Jacobian.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
+
+from torch import Tensor
+
+from ahnn.training.normal_equations import Block, damped_step
+
+LONGEST = 0.75
+"""Length of the acceleration, in lengths of the step; where it is longer two terms are not enough."""
+REACH = 0.1
+"""Share of the step over which the second derivative is a difference."""
+
+
+@runtime_checkable
+class Bends(Protocol):
+    """A problem that knows the second derivative of its residuals along a step."""
+
+    def bend(self, theta: Tensor, step: Tensor, reach: float) -> Tensor:
+        """Return J^T r_vv at theta for the step v, by a difference over a share of it; all shape (P,)."""
+        ...
+
+
+def accelerated(
+    problem: Bends, theta: Tensor, blocks: Sequence[Block], step: Tensor, damping: float
+) -> Tensor | None:
+    """Return v + a / 2 for a damped step v from theta, shape (P,); None where the step is too long for it."""
+    pull = problem.bend(theta, step, REACH)
+    turned = [block._replace(gradient=pull[block.columns]) for block in blocks]
+    turn = damped_step(turned, damping, theta)
+    if turn is None or _length(turn, blocks) > LONGEST * _length(step, blocks):
+        return None
+    return step + turn / 2
+
+
+def _length(step: Tensor, blocks: Sequence[Block]) -> float:
+    """Return the length of a step in the metric of the damping, D."""
+    squares = [
+        (block.matrix.diagonal() + 1e-3 * block.matrix.diagonal().mean()) @ step[block.columns].square()
+        for block in blocks
+    ]
+    return sum(float(square) for square in squares) ** 0.5
