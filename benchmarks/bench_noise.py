@@ -2,8 +2,9 @@
 
     python benchmarks/bench_noise.py --out noise.csv
 
-Rows are appended as they are measured, and those that the file has are not measured again. The error is
-that of rollouts of unseen trajectories from their true start, mean of the rms vector norm, as in every table.
+Rows are appended as they are measured, and those that the file has are not measured again; at the end stand
+tables of the medians of the seeds, with their range. The error is that of rollouts of unseen trajectories
+from their true start, mean of the rms vector norm, as in every table.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import argparse
 import csv
 import itertools
+import statistics
 from pathlib import Path
 
 import torch
@@ -64,6 +66,27 @@ def main() -> None:
             with args.out.open("a", newline="") as file:
                 csv.writer(file).writerow([system, noise, name, seed, f"{error:.4g}"])
             print(system, noise, name, seed, f"{error:.3g}", flush=True)
+    print(tables(args.out))
+
+
+def short(error: float) -> str:
+    """Return two digits of a number, without an exponent where it is large."""
+    return f"{float(f'{error:.2g}'):,.0f}" if 100 <= error < 1e9 else f"{error:.2g}"
+
+
+def tables(path: Path) -> str:
+    """Return the medians and ranges of all seeds in Markdown, a table of each system."""
+    found: dict[tuple[str, str, str], list[float]] = {}
+    for system, noise, name, _, error in csv.reader(path.open()):
+        found.setdefault((system, name, noise), []).append(float(error))
+    lines = []
+    for system, (_, levels) in SYSTEMS.items():
+        lines += ["", f"| {system} | {' | '.join(levels)} |", "|---|" + "---|" * len(levels)]
+        for name in methods(system):
+            cells = [found.get((system, name, noise), []) for noise in levels]
+            shown = [f"{statistics.median(c):.2g} ({min(c):.2g} to {max(c):.2g})" if c else "" for c in cells]
+            lines.append(f"| {name} | {' | '.join(shown)} |")
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":

@@ -5,8 +5,8 @@ The acceleration a solves the same damped equations for the second derivative of
 
     (J^T J + damping D) a = -J^T r_vv,
 
-and v + a / 2 follows them further (Transtrum & Sethna 2012, arXiv:1201.5885). It costs a few evaluations of the
-residuals, and no Jacobian.
+and v + a / 2 follows them further (Transtrum & Sethna 2012, arXiv:1201.5885). It costs a few evaluations of
+the residuals, and no Jacobian.
 """
 
 from __future__ import annotations

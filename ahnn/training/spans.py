@@ -45,8 +45,9 @@ class Tests(NamedTuple):
         """Return the covariances of sums over spans that overlap, the closest first, for `Factor.of`.
 
         Noise n of the samples moves a sum by phi' n + phi J n, or -phi'' n + phi J n where the equation is of
-        second order, and J is the derivative of its right-hand side: where a momentum makes a position move, its noise counts in both (Bortz, Messenger & Dukic 2023, Bull.
-        Math. Biol. 85, 110). A sum with a missing sample has no noise.
+        second order, with J the derivative of its right-hand side: where a momentum makes a position move,
+        its noise counts in both (Bortz, Messenger & Dukic 2023, Bull. Math. Biol. 85, 110). A sum with a
+        missing sample has no noise.
 
         Args:
             size: D, components of a sample.

@@ -51,7 +51,7 @@ def test_it_goes_along_the_valley_in_far_fewer_steps():
 
 
 def test_it_stays_in_the_valley_to_second_order():
-    """An undamped step from a point of the valley leaves it by its square, and by its cube when it follows."""
+    """An undamped step from a point of the valley leaves it by its square; a bent one by its cube."""
     theta = torch.tensor([0.5, 0.25], dtype=torch.float64)
     _, _, blocks = Valley().equations(theta, [2])
     straight = damped_step(blocks, 1e-12, theta)
