@@ -1,0 +1,81 @@
+"""The weak form of second order: a force from positions alone, whose momenta nobody sees."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from helpers import close, generator
+from oscillators import DOUBLE, Swing
+from torch import nn
+from torch.nn.utils import parameters_to_vector
+
+from ahnn.dynamics.energies import Quadratic
+from ahnn.dynamics.hamiltonians import SeparableHamiltonian
+from ahnn.errors import UserError
+from ahnn.measurements import Instrument, Position, Segment
+from ahnn.rollouts import rollout
+from ahnn.shooting.paths import path
+from ahnn.systems import Molniya
+from ahnn.systems.truth import exact_flow
+from ahnn.training import LevenbergMarquardt
+from ahnn.training.banded import Factor
+from ahnn.training.spans import bumps, integrated
+from ahnn.training.weak import Weak
+
+
+class Potential(nn.Module):
+    """k q^2 / 2 + c q^4 / 4."""
+
+    def __init__(self, *stiffness):
+        super().__init__()
+        self.stiffness = nn.Parameter(torch.tensor(stiffness, **DOUBLE))
+
+    def gradient(self, q):
+        return self.stiffness[0] * q + self.stiffness[1] * q**3
+
+
+class Well(Swing):
+    def __init__(self, *stiffness):
+        nn.Module.__init__(self)
+        self.field = SeparableHamiltonian(Quadratic(2.0), Potential(*stiffness))
+
+
+def positions(rows, sd):
+    """Of a swing of mass 2 in the potential q^2 / 2 + q^4 / 8, whose momenta nobody sees."""
+    well = Well(1.0, 0.5)
+    x = torch.randn(rows, 2, generator=generator(0), **DOUBLE)
+    truth = path(well.increment, x, torch.full((rows, 200), 0.05, **DOUBLE))[..., :1]
+    noise = sd * torch.randn(truth.shape, generator=generator(2), **DOUBLE)
+    times = 0.05 * torch.arange(201, **DOUBLE).expand(rows, -1)
+    return Segment(
+        truth + noise, times, Instrument(Position(1), torch.full((1,), sd, **DOUBLE), 0.05, 1, 1.0, 12)
+    )
+
+
+@torch.no_grad()
+def test_the_integrals_of_rare_positions_are_exact_beside_the_noise():
+    """A sample every five minutes, three on either side of one over which the motion is a cubic."""
+    system = Molniya(dt=300.0, steps=288, name="molniya")
+    truth = rollout(exact_flow(system), system.initial_states(4, generator(0)), 300.0, 289)[..., :3]
+    tests = bumps(300.0 * torch.arange(289, **DOUBLE)[None], torch.ones(1, 289, dtype=torch.bool), 3, order=2)
+    sums = integrated(tests.on_field, tests.stride, system.force(truth))
+    sums = sums + integrated(tests.on_data, tests.stride, truth)
+    left = Factor.of(tests.covariances(3)).whiten((sums / 0.1).unsqueeze(-1))
+    assert float(left.square().mean()) < 0.01
+
+
+def test_a_force_is_found_from_noisy_positions_alone():
+    model, batch = Well(0.3, 0.0), positions(200, 0.01)
+    for relative, steps in ((True, 4), (False, 4)):
+        optimizer = LevenbergMarquardt(model.parameters(), damping=1e-4)
+        for _ in range(steps):
+            optimizer.step(lambda relative=relative: (Weak(relative=relative).problem(model, batch), None))
+    close(model.field.potential.stiffness, torch.tensor([1.0, 0.5]), 3e-3)
+    problem = Weak().problem(model, batch)
+    loss, degrees, _ = problem.equations(parameters_to_vector(model.parameters()).detach(), [2])
+    close(loss / degrees, torch.tensor(1.0, **DOUBLE), 0.1)
+
+
+def test_positions_tell_nothing_of_a_field_whose_momenta_are_unknown():
+    with pytest.raises(UserError, match=r"positions where the kinetic energy is known; received Position"):
+        Weak().problem(Swing(), positions(2, 0.01))
