@@ -84,7 +84,10 @@ def tables(path: Path) -> str:
         lines += ["", f"| {system} | {' | '.join(levels)} |", "|---|" + "---|" * len(levels)]
         for name in methods(system):
             cells = [found.get((system, name, noise), []) for noise in levels]
-            shown = [f"{statistics.median(c):.2g} ({min(c):.2g} to {max(c):.2g})" if c else "" for c in cells]
+            shown = [
+                f"{short(statistics.median(c))} ({short(min(c))} to {short(max(c))})" if c else ""
+                for c in cells
+            ]
             lines.append(f"| {name} | {' | '.join(shown)} |")
     return "\n".join(lines)
 
