@@ -104,7 +104,7 @@ class LevenbergMarquardt(Optimizer):
         if not isinstance(problem, Bends):
             message = (
                 "optimizer.acceleration: expected stages `relative` and `weak` alone, whose bend is known; "
-                f"received a {type(problem).__name__}. Set optimizer.acceleration=false"
+                f"received a {type(problem).__name__}. Use optimizer=levenberg_marquardt"
             )
             raise UserError(message)
         return accelerated(problem, theta, blocks, straight, self.param_groups[0]["damping"])
