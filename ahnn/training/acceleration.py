@@ -16,7 +16,7 @@ from typing import Protocol, runtime_checkable
 
 from torch import Tensor
 
-from ahnn.training.normal_equations import Block, damped_step
+from ahnn.training.normal_equations import Block, damped_step, metric
 
 LONGEST = 0.75
 """Length of the acceleration, in lengths of the step; where it is longer two terms are not enough."""
@@ -47,8 +47,5 @@ def accelerated(
 
 def _length(step: Tensor, blocks: Sequence[Block]) -> float:
     """Return the length of a step in the metric of the damping, D."""
-    squares = [
-        (block.matrix.diagonal() + 1e-3 * block.matrix.diagonal().mean()) @ step[block.columns].square()
-        for block in blocks
-    ]
+    squares = (metric(block.matrix) @ step[block.columns].square() for block in blocks)
     return sum(float(square) for square in squares) ** 0.5

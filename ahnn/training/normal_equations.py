@@ -143,16 +143,21 @@ def gradient_norm(blocks: Sequence[Block]) -> float:
     return math.hypot(*(float(block.gradient.norm()) for block in blocks))
 
 
+def metric(matrix: Tensor) -> Tensor:
+    """Return D, shape (K,): the diagonal of J^T J, shape (K, K), plus a thousandth of its mean."""
+    diagonal = matrix.diagonal()
+    return diagonal + 1e-3 * diagonal.mean()
+
+
 def damped_step(blocks: Sequence[Block], damping: float, theta: Tensor) -> Tensor | None:
     """Return the solution s of (J^T J + damping D) s = -J^T r in the parameters theta, both of shape (P,).
 
-    D is the diagonal of J^T J plus a thousandth of its mean in the block. None if a block is not definite.
+    D is the `metric`. None if a block is not definite.
     """
     step = torch.zeros_like(theta)
     for columns, matrix, gradient in blocks:
-        diagonal = matrix.diagonal()
         damped = matrix.clone()
-        damped.diagonal().add_(damping * (diagonal + 1e-3 * diagonal.mean()))
+        damped.diagonal().add_(damping * metric(matrix))
         factor, info = torch.linalg.cholesky_ex(damped)
         if int(info) != 0:
             return None

@@ -163,13 +163,11 @@ class WeakProblem:
         """Return J^T r_vv of the weighted residuals, as in `ahnn.training.acceleration.Bends`."""
         total = torch.zeros_like(theta)
         for part in self._parts(50):
-            with torch.no_grad():
-                here, ahead, behind = (
-                    self.integrals(self._at(theta + share * step), part) for share in (0.0, reach, -reach)
-                )
-            second = self.robust.weight(here) * (ahead - 2 * here + behind) / reach**2
             whole = parametrised(self._exact, self._integrals_of(part), theta.dtype)
-            total = total + vjp(whole, theta)[1](second)[0]
+            here, pull = vjp(whole, theta)[:2]
+            ahead, behind = whole(theta + reach * step), whole(theta - reach * step)
+            second = (ahead - 2 * here + behind) / reach**2
+            total = total + pull(self.robust.weight(here) * second)[0]
         return total
 
     def _integrals_of(self, part: slice) -> Callable[[], Tensor]:
@@ -180,9 +178,7 @@ class WeakProblem:
         plain = self.integrals(field, part)
         weight = self.robust.weight(plain).sqrt()
         tests, x = self.tests.rows(part), self.values[part]
-        forcing = self.motion.rows(
-            theta, x
-        )  # (B, K + 1, L, P): of the last L components, which parameters move
+        forcing = self.motion.rows(theta, x)  # (B, K + 1, L, P): of the last L components
         still, moved = x.shape[-1] - forcing.shape[2], forcing.shape[2]
         sums = integrated(tests.on_field, tests.stride, forcing.flatten(2)).unflatten(-1, forcing.shape[2:])
         sums.mul_(
