@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import signal
+import subprocess
+import sys
 import time
 
 import pytest
@@ -27,6 +29,28 @@ def test_a_scheduler_that_ends_a_training_loses_nothing(tmp_path, number, code):
     assert f"stopped by {number.name}; resume with the same command and run=" in said
     assert "Traceback" not in said
     assert read_checkpoint(last)["global_step"] > 0
+
+
+TWICE = """
+import signal
+from ahnn.cli.guard import guard
+from ahnn.cli.stops import ended
+
+def told():
+    signal.raise_signal(signal.SIGTERM)
+    return "resume with ckpt=last"
+
+def work():
+    with ended(told):
+        signal.raise_signal(signal.SIGTERM)
+
+raise SystemExit(guard(work))
+"""
+
+
+def test_a_second_signal_does_not_take_the_place_of_the_message():
+    job = subprocess.run([sys.executable, "-c", TWICE], capture_output=True, text=True, check=False)
+    assert (job.returncode, job.stderr) == (143, "ahnn: stopped by SIGTERM; resume with ckpt=last\n")
 
 
 @pytest.mark.parametrize("moment", [0.02, 0.1, 0.3, 1.0, 2.0])

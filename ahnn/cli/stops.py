@@ -73,6 +73,7 @@ def ended(how_to_go_on: Callable[[], str], *, speaks: bool = True) -> Iterator[N
         by_ctrl_c = isinstance(stop, KeyboardInterrupt) or isinstance(stop.__context__, KeyboardInterrupt)
         if not (by_ctrl_c or isinstance(stop, Stopped)):
             raise
+        _hand_to(lambda *_: None)  # a second signal shall not take the place of the message
         known = stop if isinstance(stop, Stopped) else Stopped(signal.SIGINT)
         if not speaks:
             sys.exit(known.code)

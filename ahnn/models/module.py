@@ -115,6 +115,9 @@ class AbstractModel(Unheard, LightningModule, ABC):
             self._check_stages(trainer)
         configured = self.configure_optimizers()
         self.stepper.check(trainer, self.dynamics)
+        optimizer = configured["optimizer"] if isinstance(configured, dict) else configured
+        if look := getattr(optimizer, "check", None):
+            look([phase.objective for phase in self.curriculum.phases])
         if isinstance(trainer.strategy, DDPStrategy) and not trainer.strategy._ddp_kwargs:
             message = (
                 "trainer.strategy: expected one that allows unused parameters; received ddp. Use trainer=ddp"

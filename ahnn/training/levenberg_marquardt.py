@@ -14,6 +14,7 @@ from ahnn.errors import UserError
 from ahnn.training.acceleration import Bends, accelerated
 from ahnn.training.least_squares import Problem
 from ahnn.training.normal_equations import Block, damped_step, gradient_norm, promised_decrease
+from ahnn.training.objectives import Objective
 from ahnn.training.steppers import SecondOrder
 
 SMALLEST, LARGEST = 1e-14, 1e6
@@ -40,7 +41,7 @@ class LevenbergMarquardt(Optimizer):
         params: the parameters of the module whose residuals are minimised.
         damping: of the first step; it adapts from there.
         tolerance: admitted relative rise of the loss on the windows held back.
-        acceleration: let steps follow the bend of the residuals, which those of the weak form know.
+        acceleration: let steps follow the bend of the residuals where it is known, in the weak form.
     """
 
     stepper = SecondOrder()
@@ -55,15 +56,21 @@ class LevenbergMarquardt(Optimizer):
         super().__init__(params, {"damping": damping, "tolerance": tolerance})
         self.acceleration = acceleration
 
+    def check(self, objectives: Iterable[Objective]) -> None:
+        """Raise UserError for acceleration where it would change nothing: no objective knows a bend."""
+        if self.acceleration and not any(getattr(objective, "bends", False) for objective in objectives):
+            message = (
+                "optimizer.acceleration: expected a stage `relative` or `weak` in loss.stages, whose bend is "
+                "known; received none. Use optimizer=levenberg_marquardt"
+            )
+            raise UserError(message)
+
     @torch.no_grad()
     def step(self, closure: Callable[[], tuple[Problem, Problem | None]]) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Take one step and return the mean squared residual before it.
 
         Args:
             closure: returns the problem to step on and the one held back, if any is.
-
-        Raises:
-            UserError: acceleration on residuals whose bend is not known.
         """
         with torch.enable_grad():
             problem, held_back = closure()
@@ -98,15 +105,9 @@ class LevenbergMarquardt(Optimizer):
     def _followed(
         self, problem: Problem, theta: Tensor, blocks: Sequence[Block], straight: Tensor
     ) -> Tensor | None:
-        """Return the step with its acceleration, if that is asked for; None where the step is too long."""
-        if not self.acceleration:
+        """Return the step, accelerated if that is asked for and known; None where it is too long for that."""
+        if not (self.acceleration and isinstance(problem, Bends)):
             return straight
-        if not isinstance(problem, Bends):
-            message = (
-                "optimizer.acceleration: expected stages `relative` and `weak` alone, whose bend is known; "
-                f"received a {type(problem).__name__}. Use optimizer=levenberg_marquardt"
-            )
-            raise UserError(message)
         return accelerated(problem, theta, blocks, straight, self.param_groups[0]["damping"])
 
 

@@ -50,6 +50,7 @@ class Weak:
     robust: RobustName = "none"
     relative: bool = False
     intervals: ClassVar[None] = None  # whole trajectories
+    bends: ClassVar[bool] = True  # its problems know the second derivative of their residuals
 
     def residuals(self, dynamics: Dynamics, batch: Segment) -> Tensor:
         """Return the weighted residuals, shape (B, J, D), with a graph."""
@@ -186,6 +187,5 @@ class WeakProblem:
         )
         jacobian = self.factor.rows(part).whiten(torch.nn.functional.pad(sums, (0, 0, still, 0)))
         jacobian = jacobian.mul_(weight.unsqueeze(-1).to(jacobian)).flatten(0, 2)
-        if not self.relative:  # sums of many residuals decide, whose matrix has no digits left in float32
-            jacobian = jacobian.to(theta)
-        return Rows(self.robust.cost(plain).sum(), (weight * plain).flatten(), jacobian)
+        # Sums of many residuals decide, whose matrix has no digits left in float32.
+        return Rows(self.robust.cost(plain).sum(), (weight * plain).flatten(), jacobian.to(theta))

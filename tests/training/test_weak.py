@@ -192,11 +192,22 @@ def test_the_bend_is_the_second_derivative_of_the_residuals(robust):
     assert float(zero.abs().max()) < 1e-8 * float(expected.abs().max())
 
 
-def test_acceleration_is_refused_where_the_bend_is_not_known():
-    model, batch = Swing(), states(rows=3)
-    optimizer = LevenbergMarquardt(model.parameters(), acceleration=True)
-    with pytest.raises(UserError, match=r"optimizer.acceleration: expected stages .* ShootingProblem"):
-        optimizer.step(lambda: (objective_of("whole", "none").problem(model, batch), None))
+def test_acceleration_is_refused_where_no_stage_knows_a_bend():
+    optimizer = LevenbergMarquardt(Swing().parameters(), acceleration=True)
+    stages = [objective_of(name, "none") for name in ("weak", "whole", 16)]
+    optimizer.check(stages)
+    with pytest.raises(UserError, match=r"optimizer.acceleration: expected a stage .* received none"):
+        optimizer.check(stages[1:])
+
+
+def test_a_stage_without_a_bend_takes_straight_steps():
+    batch, after = states(rows=3), []
+    for acceleration in (True, False):
+        model = Swing()
+        optimizer = LevenbergMarquardt(model.parameters(), acceleration=acceleration)
+        optimizer.step(lambda model=model: (objective_of("whole", "none").problem(model, batch), None))
+        after.append(parameters_to_vector(model.parameters()))
+    assert torch.equal(*after) and not torch.equal(after[0], parameters_to_vector(Swing().parameters()))
 
 
 def test_a_field_is_found_from_noisy_states():

@@ -44,6 +44,9 @@ def in_training(whole, number, moment, twice) -> None:
         child.end(number, after=0.01)
     code, said = child.code(), child.said()
     plain(said)
+    if code == -number and not said:  # before it listens
+        assert not run.exists()
+        return
     assert code in (0, 128 + number), f"exit code {code}: {said[-300:]}"
     if code == 0:
         same_weights(whole, run)
