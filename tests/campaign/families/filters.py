@@ -34,7 +34,8 @@ def attempt(seed, alpha, odd) -> None:
     rows[:, ::3] = torch.nan
     given = {"mean": torch.zeros(1, 2), "covariance": torch.eye(2), "rows": rows, "q": 0.1 * torch.eye(2)}
     given |= {"r": 0.5 * torch.eye(1), "dt": 1.0, "gate": None, "patience": None, "start_time": 0.0} | odd
-    gate = None if given["gate"] is None else Gate(given["gate"], given["patience"] or 5)
+    patience = 5 if given["patience"] is None else given["patience"]
+    gate = None if given["gate"] is None else Gate(given["gate"], patience)
     result = unscented_filter(
         lambda x, _: x @ step.mT,
         initial_belief(given["mean"], given["covariance"]),
