@@ -53,6 +53,27 @@ def test_a_second_signal_does_not_take_the_place_of_the_message():
     assert (job.returncode, job.stderr) == (143, "ahnn: stopped by SIGTERM; resume with ckpt=last\n")
 
 
+SWALLOWED = """
+import contextlib
+import signal
+from ahnn.cli.guard import guard
+from ahnn.errors import Stopped, UserError
+
+def work():
+    with contextlib.suppress(Stopped):
+        signal.raise_signal(signal.SIGTERM)
+    raise UserError("unknown key")
+
+raise SystemExit(guard(work))
+"""
+
+
+def test_what_fails_after_a_signal_that_a_library_swallowed_is_the_stop():
+    job = subprocess.run([sys.executable, "-c", SWALLOWED], capture_output=True, text=True, check=False)
+    assert job.returncode == 143
+    assert job.stderr.startswith("ahnn: stopped by SIGTERM; ")
+
+
 @pytest.mark.parametrize("moment", [0.02, 0.1, 0.3, 1.0, 2.0])
 def test_ctrl_c_is_no_traceback_however_early(tmp_path, moment):
     job = started(tmp_path, *FIRST, "trainer.max_epochs=2000")

@@ -16,6 +16,7 @@ from typing import Any, NoReturn
 
 from ahnn.cli.stops import arrived, listen
 from ahnn.errors import Stopped, TrainingError, UserError
+from ahnn.memory import keep_freed
 
 OURS = (UserError, TrainingError)
 
@@ -35,16 +36,17 @@ def guard(entry: Callable[[], Any]) -> int:
     for stream in (sys.stdout, sys.stderr):  # a terminal that knows ASCII alone shows ? for ²
         with contextlib.suppress(AttributeError, OSError, ValueError):
             stream.reconfigure(errors="replace")  # pyright: ignore[reportAttributeAccessIssue]
+    keep_freed()
     listen()
     try:
         entry()
     except (Stopped, KeyboardInterrupt) as stop:
         return end(stop)
-    except OURS as error:
-        return report(error)
     except Exception as error:
         if stop := stop_behind(error) or arrived():
             return end(stop)
+        if isinstance(error, OURS):
+            return report(error)
         if type(error).__module__.partition(".")[0] in ("hydra", "omegaconf"):  # some of them are OSErrors
             return report(error.__cause__ if isinstance(error.__cause__, OURS) else configured(error))
         if in_library(error):

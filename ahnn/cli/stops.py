@@ -36,6 +36,7 @@ def arrived() -> Stopped | None:
 
 def listen() -> None:
     """Let signals raise `KeyboardInterrupt` or `Stopped`, unless somebody has them ignored (nohup)."""
+    _arrived.clear()
     _hand_to(_raise)
 
 
