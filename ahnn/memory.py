@@ -8,7 +8,6 @@ import sys
 
 from ahnn.errors import UserError
 
-
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 """Names of glibc's malloc.h."""
 
