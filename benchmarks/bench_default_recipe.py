@@ -35,6 +35,7 @@ LEVELS = {
     "pendulum": (["system=pendulum_slow", "hamiltonian=mechanical", "sensor=pendulum_angles"], ["0.01"]),
     "orbit": ([*ORBIT, "hamiltonian=mechanical", "sensor=orbit_states"], ["[0.1,1e-4]", "[1.0,1e-3]"]),
     "positions": ([*ORBIT, "hamiltonian=central_body", "sensor=orbit_positions"], ["0.1"]),
+    "positions_mechanical": ([*ORBIT, "hamiltonian=mechanical", "sensor=orbit_positions"], ["0.1"]),
 }
 """Overrides of a command, and the standard deviations of its measurements."""
 DEFAULT = "default"
@@ -43,6 +44,7 @@ RECIPES = (
     "measurements",
     "noisy_states",
     "dense_states",
+    "noisy_positions",
     "second_order",
     "first_order",
     "eccentric",

@@ -33,9 +33,9 @@ from ahnn.training.normal_equations import Equations, Rows, accumulated
 from ahnn.training.spans import bumps, integrated
 
 Function = Callable[[Tensor], Tensor]
-WIDTHS = 3
-"""In half a span, of those over which the motion is a cubic: a bump is small but in its middle third, and
-narrower ones tell hardly more. Where samples are missing it is one: each ends all spans that it is in."""
+WIDTHS = {1: 3, 2: 2}
+"""In half a span, by the order of the equation, of widths over which the motion is a cubic: a bump is small but
+in its middle third. Where samples are missing it is one, since each ends all spans that it is in."""
 CELLS = 5e7
 """Numbers in the largest tensor of sensitivities; longer batches are cut into parts of segments."""
 
@@ -90,8 +90,9 @@ class WeakProblem:
         times = batch.times - batch.times[:, :1]
         alike = bool((times - times[:1]).abs().max() <= 1e-9 * times.max()) and bool(present.all())
         kept = slice(1) if alike else slice(None)
-        width = batch.instrument.width * (WIDTHS if bool(present.all()) else 1)
-        self.tests = bumps(times[kept], present[kept], width, self.motion.order)
+        order = self.motion.order
+        width = batch.instrument.width * (WIDTHS[order] if bool(present.all()) else 1)
+        self.tests = bumps(times[kept], present[kept], width, order)
         anywhere = batch.values.nanmean(1, keepdim=True)  # in place of a sample whose sums do not count
         self.values = torch.where(batch.values.isnan(), anywhere, batch.values)
         self.count = int(self.tests.there.sum()) * self.values.shape[-1] * (len(self.values) if alike else 1)

@@ -135,7 +135,7 @@ class Bent(Swing):
 
 
 def test_a_missing_sample_takes_its_integrals_away_and_no_others(monkeypatch):
-    monkeypatch.setattr(weak, "WIDTHS", 1)  # spans are as narrow where nothing is missing
+    monkeypatch.setitem(weak.WIDTHS, 1, 1)  # spans are as narrow where nothing is missing
     batch = states(rows=2)
     values = batch.values.clone()
     values[1, 150] = torch.nan
