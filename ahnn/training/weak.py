@@ -34,8 +34,8 @@ from ahnn.training.spans import bumps, integrated
 
 Function = Callable[[Tensor], Tensor]
 WIDTHS = {1: 3, 2: 2}
-"""In half a span, by the order of the equation, of widths over which the motion is a cubic: a bump is small but
-in its middle third. Where samples are missing it is one, since each ends all spans that it is in."""
+"""In half a span, by the order of the equation, of widths over which the motion is a cubic: a bump is small
+but in its middle third. Where samples are missing it is one, since each ends all spans that it is in."""
 CELLS = 5e7
 """Numbers in the largest tensor of sensitivities; longer batches are cut into parts of segments."""
 
