@@ -20,6 +20,7 @@ HINTS = (
     ".*ModelCheckpoint with manual optimization.*",
     ".*isinstance.treespec, LeafSpec.*",
     ".*did not find any unused parameters.*",
+    ".*`srun` command is available.*",
 )
 """What Lightning warns of though it is intended, such as short epochs or a folder that is used again."""
 
