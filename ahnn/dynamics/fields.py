@@ -13,7 +13,7 @@ from ahnn.dynamics.hamiltonians import GenericHamiltonian, Structure, make_hamil
 from ahnn.dynamics.inputs import Cartesian, InputName
 from ahnn.dynamics.networks import make_network
 from ahnn.dynamics.scaling import Kind
-from ahnn.dynamics.steady import SteadyFlow
+from ahnn.dynamics.steady import steady_flow
 from ahnn.integrators import ExplicitRungeKutta, column, make_integrator
 from ahnn.statistics import Statistics
 from ahnn.types import Flow, TimeStep
@@ -142,8 +142,8 @@ class HamiltonianDynamics(_Integrated):
         if isinstance(field, GenericHamiltonian) and isinstance(method, ExplicitRungeKutta):
             with torch.no_grad():
                 layers = field.layers(field.unit)
-            if layers is not None and field.unit.dtype == torch.float64 and field.unit.device.type == "cpu":
-                return SteadyFlow(self, layers, method, field.network.activation)
+            if layers is not None:
+                return steady_flow(self, layers, method, field.network.activation)
         return self
 
     def energy(self, x: Tensor) -> Tensor:

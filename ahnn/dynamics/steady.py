@@ -15,10 +15,9 @@ from torch import Tensor
 from torch.autograd import forward_ad
 
 from ahnn.cores import each, slices
-from ahnn.dynamics import written_out
-from ahnn.dynamics.activations import ACTIVATIONS
+from ahnn.dynamics.activations import ACTIVATIONS, Activation
 from ahnn.dynamics.gradients import Layers
-from ahnn.integrators import ExplicitRungeKutta, column
+from ahnn.integrators import ExplicitRungeKutta
 from ahnn.integrators.tableaus import ButcherTableau
 from ahnn.libraries import NUMBER as N
 from ahnn.libraries import POINTER as P
@@ -43,34 +42,34 @@ def library() -> ctypes.CDLL | None:
     return compiled_library(Path(__file__).with_name("steps.c"), signatures, "a rollout", flags)
 
 
-class SteadyFlow:
-    """A flow along the gradient of a network by an explicit Runge-Kutta method, without gradients.
+def steady_flow(flow: Flow, layers: Layers, method: ExplicitRungeKutta, activation: Activation) -> Flow:
+    """Return a flow in C, or the flow itself where the library, the activation or its numbers are missing.
 
     Args:
         flow: what it stands for, and what is asked where derivatives are wanted.
-        layers: of its field, float64 on the CPU.
+        layers: of its field.
         method: its integrator.
         activation: of the network.
     """
+    plain = layers.last.dtype == torch.float64 and layers.last.device.type == "cpu"
+    if not plain or activation.value not in KNOWN or library() is None:
+        return flow
+    return SteadyFlow(flow, layers, method.tableau, KNOWN.index(activation.value))
 
-    def __init__(
-        self, flow: Flow, layers: Layers, method: ExplicitRungeKutta, activation: written_out.Activation
-    ) -> None:
-        self.flow, self.method, self.activation = flow, method, activation
-        self.layers = written_out.layers_of([t.detach() for t in written_out.flattened(layers)])
-        self.call = None
-        if activation.value in KNOWN and (found := library()) is not None:
-            self.call = found.ahnn_step
-            self.tableau, self.constants = _table(method.tableau), _constants(self.layers)
-            self.sizes = (*layers.weights[0].shape[::-1], len(layers.weights), KNOWN.index(activation.value))
+
+class SteadyFlow:
+    """A flow along the gradient of a network by an explicit Runge-Kutta method, without gradients."""
+
+    def __init__(self, flow: Flow, layers: Layers, tableau: ButcherTableau, activation: int) -> None:
+        units, inputs = layers.weights[0].shape
+        self.flow = flow
+        self.tableau, self.constants = _table(tableau), _constants(layers)
+        self.sizes = inputs, units, len(layers.weights), activation, len(tableau.b)
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the states (B, D) after dt."""
         if not _plain(x, dt):
             return self.flow(x, dt)
-        if self.call is None:
-            scheme = written_out.Scheme(self.method.tableau, column(dt), self.activation)
-            return x + written_out.step(x, self.layers, scheme)
         x, h = x.contiguous(), torch.as_tensor(dt, dtype=torch.float64).contiguous()
         out, h_step = torch.empty_like(x), int(h.numel() > 1)
 
@@ -87,9 +86,10 @@ class SteadyFlow:
         Raises:
             MemoryError: there is none for a block of members.
         """
-        assert self.call is not None
-        fixed = *self.sizes, len(self.method.tableau.b), self.tableau.data_ptr(), self.constants.data_ptr()
-        if self.call(len(x), *fixed, x.data_ptr(), h.data_ptr(), h_step, out.data_ptr()):
+        found = library()
+        assert found is not None
+        fixed = *self.sizes, self.tableau.data_ptr(), self.constants.data_ptr()
+        if found.ahnn_step(len(x), *fixed, x.data_ptr(), h.data_ptr(), h_step, out.data_ptr()):
             message = "rollout: no memory for a block of members"
             raise MemoryError(message)
 

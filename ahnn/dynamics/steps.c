@@ -73,17 +73,18 @@ INLINE void gelu(lanes z, lanes *value, lanes *slope) {
 /* Of both, the exponential of -|z| keeps what is small. */
 INLINE void tanh_(lanes z, lanes *value, lanes *slope) {
     const lanes zero = {};
-    lanes e = exponential(pick(z < zero, 2.0 * z, -2.0 * z)), size = (1.0 - e) / (1.0 + e);
+    lanes e = exponential(pick(z < zero, 2.0 * z, -2.0 * z)), inverse = 1.0 / (1.0 + e);
+    lanes size = (1.0 - e) * inverse;
     *value = pick(z < zero, -size, size);
-    *slope = 1.0 - size * size;
+    *slope = 4.0 * e * inverse * inverse;
 }
 
 INLINE void silu(lanes z, lanes *value, lanes *slope) {
     const lanes zero = {};
-    lanes e = exponential(pick(z < zero, z, -z)), inverse = 1.0 / (1.0 + e);
-    lanes logistic = pick(z < zero, e * inverse, inverse);
+    lanes e = exponential(pick(z < zero, z, -z)), larger = 1.0 / (1.0 + e), smaller = e * larger;
+    lanes logistic = pick(z < zero, smaller, larger);
     *value = z * logistic;
-    *slope = logistic + *value * (1.0 - logistic);
+    *slope = logistic + *value * pick(z < zero, larger, smaller);
 }
 
 static void activate(long activation, long width, const block *z, block *value, block *slope) {

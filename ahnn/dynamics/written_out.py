@@ -54,7 +54,7 @@ def step(x: Tensor, layers: Layers, scheme: Scheme) -> Tensor:
         scheme: h is a number or a (B, 1) tensor.
     """
     x = x.T.contiguous().T  # by columns, as fields come
-    tensors = flattened(layers)
+    tensors = (*layers.weights, *layers.biases, layers.last, layers.leave)
     if torch.is_grad_enabled() and any(t.requires_grad for t in (x, *tensors)):
         found = _Step.apply(scheme, x, *tensors)
         assert isinstance(found, Tensor)
@@ -87,13 +87,8 @@ def moved(x: Tensor, weights: tuple[float, ...], slopes: list[Tensor], h: float 
     return x
 
 
-def flattened(layers: Layers) -> tuple[Tensor, ...]:
-    """Return weights, biases, last and leave."""
-    return *layers.weights, *layers.biases, layers.last, layers.leave
-
-
 def layers_of(tensors: Sequence[Tensor]) -> Layers:
-    """Return the layers that were flattened."""
+    """Return the layers that were flattened to weights, biases, last and leave."""
     depth = len(tensors) // 2 - 1
     return Layers(list(tensors[:depth]), list(tensors[depth:-2]), *tensors[-2:])
 
