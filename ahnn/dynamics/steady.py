@@ -71,16 +71,18 @@ class SteadyFlow:
         if not _plain(x, dt):
             return self.flow(x, dt)
         x, h = x.contiguous(), torch.as_tensor(dt, dtype=torch.float64).contiguous()
-        out, h_step = torch.empty_like(x), int(h.numel() > 1)
+        out = torch.empty_like(x)
+        if len(x) <= PART:
+            self._follow(x, h, out)
+            return out
 
         def follow(part: slice) -> None:
-            own = x[part], h[part] if h_step else h, h_step, out[part]
-            self._follow(*own)
+            self._follow(x[part], h[part] if h.numel() > 1 else h, out[part])
 
         each(follow, slices(len(x), PART), x.device)
         return out
 
-    def _follow(self, x: Tensor, h: Tensor, h_step: int, out: Tensor) -> None:
+    def _follow(self, x: Tensor, h: Tensor, out: Tensor) -> None:
         """Write the states after h to `out`.
 
         Raises:
@@ -89,7 +91,7 @@ class SteadyFlow:
         found = library()
         assert found is not None
         fixed = *self.sizes, self.tableau.data_ptr(), self.constants.data_ptr()
-        if found.ahnn_step(len(x), *fixed, x.data_ptr(), h.data_ptr(), h_step, out.data_ptr()):
+        if found.ahnn_step(len(x), *fixed, x.data_ptr(), h.data_ptr(), int(h.numel() > 1), out.data_ptr()):
             message = "rollout: no memory for a block of members"
             raise MemoryError(message)
 
@@ -98,7 +100,7 @@ def _plain(x: Tensor, dt: TimeStep) -> bool:
     """Return whether numbers alone are wanted of float64 states (B, D) on the CPU."""
     if torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active():
         return False
-    if forward_ad._current_level >= 0 or torch.jit.is_tracing():
+    if forward_ad._current_level >= 0 or torch._C._get_tracing_state() is not None:
         return False
     steps = (dt,) if isinstance(dt, Tensor) else ()
     graph = torch.is_grad_enabled() and any(t.requires_grad for t in (x, *steps))

@@ -2,20 +2,20 @@
    matrix E: the formulas are those of gradients.py, which is the reference.
 
    A block of members does a whole step while its numbers stay in the cache; within it the last index is the
-   member. What no longer changes comes as one array, see native.py: a matrix in panels of ROWS rows, column by
+   member. What no longer changes comes as one array, see steady.py: a matrix in panels of ROWS rows, column by
    column, the last panel filled up with zeros. A number that is not finite stays in its lane. */
 
 #include <stdlib.h>
 
 #define INLINE static inline __attribute__((always_inline))
-#define LANES 8 /* members in a vector */
-#define ROWS 8  /* of a panel; native.py has the same number */
-#ifdef __AVX512F__
-#define VECTORS 2 /* of a block */
-#define PART 8    /* rows of a panel at once: their sums fill the registers */
+#define ROWS 8 /* of a panel; steady.py has the same number */
+/* Members in a vector, vectors of a block, and rows of a panel at once: their sums fill the registers. */
+#if defined(__AVX512F__)
+enum { LANES = 8, VECTORS = 2, PART = 8 };
+#elif defined(__AVX2__)
+enum { LANES = 4, VECTORS = 2, PART = 4 };
 #else
-#define VECTORS 1
-#define PART 4
+enum { LANES = 2, VECTORS = 2, PART = 4 };
 #endif
 #define MEMBERS (LANES * VECTORS)
 
@@ -165,7 +165,8 @@ long ahnn_step(long batch, long size, long width, long depth, long activation, l
                double *out) {
     network of = {size, width, depth, activation, constants};
     long wide = panels(width) * ROWS, narrow = panels(size) * ROWS, room = wide > narrow ? wide : narrow;
-    block *z = aligned_alloc(64, sizeof(block) * (size_t)((depth + 2) * room + (stages + 2) * narrow));
+    size_t bytes = sizeof(block) * (size_t)((depth + 2) * room + (stages + 2) * narrow);
+    block *z = aligned_alloc(64, (bytes + 63) & ~(size_t)63);
     if (!z) return NO_MEMORY;
     block *value = z + room, *slopes = value + room, *here = slopes + depth * room;
     block *there = here + narrow, *fields = there + narrow;
