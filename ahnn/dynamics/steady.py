@@ -58,7 +58,7 @@ def steady_flow(flow: Flow, layers: Layers, method: ExplicitRungeKutta, activati
 
 
 class SteadyFlow:
-    """A flow along the gradient of a network by an explicit Runge-Kutta method, without gradients."""
+    """A flow along the gradient of a network by an explicit Runge-Kutta method; its parameters are numbers."""
 
     def __init__(self, flow: Flow, layers: Layers, tableau: ButcherTableau, activation: int) -> None:
         units, inputs = layers.weights[0].shape
@@ -68,7 +68,7 @@ class SteadyFlow:
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the states (B, D) after dt."""
-        if not _plain(x, dt):
+        if not (_plain(x, dt) and x.shape[1] == self.sizes[0]):
             return self.flow(x, dt)
         x, h = x.contiguous(), torch.as_tensor(dt, dtype=torch.float64).contiguous()
         out = torch.empty_like(x)
@@ -104,8 +104,9 @@ def _plain(x: Tensor, dt: TimeStep) -> bool:
         return False
     steps = (dt,) if isinstance(dt, Tensor) else ()
     graph = torch.is_grad_enabled() and any(t.requires_grad for t in (x, *steps))
-    fits = x.ndim == 2 and all(t.dtype == torch.float64 and t.device.type == "cpu" for t in (x, *steps))
-    return fits and not graph and all(t.ndim == 0 or t.shape == x.shape[:1] for t in steps)
+    known = all(t.dtype == torch.float64 and t.device.type == "cpu" for t in (x, *steps))
+    fits = type(x) is Tensor and x.ndim == 2 and all(t.ndim == 0 or t.shape == x.shape[:1] for t in steps)
+    return known and fits and not graph
 
 
 def _table(tableau: ButcherTableau) -> Tensor:

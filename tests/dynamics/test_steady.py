@@ -96,12 +96,13 @@ def test_slopes_are_those_of_libm(number):
 @pytest.mark.usefixtures("two")
 def test_a_member_does_not_depend_on_the_others_and_the_lost_stay_alone():
     flow, x = steady(dynamics()), states(room.PART + 21)
-    whole = flow(x, 0.3)
+    lengths = 0.1 + torch.rand(len(x), generator=generator(3), dtype=F64)
+    whole = flow(x, lengths)
     for part in (slice(0, 1), slice(5, 22), slice(room.PART - 3, None)):
-        assert torch.equal(flow(x[part], 0.3), whole[part])
+        assert torch.equal(flow(x[part], lengths[part]), whole[part])
     lost = x.clone()
     lost[3], lost[7, 2], lost[11] = torch.nan, torch.inf, -1e200
-    got, others = flow(lost, 0.3), [k for k in range(len(x)) if k not in (3, 7, 11)]
+    got, others = flow(lost, lengths), [k for k in range(len(x)) if k not in (3, 7, 11)]
     assert torch.equal(got[others], whole[others])
     assert not bool(got[3].isfinite().any())
     assert not bool(got[7].isfinite().all())
@@ -118,7 +119,10 @@ def test_what_wants_derivatives_asks_the_flow_itself():
         assert not steady(flow)(asked, 0.1).requires_grad
     mapped = vmap(lambda x: steady(flow)(x, 0.1))(x[None])[0]
     close(mapped - x, flow(x, 0.1) - x, 1e-14)
-    close(steady(flow)(x.T.contiguous().T, 0.1), flow(x, 0.1), 1e-15)
+    close(steady(flow)(x.T.contiguous().T, 0.1), flow(x, 0.1), 1e-14)
+    with pytest.raises(RuntimeError):  # states of another size, of which the flow itself complains
+        steady(flow)(states(5, dof=2), 0.1)
+    assert steady(flow)(x[:0], 0.1).shape == (0, 6)
 
 
 def test_flows_without_such_a_network_come_back_as_they_are(monkeypatch):
