@@ -58,7 +58,7 @@ def steady_flow(flow: Flow, layers: Layers, method: ExplicitRungeKutta, activati
 
 
 class SteadyFlow:
-    """A flow along the gradient of a network by an explicit Runge-Kutta method; its parameters are numbers."""
+    """A flow along the gradient of a network by an explicit Runge-Kutta method, its parameters fixed."""
 
     def __init__(self, flow: Flow, layers: Layers, tableau: ButcherTableau, activation: int) -> None:
         units, inputs = layers.weights[0].shape
