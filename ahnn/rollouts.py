@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from ahnn.progress import track
-from ahnn.types import Flow, TimeStep
+from ahnn.types import Flow, TimeStep, steady
 
 
 @torch.no_grad()
@@ -20,10 +20,11 @@ def rollout(flow: Flow, start: Tensor, dt: TimeStep, samples: int, description: 
         samples: length of the result, start included.
         description: text of a progress bar; None shows none.
     """
+    follow = steady(flow)
     out = start.new_empty(start.shape[0], samples, start.shape[1])
     out[:, 0] = x = start
     steps = range(1, samples)
     for k in track(steps, description, len(steps)) if description else steps:
-        x = flow(x, dt[:, k - 1] if isinstance(dt, Tensor) else dt)
+        x = follow(x, dt[:, k - 1] if isinstance(dt, Tensor) else dt)
         out[:, k] = x
     return out

@@ -24,6 +24,7 @@ OPEN = {
     "paths",
     "extensions",
     "cores",
+    "libraries",
 }
 GROUND = OPEN | {"integrators", "measurements", "metrics", "rollouts", "statistics", "checkpoints"}
 MAY_IMPORT = {
@@ -36,6 +37,7 @@ MAY_IMPORT = {
     "cores": set(),
     "files": {"errors"},
     "memory": {"errors"},
+    "libraries": {"files"},
     "arguments": {"errors"},
     "metrics": OPEN,
     "rollouts": OPEN,

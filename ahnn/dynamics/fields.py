@@ -13,9 +13,10 @@ from ahnn.dynamics.hamiltonians import GenericHamiltonian, Structure, make_hamil
 from ahnn.dynamics.inputs import Cartesian, InputName
 from ahnn.dynamics.networks import make_network
 from ahnn.dynamics.scaling import Kind
+from ahnn.dynamics.steady import steady_flow
 from ahnn.integrators import ExplicitRungeKutta, column, make_integrator
 from ahnn.statistics import Statistics
-from ahnn.types import TimeStep
+from ahnn.types import Flow, TimeStep
 
 
 class NeuralField(nn.Module):
@@ -134,6 +135,16 @@ class HamiltonianDynamics(_Integrated):
                 scheme = written_out.Scheme(method.tableau, column(dt), field.network.activation)
                 return written_out.step(x, layers, scheme)
         return super().increment(x, dt)
+
+    def steady(self) -> Flow:
+        """Return the same flow for many steps, as long as parameters and buffers do not change."""
+        field, method = self.field, self.integrator
+        if isinstance(field, GenericHamiltonian) and isinstance(method, ExplicitRungeKutta):
+            with torch.no_grad():
+                layers = field.layers(field.unit)
+            if layers is not None:
+                return steady_flow(self, layers, method, field.network.activation)
+        return self
 
     def energy(self, x: Tensor) -> Tensor:
         """Return the learned H, shape (...), at the states x, shape (..., D); a constant is free."""

@@ -10,7 +10,7 @@ from ahnn.estimation.gate import Gate, check_gate
 from ahnn.estimation.state import FilterState, initial_state
 from ahnn.measurements.base import Measurement
 from ahnn.numbers import Numbers
-from ahnn.types import Flow
+from ahnn.types import Flow, steady
 from ahnn_plugins.ukf.checks import (
     check_belief,
     check_form,
@@ -88,8 +88,10 @@ def unscented_filter(
         weights = unscented_weights(parameters, size, device, batch=batch)
         chol_q = process_factor(process_noise, state.belief)
 
+        follow = flow if gradients else steady(flow)
+
         def same(k: int) -> StepModel:
-            return StepModel(flow, chol_q(grid.lengths[k]), sensor)
+            return StepModel(follow, chol_q(grid.lengths[k]), sensor)
 
         return run(state, rows, grid, same, weights, form, smoothing=smoothing)
 

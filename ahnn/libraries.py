@@ -1,0 +1,81 @@
+"""Libraries from C source, compiled once for a machine and kept beside other caches."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import hashlib
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import tempfile
+import warnings
+from pathlib import Path
+from typing import Any
+
+from ahnn.files import write_atomically
+
+# No errno and no traps, so that square roots are vector operations; infinities and NaN stay what they are.
+FLAGS = ("-O3", "-funroll-loops", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi")
+POINTER, NUMBER = ctypes.c_void_p, ctypes.c_long
+
+
+def compiled_library(
+    source: Path, signatures: dict[str, tuple[Any, ...]], whose: str, flags: tuple[str, ...] = ()
+) -> ctypes.CDLL | None:
+    """Return the library of a source, or None where there is no C compiler.
+
+    The compiler is `$CC`, or else `cc`. The library is kept in `$AHNN_CACHE`, `~/.cache/ahnn` by default, in
+    a folder where only its owner can write. A compiler that fails gives one warning.
+
+    Args:
+        source: a file in C.
+        signatures: arguments of its functions, which return numbers.
+        whose: what goes on without it, slower.
+        flags: of the compiler, besides `FLAGS`.
+    """
+    command = shlex.split(os.environ.get("CC", "")) or ["cc"]
+    if shutil.which(command[0]) is None:
+        return None
+    try:
+        found = _built(source, [*command, *FLAGS, *flags])
+    except (OSError, subprocess.CalledProcessError) as error:
+        told = getattr(error, "stderr", None) or error
+        message = f"ahnn: {whose} goes on without its C library, slower; {shlex.join(command)} said: {told}"
+        warnings.warn(message, stacklevel=3)
+        return None
+    for name, arguments in signatures.items():
+        function = getattr(found, name)
+        function.argtypes, function.restype = arguments, NUMBER
+    return found
+
+
+def _built(source: Path, command: list[str]) -> ctypes.CDLL:
+    """Return the library of the cache, or a new one, which is kept there if that is a place of one's own."""
+    key = "\0".join((source.read_text(), *command, platform.machine(), platform.system()))
+    root = Path(os.environ.get("AHNN_CACHE") or "~/.cache/ahnn").expanduser()
+    path = root / "libraries" / f"{source.stem}-{hashlib.sha256(key.encode()).hexdigest()[:16]}.so"
+    own = _own(path.parent)
+    if own and path.is_file():
+        with contextlib.suppress(OSError):  # damaged: it is written anew
+            return ctypes.CDLL(str(path))
+    with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder) / path.name
+        line = [*command, "-o", str(made), str(source), "-lm"]
+        subprocess.run(line, check=True, capture_output=True, text=True)
+        if own:
+            with contextlib.suppress(OSError):  # a full disk, say: it serves this process alone
+                write_atomically(path, made.read_bytes())
+        return ctypes.CDLL(str(made))
+
+
+def _own(folder: Path) -> bool:
+    """Make a folder for libraries; return whether nobody else can write there: what lies in it is run."""
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        about = folder.stat()
+    except OSError:
+        return False
+    return about.st_uid == os.getuid() and not about.st_mode & 0o022
