@@ -117,7 +117,7 @@ def test_build_offers_only_what_a_target_takes():
 @pytest.mark.parametrize(
     ("overrides", "loss"),
     [
-        (["sensor=spring_states"], "weak_first"),
+        (["sensor=spring_states"], "weak"),
         (["system=molniya", "sensor=orbit_positions"], "shooting"),
         (["sensor=orbit_states", "system=molniya"], "weak_dense"),
         (["sensor=spring_states", "recipe=second_order"], "derivative_first"),
