@@ -1,8 +1,10 @@
-"""Whether a request fits into memory, checked before anything is allocated."""
+"""Whether a request fits into memory or onto a disk, checked before anything is allocated."""
 
 from __future__ import annotations
 
 import os
+import shutil
+from pathlib import Path
 
 from ahnn.errors import UserError
 
@@ -27,5 +29,27 @@ def require_memory(who: str, what: str, size: float) -> None:
         message = (
             f"{who}: expected {what} that fit into {available() / 1e9:.0f} GB; received {size / 1e9:.3g} GB. "
             "Ask for less"
+        )
+        raise UserError(message)
+
+
+def require_disk(who: str, what: str, size: float, folder: Path) -> None:
+    """Check an estimate of bytes against what is free on the disk of a folder, which need not exist yet.
+
+    Args:
+        who: the parameters that determine the size, for the message.
+        what: of what size, for the message.
+        size: bytes.
+        folder: where it is to be written.
+
+    Raises:
+        UserError: it does not fit.
+    """
+    there = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.exists())
+    free = shutil.disk_usage(there).free
+    if size > free:
+        message = (
+            f"{who}: expected {what} that fit into {free / 1e9:.0f} GB, free at {folder}; received "
+            f"{size / 1e9:.3g} GB. Ask for less, or choose another disk with AHNN_CACHE"
         )
         raise UserError(message)

@@ -1,0 +1,172 @@
+"""Time of training steps on a stored data set that is mapped, over that of the same steps on it in memory.
+
+    python benchmarks/bench_store.py FOLDER [trajectories] [samples] [steps] [recipe]
+
+A spring's trajectories are written into FOLDER, part by part, in closed form: its integrator would take hours
+for a million. Each measurement is a process of its own, in turn: `mapped`, `cold` (mapped, its pages dropped from the
+system's cache before) and `memory`, which holds a quarter of the trajectories, for it shall fit beside others. Steps are those of Lightning's loop with
+a recipe's optimiser on randomly drawn windows; wall time, since a disk keeps nobody's CPU busy.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from statistics import median
+
+import torch
+from hydra import compose, initialize_config_dir
+from lightning import Callback
+from safetensors import safe_open
+
+from ahnn.cli.before import quiet
+from ahnn.cli.build import OmegaConf  # registers the resolvers of conf/
+from ahnn.cli.parts import build_data, build_model, build_source, build_trainer
+from ahnn.data import store
+from ahnn.paths import conf_dir
+from ahnn.systems import System
+from ahnn.types import Trajectories, rows_of_part
+
+MODES = ("mapped", "cold", "memory")
+REPEATS = int(os.environ.get("REPEATS", "3"))
+SMALLER = 4
+"""Factor by which the data in memory are fewer."""
+
+
+class Stopwatch(Callback):
+    """Times at the ends of the training batches of a fit."""
+
+    def __init__(self) -> None:
+        self.times: list[tuple[float, float]] = []
+
+    def on_train_batch_end(self, *_) -> None:
+        """Note wall and CPU time."""
+        self.times.append((time.perf_counter(), time.process_time()))
+
+
+def turned(system: System, count: int) -> Iterator[Trajectories]:
+    """Yield the parts of `count` trajectories of a spring, in closed form."""
+    x = system.initial_states(count, torch.Generator().manual_seed(0))
+    parameters = system.parameters()
+    mass, frequency = parameters["mass"], (parameters["stiffness"] / parameters["mass"]) ** 0.5
+    times = torch.arange(system.steps + 1, dtype=torch.float64) * system.dt
+    cos, sin = (frequency * times).cos(), (frequency * times).sin()
+    for q, p in (part.unsqueeze(-1).unbind(1) for part in x.split(rows_of_part(len(times), 2))):
+        speed = p / (mass * frequency)
+        states = torch.stack((q * cos + speed * sin, mass * frequency * (speed * cos - q * sin)), dim=-1)
+        yield Trajectories(states, times.expand(len(states), -1))
+
+
+def configuration(folder: Path, count: int, samples: int, steps: int, recipe: str, run: str):
+    """Return the configuration of one epoch of so many steps."""
+    overrides = [
+        f"recipe={recipe}",
+        "plugins=none",
+        "logger=none",
+        "trainer.max_epochs=1",
+        "trainer.accelerator=cpu",
+        f"system.steps={samples - 1}",
+        f"data.trajectories={count}",
+        f"data.cache={folder}",
+        "data.val_windows=256",
+        f"folder={run}",
+    ]
+    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
+        cfg = compose("train", overrides)
+        cfg.data.windows_per_epoch = cfg.data.batch_size * steps
+        OmegaConf.resolve(cfg)
+        return cfg
+
+
+def written(cfg, count: int) -> Path:
+    """Return the store of a configuration, written where it is missing."""
+    source = build_source(cfg)
+    path = store.place(source.cache, source.recipe())
+    if not path.exists():
+        begin = time.perf_counter()
+        store.write(path, turned(source.truth, count), source.recipe())
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+        print(f"written in {time.perf_counter() - begin:.0f} s, {peak:.2f} GiB of memory at most", flush=True)
+    return path
+
+
+def dropped(path: Path) -> torch.Tensor:
+    """Drop a file's pages from the cache of the system, and map its states (B, T, D) again."""
+    gc.collect()
+    with path.open("rb") as file:
+        os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+    with safe_open(path, framework="pt") as file:
+        return file.get_tensor("states")
+
+
+def measured(mode: str, cfg, path: Path) -> dict[str, float]:
+    """Return milliseconds of a step, and what comes before the first one in seconds."""
+    begin = time.perf_counter()
+    data = build_data(cfg, build_source(cfg))
+    model = build_model(cfg, data)
+    if mode == "memory":
+        whole = data.source.read()
+        data.splits.source.read = lambda: whole._replace(states=whole.states.clone())
+        del whole
+    statistics = data.statistics()
+    model.calibrate(statistics)
+    model.about["dt"] = statistics.dt
+    trainer = build_trainer(cfg)
+    watch = Stopwatch()
+    trainer.callbacks.append(watch)
+    windows = data.train_dataloader().windows
+    ready = time.perf_counter() - begin
+    if mode == "cold":
+        shape, data.splits._parts = windows.flat.shape, {}
+        windows.flat = torch.empty(0)
+        windows.flat = dropped(path).flatten(0, 1)[: shape[0]]
+        data.val_dataloader = lambda: []
+        trainer.limit_val_batches = 0
+    trainer.fit(model, data)
+    wall, cpu = (
+        median(b[k] - a[k] for a, b in zip(watch.times, watch.times[1:], strict=False)) * 1e3 for k in (0, 1)
+    )
+    mean = (watch.times[-1][0] - watch.times[0][0]) / (len(watch.times) - 1) * 1e3
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    return {"wall": wall, "mean": mean, "cpu": cpu, "ready": ready, "peak": peak}
+
+
+def main() -> None:
+    """Write the store where it is missing, and print one line for each way and the ratios of the medians."""
+    folder = Path(sys.argv[1]).absolute()
+    count, samples, steps = (int(a) for a in (*sys.argv[2:5], "1000000", "821", "200")[:3])
+    recipe, mode = (*sys.argv[5:7], "", "")[:2] if len(sys.argv) > 5 else ("first_order", "")
+    quiet()
+    torch.set_num_threads(1)
+    if mode:
+        with tempfile.TemporaryDirectory() as run:
+            cfg = configuration(folder, count, samples, steps, recipe, run)
+            print(json.dumps(measured(mode, cfg, written(cfg, count))))
+        return
+    path = written(configuration(folder, count, samples, steps, recipe, "."), count)
+    written(configuration(folder, count // SMALLER, samples, steps, recipe, "."), count // SMALLER)
+    print(f"{path.stat().st_size / 1e9:.1f} GB; ms a step of {recipe}, {steps} steps; s until the first; GiB")
+    found: dict[str, list[float]] = {name: [] for name in MODES}
+    for _ in range(REPEATS):
+        for name in MODES:
+            many = count // SMALLER if name == "memory" else count
+            words = [folder, many, samples, steps, recipe, name]
+            command = [sys.executable, __file__, *map(str, words)]
+            said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+            row = json.loads(said.splitlines()[-1])
+            found[name].append(row["mean"])
+            print(f"{name:8s}", *(f"{key} {value:8.2f}" for key, value in row.items()), flush=True)
+    for name in MODES[:2]:
+        print(f"{name} / memory: {median(found[name]) / median(found['memory']):.2f}")
+
+
+if __name__ == "__main__":
+    main()
