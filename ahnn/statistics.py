@@ -22,7 +22,7 @@ class Statistics(NamedTuple):
         rate: root mean square of each component of (x_{k+1} - x_k) / dt.
         radius: (2,) extremes of the distance |q| from the origin.
         positions, forces: (M, n) some positions half-way between samples, and dp/dt there.
-        dt: sampling interval; the median of the steps where they differ.
+        dt: sampling interval; the median of the steps of some trajectories where they differ.
     """
 
     minimum: Tensor
@@ -44,13 +44,13 @@ class Statistics(NamedTuple):
         rates = increments[some] / (dt if uniform else lengths[some])
         extents = [Extent.of(part) for part in trajectories.parts()]
         count = sum(extent.steps for extent in extents)
-        typical = (sum(extent.increments for extent in extents) / count).sqrt()
+        typical = (torch.stack([extent.increments for extent in extents]).sum(0) / count).sqrt()
         radius = torch.stack([extent.radius for extent in extents])
         return cls(
             minimum=torch.stack([extent.minimum for extent in extents]).amin(0),
             maximum=torch.stack([extent.maximum for extent in extents]).amax(0),
             increment=typical,
-            rate=typical / dt if uniform else (sum(extent.rates for extent in extents) / count).sqrt(),
+            rate=typical / dt if uniform else (torch.stack([e.rates for e in extents]).sum(0) / count).sqrt(),
             radius=torch.stack((radius[:, 0].min(), radius[:, 1].max())),
             positions=(begins + increments / 2)[some].chunk(2, dim=-1)[0],
             forces=rates.chunk(2, dim=-1)[1],

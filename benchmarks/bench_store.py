@@ -2,10 +2,11 @@
 
     python benchmarks/bench_store.py FOLDER [trajectories] [samples] [steps] [recipe]
 
-A spring's trajectories are written into FOLDER, part by part, in closed form: its integrator would take hours
-for a million. Each measurement is a process of its own, in turn: `mapped`, `cold` (mapped, its pages dropped from the
-system's cache before) and `memory`, which holds a quarter of the trajectories, for it shall fit beside others. Steps are those of Lightning's loop with
-a recipe's optimiser on randomly drawn windows; wall time, since a disk keeps nobody's CPU busy.
+A spring's trajectories are written into FOLDER, part by part, in closed form: its integrator would take
+most of an hour for a million. Two processes take turns: one maps them, and measures first `mapped` and then
+`cold`, after their pages were dropped from the system's cache; the other, `memory`, holds a quarter of them,
+so that it fits beside others. Steps are those of Lightning's loop with a recipe's optimiser on randomly
+drawn windows; wall time, since a disk keeps nobody's CPU busy.
 """
 
 from __future__ import annotations
@@ -25,17 +26,19 @@ from statistics import median
 import torch
 from hydra import compose, initialize_config_dir
 from lightning import Callback
+from omegaconf import DictConfig
 from safetensors import safe_open
 
 from ahnn.cli.before import quiet
 from ahnn.cli.build import OmegaConf  # registers the resolvers of conf/
 from ahnn.cli.parts import build_data, build_model, build_source, build_trainer
 from ahnn.data import store
+from ahnn.data.datamodule import WindowDataModule
 from ahnn.paths import conf_dir
+from ahnn.statistics import Statistics
 from ahnn.systems import System
 from ahnn.types import Trajectories, rows_of_part
 
-MODES = ("mapped", "cold", "memory")
 REPEATS = int(os.environ.get("REPEATS", "3"))
 SMALLER = 4
 """Factor by which the data in memory are fewer."""
@@ -65,7 +68,7 @@ def turned(system: System, count: int) -> Iterator[Trajectories]:
         yield Trajectories(states, times.expand(len(states), -1))
 
 
-def configuration(folder: Path, count: int, samples: int, steps: int, recipe: str, run: str):
+def configuration(folder: Path, count: int, samples: int, steps: int, recipe: str, run: str) -> DictConfig:
     """Return the configuration of one epoch of so many steps."""
     overrides = [
         f"recipe={recipe}",
@@ -107,43 +110,55 @@ def dropped(path: Path) -> torch.Tensor:
         return file.get_tensor("states")
 
 
-def measured(mode: str, cfg, path: Path) -> dict[str, float]:
-    """Return milliseconds of a step, and what comes before the first one in seconds."""
-    begin = time.perf_counter()
-    data = build_data(cfg, build_source(cfg))
+def fitted(cfg: DictConfig, data: WindowDataModule, statistics: Statistics) -> dict[str, float]:
+    """Return milliseconds of a step: median and mean of the wall clock, median of the processor's."""
     model = build_model(cfg, data)
-    if mode == "memory":
-        whole = data.source.read()
-        data.splits.source.read = lambda: whole._replace(states=whole.states.clone())
-        del whole
-    statistics = data.statistics()
     model.calibrate(statistics)
     model.about["dt"] = statistics.dt
-    trainer = build_trainer(cfg)
-    watch = Stopwatch()
+    trainer, watch = build_trainer(cfg), Stopwatch()
     trainer.callbacks.append(watch)
-    windows = data.train_dataloader().windows
-    ready = time.perf_counter() - begin
-    if mode == "cold":
-        shape, data.splits._parts = windows.flat.shape, {}
-        windows.flat = torch.empty(0)
-        windows.flat = dropped(path).flatten(0, 1)[: shape[0]]
-        data.val_dataloader = lambda: []
-        trainer.limit_val_batches = 0
     trainer.fit(model, data)
-    wall, cpu = (
-        median(b[k] - a[k] for a, b in zip(watch.times, watch.times[1:], strict=False)) * 1e3 for k in (0, 1)
-    )
-    mean = (watch.times[-1][0] - watch.times[0][0]) / (len(watch.times) - 1) * 1e3
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    return {"wall": wall, "mean": mean, "cpu": cpu, "ready": ready, "peak": peak}
+    first, *_, last = watch.times
+    pairs = [*zip(watch.times, watch.times[1:], strict=False)]
+    wall, cpu = (median(b[k] - a[k] for a, b in pairs) * 1e3 for k in (0, 1))
+    return {"wall": wall, "mean": (last[0] - first[0]) / len(pairs) * 1e3, "cpu": cpu}
+
+
+def measured(mode: str, cfg: DictConfig, path: Path) -> dict[str, dict[str, float]]:
+    """Return what a fit took, of mapped data also without their pages; and what came before it in seconds.
+
+    The statistics are those of one part: one pass less over all.
+    """
+    begin = time.perf_counter()
+    data = build_data(cfg, build_source(cfg))
+    if mode == "memory":
+        whole = data.source.read()
+        held = whole._replace(states=whole.states.clone())
+        data.source.read = lambda: held
+        del whole
+    statistics = Statistics.of(next(data.trajectories("train").parts()))
+    windows = data.train_dataloader().windows
+    ready = {"seconds": time.perf_counter() - begin}
+    found = {mode: fitted(cfg, data, statistics)}
+    if mode == "mapped":
+        rows, data.splits._parts = len(windows.flat), {}
+        windows.flat = torch.empty(0)
+        data.val_dataloader = lambda: []
+        windows.flat = dropped(path).flatten(0, 1)[:rows]
+        data._windows = {(("train", data.span)): windows}
+        found["cold"] = fitted(cfg, data, statistics)
+    return {
+        **found,
+        "ready": ready,
+        "peak": {"GiB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20},
+    }
 
 
 def main() -> None:
-    """Write the store where it is missing, and print one line for each way and the ratios of the medians."""
+    """Write the stores where they are missing, and print a line for each way and the ratios of the medians."""
     folder = Path(sys.argv[1]).absolute()
     count, samples, steps = (int(a) for a in (*sys.argv[2:5], "1000000", "821", "200")[:3])
-    recipe, mode = (*sys.argv[5:7], "", "")[:2] if len(sys.argv) > 5 else ("first_order", "")
+    recipe, mode = (*sys.argv[5:7], "first_order", "")[:2] if len(sys.argv) != 6 else (sys.argv[5], "")
     quiet()
     torch.set_num_threads(1)
     if mode:
@@ -151,21 +166,20 @@ def main() -> None:
             cfg = configuration(folder, count, samples, steps, recipe, run)
             print(json.dumps(measured(mode, cfg, written(cfg, count))))
         return
-    path = written(configuration(folder, count, samples, steps, recipe, "."), count)
-    written(configuration(folder, count // SMALLER, samples, steps, recipe, "."), count // SMALLER)
-    print(f"{path.stat().st_size / 1e9:.1f} GB; ms a step of {recipe}, {steps} steps; s until the first; GiB")
-    found: dict[str, list[float]] = {name: [] for name in MODES}
+    for many in (count, count // SMALLER):
+        size = written(configuration(folder, many, samples, steps, recipe, "."), many).stat().st_size
+        print(f"{size / 1e9:.1f} GB", flush=True)
+    found: dict[str, list[float]] = {}
     for _ in range(REPEATS):
-        for name in MODES:
-            many = count // SMALLER if name == "memory" else count
-            words = [folder, many, samples, steps, recipe, name]
+        for name, many in (("mapped", count), ("memory", count // SMALLER)):
+            words = (folder, many, samples, steps, recipe, name)
             command = [sys.executable, __file__, *map(str, words)]
-            said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
-            row = json.loads(said.splitlines()[-1])
-            found[name].append(row["mean"])
-            print(f"{name:8s}", *(f"{key} {value:8.2f}" for key, value in row.items()), flush=True)
-    for name in MODES[:2]:
-        print(f"{name} / memory: {median(found[name]) / median(found['memory']):.2f}")
+            said = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
+            for way, row in json.loads(said.splitlines()[-1]).items():
+                found.setdefault(way, []).append(row.get("mean", 0.0))
+                print(f"{way:8s}", *(f"{key} {value:8.2f}" for key, value in row.items()), flush=True)
+    for way in ("mapped", "cold"):
+        print(f"{way} / memory: {median(found[way]) / median(found['memory']):.2f}")
 
 
 if __name__ == "__main__":

@@ -190,6 +190,8 @@ class WindowDataModule(LightningDataModule):
         windows = self._windows[split, span]
         size = 16.0 * min(self.batch_size, len(windows)) * (span + 1) * windows.flat.shape[-1]
         require_memory("data.batch_size", "the windows of a batch", size)
+        if emphasis:
+            require_memory("data.emphasis", "the speeds of all windows", 24.0 * len(windows))
         if self.trainer is None:
             return WindowLoader(windows, self.batch_size, limit, seed, emphasis)
         windows.to(self.trainer.strategy.root_device)

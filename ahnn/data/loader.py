@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -164,10 +165,8 @@ def distinct(total: int, count: int, generator: torch.Generator) -> Tensor:
     while len(drawn) < count:
         more = torch.randint(total, (2 * (count - len(drawn)),), generator=generator)
         drawn = torch.cat((drawn, more))
-        _, groups = drawn.unique(return_inverse=True)
-        first = torch.full((int(groups.max()) + 1,), len(drawn))
-        first = first.scatter_reduce(0, groups, torch.arange(len(drawn)), "amin").sort().values
-        drawn = drawn[first]
+        _, first = np.unique(drawn.numpy(), return_index=True)
+        drawn = drawn[torch.from_numpy(np.sort(first))]
     return drawn[:count]
 
 
