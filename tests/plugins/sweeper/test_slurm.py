@@ -88,7 +88,7 @@ def test_a_requeued_training_ends_with_the_same_bits(slurm, desk, cut):
     until(lambda: state(slurm, job)[0] not in ("PENDING", "RUNNING", "COMPLETING"))
     assert state(slurm, job) == ("COMPLETED", 1)
     assert read_checkpoint(last)["global_step"] == 600
-    said(slurm, "python", "-m", "ahnn.train", *more, "run=whole")
+    assert "srun" not in said(slurm, "bash", "-c", "python -m ahnn.train $0 $@ run=whole 2>&1", *more)
     whole = read_checkpoint(Path("whole/checkpoints/last.ckpt"))["state_dict"]
     cut_off = read_checkpoint(last)["state_dict"]
     assert all(torch.equal(whole[name], cut_off[name]) for name in whole)
