@@ -81,6 +81,7 @@ def configuration(folder: Path, count: int, samples: int, steps: int, recipe: st
         f"data.cache={folder}",
         "data.val_windows=256",
         f"folder={run}",
+        f"run={run}",
     ]
     with initialize_config_dir(str(conf_dir()), version_base="1.3"):
         cfg = compose("train", overrides)
