@@ -25,7 +25,14 @@ UNFINISHED = re.compile(r"\..+\.[0-9a-f]{32}\.tmp")
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write bytes to a temporary file beside `path`, flush it to the disk, and rename it into place.
+    """Write bytes to a file that appears whole or not at all; see `atomic_file`."""
+    with atomic_file(path) as file:
+        file.write(content)
+
+
+@contextlib.contextmanager
+def atomic_file(path: Path) -> Iterator[BinaryIO]:
+    """Give a temporary file beside `path`; afterwards flush it to the disk and rename it into place.
 
     What was at `path` survives any failure; a link there is replaced and its target left alone. Whoever
     writes holds a lock on its temporary file, which ends with the process: what killed writers left in the
@@ -36,7 +43,7 @@ def write_atomically(path: Path, content: bytes) -> None:
     temporary, file = _unfinished(path)
     with file:
         try:
-            file.write(content)
+            yield file
             file.flush()
             os.fsync(file.fileno())
             temporary.replace(path)

@@ -1,10 +1,12 @@
-"""Whether a request fits into memory, checked before it is allocated, and what becomes of freed memory."""
+"""Whether a request fits into memory or onto a disk, before it is made, and what becomes of freed memory."""
 
 from __future__ import annotations
 
 import ctypes
 import os
+import shutil
 import sys
+from pathlib import Path
 
 from ahnn.errors import UserError
 
@@ -46,5 +48,27 @@ def require_memory(who: str, what: str, size: float) -> None:
         message = (
             f"{who}: expected {what} that fit into {available() / 1e9:.0f} GB; received {size / 1e9:.3g} GB. "
             "Ask for less"
+        )
+        raise UserError(message)
+
+
+def require_disk(who: str, what: str, size: float, folder: Path) -> None:
+    """Check an estimate of bytes against what is free on the disk of a folder, which need not exist yet.
+
+    Args:
+        who: the parameters that determine the size, for the message.
+        what: of what size, for the message.
+        size: bytes.
+        folder: where it is to be written.
+
+    Raises:
+        UserError: it does not fit.
+    """
+    there = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.exists())
+    free = shutil.disk_usage(there).free
+    if size > free:
+        message = (
+            f"{who}: expected {what} that fit into {free / 1e9:.0f} GB, free at {folder}; received "
+            f"{size / 1e9:.3g} GB. Ask for less, or choose another disk with AHNN_CACHE"
         )
         raise UserError(message)

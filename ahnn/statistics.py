@@ -22,7 +22,7 @@ class Statistics(NamedTuple):
         rate: root mean square of each component of (x_{k+1} - x_k) / dt.
         radius: (2,) extremes of the distance |q| from the origin.
         positions, forces: (M, n) some positions half-way between samples, and dp/dt there.
-        dt: sampling interval; the median of the steps where they differ.
+        dt: sampling interval; the median of the steps of some trajectories where they differ.
     """
 
     minimum: Tensor
@@ -37,28 +37,70 @@ class Statistics(NamedTuple):
     @classmethod
     def of(cls, trajectories: Trajectories, examples: int = 20_000) -> Statistics:
         """Return the statistics of trajectories; absent samples and the steps beside them do not count."""
-        states, times = trajectories
-        steps, dt = increments_of(trajectories), sampling_interval(trajectories)
-        valid = steps.isfinite().all(-1)
-        begins, increments = states[:, :-1][valid], steps[valid]
-        lengths = dt if isinstance(dt, float) else times.diff(dim=1)[valid].unsqueeze(-1)
-        flat = states[trajectories.present]
-        every = max(1, len(begins) // examples)
-        some = slice(None, None, every)
-        rates = increments[some] / (lengths if isinstance(lengths, float) else lengths[some])
+        dt = sampling_interval(trajectories)
+        uniform = isinstance(dt, float)
+        begins, increments, lengths = steps_of(trajectories.spread())
+        some = slice(None, None, max(1, len(begins) // examples))
+        rates = increments[some] / (dt if uniform else lengths[some])
+        extents = [Extent.of(part) for part in trajectories.parts()]
+        count = sum(extent.steps for extent in extents)
+        typical = (torch.stack([extent.increments for extent in extents]).sum(0) / count).sqrt()
+        radius = torch.stack([extent.radius for extent in extents])
+        return cls(
+            minimum=torch.stack([extent.minimum for extent in extents]).amin(0),
+            maximum=torch.stack([extent.maximum for extent in extents]).amax(0),
+            increment=typical,
+            rate=typical / dt if uniform else (torch.stack([e.rates for e in extents]).sum(0) / count).sqrt(),
+            radius=torch.stack((radius[:, 0].min(), radius[:, 1].max())),
+            positions=(begins + increments / 2)[some].chunk(2, dim=-1)[0],
+            forces=rates.chunk(2, dim=-1)[1],
+            dt=dt if uniform else float(lengths.median()),
+        )
+
+
+class Extent(NamedTuple):
+    """What a part of the trajectories adds to the statistics of all.
+
+    Attributes:
+        minimum, maximum: (D,) extremes of each state component.
+        radius: (2,) extremes of the distance from the origin.
+        steps: number of steps between neighbouring samples.
+        increments, rates: (D,) sums of squares over them.
+    """
+
+    minimum: Tensor
+    maximum: Tensor
+    radius: Tensor
+    steps: int
+    increments: Tensor
+    rates: Tensor
+
+    @classmethod
+    def of(cls, part: Trajectories) -> Extent:
+        """Return the extent of trajectories that fit into memory several times."""
+        flat = part.states[part.present]
         radius = flat.chunk(2, dim=-1)[0].norm(dim=-1)
-        typical = increments.square().mean(0).sqrt()
-        uniform = isinstance(lengths, float)
+        _, increments, lengths = steps_of(part)
         return cls(
             minimum=flat.amin(0),
             maximum=flat.amax(0),
-            increment=typical,
-            rate=typical / lengths if uniform else (increments / lengths).square().mean(0).sqrt(),
             radius=torch.stack((radius.min(), radius.max())),
-            positions=(begins + increments / 2)[some].chunk(2, dim=-1)[0],
-            forces=rates.chunk(2, dim=-1)[1],
-            dt=lengths if uniform else float(lengths.median()),
+            steps=len(increments),
+            increments=increments.square().sum(0),
+            rates=(increments / lengths).square().sum(0),
         )
+
+
+def steps_of(trajectories: Trajectories) -> tuple[Tensor, Tensor, Tensor]:
+    """Return where the R steps between neighbouring samples begin, their increments and their lengths.
+
+    Returns:
+        Tensors (R, D), (R, D) and (R, 1).
+    """
+    steps = increments_of(trajectories)
+    valid = steps.isfinite().all(-1)
+    lengths = trajectories.times.diff(dim=1)[valid].unsqueeze(-1)
+    return trajectories.states[:, :-1][valid], steps[valid], lengths
 
 
 def increments_of(trajectories: Trajectories) -> Tensor:
@@ -69,7 +111,9 @@ def increments_of(trajectories: Trajectories) -> Tensor:
 
 def sampling_interval(trajectories: Trajectories) -> TimeStep:
     """Return the one step between neighbouring samples, or all of them, (B, T - 1), where they differ."""
-    times = trajectories.times
+    times, count = trajectories.times, len(trajectories.times)
+    if times.stride(0) == 0:  # one row for all
+        times = times[:1]
     steps = times.diff(dim=1)
     known = steps[steps.isfinite()]
     if not len(known):
@@ -77,4 +121,4 @@ def sampling_interval(trajectories: Trajectories) -> TimeStep:
     dt = float(known[0])
     # Times are sums of steps: their rounding grows with the time and not with the step.
     slack = CLOSE * abs(dt) + 4 * torch.finfo(times.dtype).eps * float(times[times.isfinite()].abs().max())
-    return dt if float((known - dt).abs().max()) <= slack else steps
+    return dt if float((known - dt).abs().max()) <= slack else steps.expand(count, -1)

@@ -11,12 +11,17 @@ A state is x = [q, p] along the last axis, shape (..., 2n), in the physical unit
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from torch import Tensor
 
 TimeStep = float | Tensor
 """A time step in the unit of the space: one number, or a (B,) tensor with one step for each member."""
+
+
+PART = 2**27
+"""Bytes of states that are worked on at once; what is stored may be larger than the memory."""
 
 
 class VectorField(Protocol):
@@ -117,6 +122,21 @@ class Trajectories(NamedTuple):
     def part(self, rows: slice) -> Trajectories:
         """Return some of the trajectories."""
         return Trajectories(self.states[rows], self.times[rows])
+
+    def parts(self) -> Iterator[Trajectories]:
+        """Yield all trajectories in their order, so many at once as `PART` holds."""
+        many = rows_of_part(*self.states.shape[1:])
+        for begin in range(0, len(self.states), many):
+            yield self.part(slice(begin, begin + many))
+
+    def spread(self) -> Trajectories:
+        """Return evenly spread trajectories that `PART` holds: all of them where it holds all."""
+        return self.part(slice(None, None, -(-len(self.states) // rows_of_part(*self.states.shape[1:]))))
+
+
+def rows_of_part(samples: int, size: int) -> int:
+    """Return how many trajectories of so many samples and components `PART` holds, at least one."""
+    return max(1, PART // (8 * samples * size))
 
 
 class Window(NamedTuple):

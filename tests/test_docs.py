@@ -50,7 +50,7 @@ NOT_RUN = {
     "pip ": "installs over the network",
     "createdb ": "needs a database server; tests/plugins/sweeper starts one of its own",
     "postgresql": "needs a database server; tests/plugins/sweeper starts one of its own",
-    "submitit_slurm": "needs a Slurm cluster",
+    "submitit_slurm": "needs a Slurm cluster; tests/plugins/sweeper/test_slurm.py starts one of its own",
     "tensorboard ": "serves until it is stopped",
     "optuna-dashboard ": "serves until it is stopped",
     "budget=paper": "needs a GPU and hours",

@@ -20,9 +20,9 @@ HINTS = (
     ".*ModelCheckpoint with manual optimization.*",
     ".*isinstance.treespec, LeafSpec.*",
     ".*did not find any unused parameters.*",
-    ".*`srun` command is available.*",
+    ".*srun. command is available on your system but is not used.*",
 )
-"""What Lightning warns of though it is intended, such as short epochs or a folder that is used again."""
+"""What Lightning warns of though it is intended, such as short epochs or a login node without `srun`."""
 
 
 def begin(cfg: DictConfig) -> None:

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, OmegaConf
@@ -95,8 +96,12 @@ def plain_config(cfg: Any, who: str = "configuration") -> dict[str, Any]:
 
 
 def new_folder(path: str) -> str:
-    """Make a folder of this name, or with a number behind it, that no other process has; resolver of YAML."""
-    if {"--cfg", "-c"} & {*sys.argv}:  # which only looks
+    """Make a folder of this name, or with a number behind it, that no other process has; resolver of YAML.
+
+    None is made for a job that has a folder already, that of a sweep, nor for a command that only looks.
+    """
+    placed = HydraConfig.initialized() and not OmegaConf.is_missing(HydraConfig.get().runtime, "output_dir")
+    if placed or {"--cfg", "-c"} & {*sys.argv}:
         return path
     for number in itertools.count(1):
         folder = Path(path if number == 1 else f"{path}_{number}")

@@ -79,6 +79,7 @@ class WindowDataModule(LightningDataModule):
         self.stages: Stages | None = None
         self.epochs = 1
         self._cut: dict[int | None, Segments] = {}
+        self._windows: dict[tuple[Split, int], Windows] = {}
         self.window, self.span, self.batch_size = window, window, batch_size
         self.windows_per_epoch, self.val_windows = windows_per_epoch, val_windows
         self.dtype = {32: torch.float32, 64: torch.float64}[precision]
@@ -120,7 +121,8 @@ class WindowDataModule(LightningDataModule):
         """Return training states (M, D) float64, measurements smoothed."""
         train = self.trajectories("train")
         if self.sensor is None:
-            states = train.states[train.present]
+            some = train.spread()
+            states = some.states[some.present]
             return states[:: max(1, len(states) // EXACT)]
         return as_states(self.smooth.value, self.smooth.rate, self.instrument)
 
@@ -128,7 +130,7 @@ class WindowDataModule(LightningDataModule):
         """Return what the user should know of the noise of the training data, or None."""
         names = self.source.space.components if self.sensor is None else self.sensor.measurement.names
         stated = None if self.sensor is None or self.stages is None else self.sensor.deviations
-        return remark_on(self.trajectories("train"), names, stated)
+        return remark_on(self.trajectories("train").spread(), names, stated)
 
     def follow(self, stages: Stages, epochs: int) -> None:
         """Hand out stretches of measurements that grow over so many epochs, in place of windows.
@@ -183,9 +185,13 @@ class WindowDataModule(LightningDataModule):
     def _loader(
         self, split: Split, span: int, limit: int | None, seed: int | None, emphasis: float = 0.0
     ) -> WindowLoader:
-        windows = Windows(self.trajectories(split), span, self.dtype)
+        if (split, span) not in self._windows:
+            self._windows[split, span] = Windows(self.trajectories(split), span, self.dtype)
+        windows = self._windows[split, span]
         size = 16.0 * min(self.batch_size, len(windows)) * (span + 1) * windows.flat.shape[-1]
         require_memory("data.batch_size", "the windows of a batch", size)
+        if emphasis:
+            require_memory("data.emphasis", "the speeds of all windows", 24.0 * len(windows))
         if self.trainer is None:
             return WindowLoader(windows, self.batch_size, limit, seed, emphasis)
         windows.to(self.trainer.strategy.root_device)

@@ -1,63 +1,74 @@
-"""Ground truth: all trajectories of a system at once, in float64, by its exact flow."""
+"""Ground truth: trajectories of a system in float64, by its exact flow, part by part."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import torch
 from torch import Tensor
 
 from ahnn.errors import UserError
-from ahnn.progress import track
+from ahnn.memory import require_memory
+from ahnn.progress import progress_bar
 from ahnn.systems import System
 from ahnn.systems.truth import exact_flow
-from ahnn.types import Trajectories
+from ahnn.types import Trajectories, rows_of_part
+
+
+def generate(system: System, count: int, seed: int) -> Trajectories:
+    """Return all trajectories of `generated` in memory."""
+    parts = [*generated(system, count, seed)]
+    times = parts[0].times[:1].expand(count, -1)
+    return Trajectories(torch.cat([part.states for part in parts]), times) if len(parts) > 1 else parts[0]
 
 
 @torch.no_grad()
-def generate(system: System, count: int, seed: int) -> Trajectories:
-    """Return `count` trajectories from initial states drawn with `seed`.
+def generated(system: System, count: int, seed: int) -> Iterator[Trajectories]:
+    """Yield `count` trajectories from initial states drawn with `seed`, so many at once as a part holds.
 
-    All are integrated together for as long as the longest one; the states beyond the end of a shorter one
-    are NaN.
+    All have the length of the longest one; the states beyond the end of a shorter one are NaN. No trajectory
+    depends on the others of its part.
 
     Raises:
         UserError: the trajectories are too long to be kept, do not stay finite, or cannot be made accurate.
     """
     x = system.initial_states(count, torch.Generator().manual_seed(seed))
     steps = system.durations(x)
-    longest = int(steps.max())
-    states = room(system, x, steps)
-    states[:, 0] = x
-    flow = exact_flow(system)
-    for k in track(range(1, longest + 1), f"generating {count} trajectories of {system.name}", longest):
-        x = flow(x, system.dt)
-        states[:, k] = x
-    beyond = torch.arange(longest + 1) > steps.unsqueeze(-1)
-    require_finite(system, states, beyond)
-    states[beyond] = torch.nan
+    longest = longest_of(system, steps)
+    require_memory("system.steps, system.periods", "states of a trajectory", 8.0 * (longest + 1) * x.shape[1])
     times = torch.arange(longest + 1, dtype=torch.float64) * system.dt
-    return Trajectories(states, times.expand(count, -1))
+    many = rows_of_part(longest + 1, x.shape[1])
+    flow = exact_flow(system)
+    with progress_bar() as bar:
+        total = -(-count // many) * longest
+        task = bar.add_task(f"generating {count} trajectories of {system.name}", total=total)
+        for begin in range(0, count, many):
+            now, ends = x[begin : begin + many], steps[begin : begin + many]
+            states = torch.empty(len(now), longest + 1, now.shape[1], dtype=torch.float64)
+            states[:, 0] = now
+            for k in range(1, longest + 1):
+                now = flow(now, system.dt)
+                states[:, k] = now
+                bar.advance(task)
+            beyond = torch.arange(longest + 1) > ends.unsqueeze(-1)
+            require_finite(system, states, beyond, begin)
+            states[beyond] = torch.nan
+            yield Trajectories(states, times.expand(len(states), -1))
 
 
-def room(system: System, x: Tensor, steps: Tensor) -> Tensor:
-    """Return an empty tensor (B, T, D) for trajectories of these steps (B,) from the states x, shape (B, D).
-
-    Raises:
-        UserError: a duration that is none, or more than the memory holds.
-    """
-    count, size = x.shape
+def longest_of(system: System, steps: Tensor) -> int:
+    """Return the longest of durations (B,); raises UserError where one of them is none."""
     if int(steps.min()) < 1:
-        received = f"received durations that are zero or infinite, {int((steps < 1).sum())} of {count}"
-    else:
-        try:
-            return torch.empty(count, int(steps.max()) + 1, size, dtype=torch.float64)
-        except RuntimeError:
-            received = f"received {count} of up to {int(steps.max()):,} steps"
-    message = f"system {system.name}: expected trajectories that fit into memory; {received}. Shorten them"
-    raise UserError(message)
+        message = (
+            f"system {system.name}: expected trajectories of at least one step; received durations that are "
+            f"zero or infinite, {int((steps < 1).sum())} of {len(steps)}. Change its parameters"
+        )
+        raise UserError(message)
+    return int(steps.max())
 
 
-def require_finite(system: System, states: Tensor, beyond: Tensor) -> None:
-    """Check trajectories (B, T, D) wherever they are not `beyond` their end, (B, T).
+def require_finite(system: System, states: Tensor, beyond: Tensor, before: int) -> None:
+    """Check trajectories (B, T, D), `before` others, wherever they are not `beyond` their end, (B, T).
 
     Raises:
         UserError: a state is not finite; nothing could be learned from it, nor scored.
@@ -68,7 +79,7 @@ def require_finite(system: System, states: Tensor, beyond: Tensor) -> None:
     b, k = (int(n) for n in wrong.nonzero()[0])
     lost = f"{int(wrong.any(-1).sum())} of {len(states)} trajectories"
     message = (
-        f"system {system.name}: expected finite states; {lost} diverge, number {b} after {k} steps "
+        f"system {system.name}: expected finite states; {lost} diverge, number {before + b} after {k} steps "
         f"of dt={system.dt}: received {states[b, k].tolist()}. "
         "Shorten system.dt or narrow the ranges of the initial states"
     )

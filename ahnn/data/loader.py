@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -13,6 +16,11 @@ from ahnn.data.segments import Segments
 from ahnn.data.windows import Windows
 from ahnn.measurements import Segment
 from ahnn.types import Window
+
+AHEAD = 4
+"""Batches that are gathered at once, where they are streamed."""
+PERMUTED = 10**8
+"""Windows up to which an epoch is a part of a permutation of all."""
 
 
 class EpochLoader(ABC):
@@ -22,6 +30,11 @@ class EpochLoader(ABC):
         self.epoch = 0
         self.position = 0
         self.resume_epoch: int | None = None
+
+    @property
+    def streamed(self) -> bool:
+        """Whether batches are gathered ahead of time, in the background."""
+        return False
 
     @property
     def sampler(self) -> EpochLoader:
@@ -60,10 +73,25 @@ class EpochLoader(ABC):
     def __iter__(self) -> Iterator[Any]:
         """Yield the batches that are left of the current epoch."""
         begin = self.position if self.epoch == self.resume_epoch and self.position < len(self) else 0
-        batches = self.batches()
-        for self.position in range(begin + 1, len(batches) + 1):
-            yield self.gather(batches[self.position - 1])
+        batches = self.batches()[begin:]
+        gathered = ahead(self.gather, batches) if self.streamed else map(self.gather, batches)
+        for self.position, batch in enumerate(gathered, begin + 1):
+            yield batch
         self.position = 0
+
+
+def ahead(gather: Callable[[Tensor], Any], batches: Sequence[Tensor]) -> Iterator[Any]:
+    """Yield what is gathered for each of the batches, the next ones in the background meanwhile."""
+    pool = ThreadPoolExecutor(AHEAD)
+    try:
+        coming = deque(pool.submit(gather, batch) for batch in batches[:AHEAD])
+        for number in range(len(batches)):
+            done = coming.popleft().result()
+            if number + AHEAD < len(batches):
+                coming.append(pool.submit(gather, batches[number + AHEAD]))
+            yield done
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 class WindowLoader(EpochLoader):
@@ -98,6 +126,11 @@ class WindowLoader(EpochLoader):
         self.seed = seed
         self._cumulative = windows.speeds().pow(emphasis).cumsum(0).cpu() if emphasis else None
 
+    @property
+    def streamed(self) -> bool:
+        """Whether batches may have to wait for a disk."""
+        return self.windows.streamed
+
     def __len__(self) -> int:
         """Return the number of batches of a whole epoch."""
         return -(-self.count // self.batch_size)
@@ -108,6 +141,8 @@ class WindowLoader(EpochLoader):
         if self.seed is None:
             return torch.arange(self.count) * total // self.count
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)
+        if self._cumulative is None and total > PERMUTED and self.count < total // 2:
+            return distinct(total, self.count, generator)
         if self._cumulative is None:
             return torch.randperm(total, generator=generator)[: self.count]
         draws = torch.rand(self.count, generator=generator, dtype=torch.float64) * self._cumulative[-1]
@@ -122,6 +157,17 @@ class WindowLoader(EpochLoader):
         own = batch.tensor_split(self.world)[self.rank]
         window = self.windows.gather(own if len(own) else batch[:1])
         return window._replace(weight=self.world * len(own) / len(batch))
+
+
+def distinct(total: int, count: int, generator: torch.Generator) -> Tensor:
+    """Return `count` different numbers below `total`, in random order, without a permutation of all."""
+    drawn = torch.empty(0, dtype=torch.int64)
+    while len(drawn) < count:
+        more = torch.randint(total, (2 * (count - len(drawn)),), generator=generator)
+        drawn = torch.cat((drawn, more))
+        _, first = np.unique(drawn.numpy(), return_index=True)
+        drawn = drawn[torch.from_numpy(np.sort(first))]
+    return drawn[:count]
 
 
 class SegmentLoader(EpochLoader):

@@ -11,11 +11,14 @@ from torch import Tensor
 from ahnn.arguments import Count, Seed, Within, checked
 from ahnn.errors import UserError
 from ahnn.measurements import Instrument, Locating, Measurement, Several, State, observe, reading
+from ahnn.memory import require_memory
 from ahnn.types import Space, Trajectories
 
 Share = Annotated[float, Within(0, 0.9)]
 OUTLIER = 50.0
 """Standard deviations by which an outlier is off."""
+COPIES = 4
+"""Of the measurements, held at once while they are drawn."""
 
 
 @checked
@@ -76,6 +79,8 @@ class Sensor:
     def measure(self, truth: Trajectories, part: int) -> Trajectories:
         """Return measurements (B, K, M) of true trajectories, with a seed for each part of the data."""
         states, times = truth.states[:, :: self.every], truth.times[:, :: self.every]
+        size = COPIES * 8.0 * times.numel() * len(self.measurement.names)
+        require_memory("data.trajectories, system.steps", "measurements", size)
         values = observe(self.measurement, states, times)
         generator = torch.Generator().manual_seed((self.seed * 1_000_003 + part) % 2**63)
         draw: dict[str, Any] = {"generator": generator, "dtype": torch.float64}

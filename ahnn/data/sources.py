@@ -9,9 +9,9 @@ import torch
 
 from ahnn.arguments import Count, Seed, checked
 from ahnn.data import store
-from ahnn.data.generate import generate
+from ahnn.data.generate import generated
 from ahnn.data.given import check_trajectories
-from ahnn.memory import require_memory
+from ahnn.memory import require_disk
 from ahnn.systems import System
 from ahnn.types import Space, Trajectories
 
@@ -63,9 +63,10 @@ class Simulated:
         return self.truth.space
 
     def check(self) -> None:
-        """Raise UserError for more trajectories than the memory holds."""
+        """Raise UserError for more trajectories than the disk of the cache holds."""
         size = 8.0 * self.count * (self.steps() + 1) * len(self.space.components)
-        require_memory("data.trajectories, system.steps", "trajectories", size)
+        if not store.place(self.cache, self.recipe()).exists():
+            require_disk("data.trajectories, system.steps", "trajectories", size, self.cache)
 
     def recipe(self) -> dict[str, Any]:
         """Return system, count and seed."""
@@ -77,7 +78,7 @@ class Simulated:
 
     def read(self) -> Trajectories:
         """Return the trajectories, from the cache where they are in it."""
-        make = lambda: generate(self.truth, self.count, self.seed)  # noqa: E731
+        make = lambda: generated(self.truth, self.count, self.seed)  # noqa: E731
         return store.load_or_make(self.cache, self.recipe(), make)
 
 

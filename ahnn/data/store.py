@@ -1,6 +1,7 @@
 """Generated trajectories on disk: one file per content hash, written atomically, verified on load.
 
-Files are in the safetensors format: reading one never executes anything.
+Files are in the safetensors format: reading one never executes anything. They are written part by part and
+mapped into memory, which therefore may be smaller.
 """
 
 from __future__ import annotations
@@ -10,17 +11,18 @@ import hashlib
 import inspect
 import json
 import logging
+import math
+import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from filelock import FileLock
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
 from torch import Tensor
 
-from ahnn.files import require_writable, write_atomically
+from ahnn.files import atomic_file, require_writable
 from ahnn.systems import System
 from ahnn.types import Trajectories
 
@@ -28,6 +30,10 @@ log = logging.getLogger(__name__)
 
 FORMAT = 3
 """Raise this number when the meaning of a stored file changes, for example after a fix of the generator."""
+BLOCK = 2**24
+"""Bytes that are read at once for a checksum."""
+SPARE = 512
+"""Bytes of a header for more than its metadata."""
 
 
 def recipe(system: System, count: int, seed: int) -> dict[str, Any]:
@@ -64,16 +70,22 @@ def _source(name: str, kind: type) -> str:
     return repr([getattr(f, "__code__", None) and f.__code__.co_code for f in vars(kind).values()])
 
 
-def load_or_make(folder: Path, wanted: dict[str, object], make: Callable[[], Trajectories]) -> Trajectories:
+def load_or_make(
+    folder: Path, wanted: dict[str, object], make: Callable[[], Iterable[Trajectories]]
+) -> Trajectories:
     """Return the stored trajectories of a recipe, made and stored first when missing or damaged.
+
+    Args:
+        folder: of the stored files.
+        wanted: the recipe.
+        make: returns the parts of `write`.
 
     Of several processes that miss the same data, one makes it and the others wait.
 
     Raises:
         UserError: the folder cannot be written.
     """
-    key = hashlib.sha256(json.dumps({"format": FORMAT, **wanted}, sort_keys=True).encode()).hexdigest()[:16]
-    path = folder / f"{key}.safetensors"
+    path = place(folder, wanted)
     stored = stored_in(path)
     if stored is not None:
         return stored
@@ -81,9 +93,15 @@ def load_or_make(folder: Path, wanted: dict[str, object], make: Callable[[], Tra
     with FileLock(folder / ".lock"):
         stored = stored_in(path)
         if stored is None:
-            stored = make()
-            write(path, stored, wanted)
+            write(path, make(), wanted)
+            stored = read(path)
     return stored
+
+
+def place(folder: Path, wanted: dict[str, object]) -> Path:
+    """Return the file of a recipe."""
+    key = hashlib.sha256(json.dumps({"format": FORMAT, **wanted}, sort_keys=True).encode()).hexdigest()[:16]
+    return folder / f"{key}.safetensors"
 
 
 def stored_in(path: Path) -> Trajectories | None:
@@ -97,15 +115,46 @@ def stored_in(path: Path) -> Trajectories | None:
         return None
 
 
-def write(path: Path, trajectories: Trajectories, made_from: dict[str, object]) -> None:
-    """Write trajectories with their recipe and a checksum; the file appears whole or not at all."""
-    metadata = {"recipe": json.dumps(made_from, sort_keys=True), "sha256": checksum(trajectories)}
-    content = save({"states": trajectories.states, "times": shared_times(trajectories)}, metadata)
-    write_atomically(path, content)
+def write(path: Path, parts: Iterable[Trajectories], made_from: dict[str, object]) -> None:
+    """Write trajectories with their recipe and a checksum; the file appears whole or not at all.
+
+    Args:
+        path: of the file.
+        parts: the trajectories in their order; several parts share the row of times of the first.
+        made_from: the recipe.
+    """
+    written, digest, times, shape = 0, hashlib.sha256(), None, (0, 0, 0)
+    with atomic_file(path) as file:
+        for part in parts:
+            if times is None:
+                times, shape = shared_times(part), part.states.shape
+                digest.update(content(times))
+                file.write(header(made_from, digest.hexdigest(), shape, times.shape))  # keeps the place
+            digest.update(content(part.states))
+            file.write(content(part.states))
+            written += len(part.states)
+        assert times is not None
+        file.write(content(times))
+        file.seek(0)
+        file.write(header(made_from, digest.hexdigest(), (written, *shape[1:]), times.shape))
+
+
+def header(made_from: dict[str, object], sha256: str, states: Sequence[int], times: Sequence[int]) -> bytes:
+    """Return the header of a safetensors file of states and times, as long for any number of trajectories."""
+    metadata = {"recipe": json.dumps(made_from, sort_keys=True), "sha256": sha256}
+    end, last = 8 * math.prod(states), 8 * (math.prod(states) + math.prod(times))
+    entries = {
+        "__metadata__": metadata,
+        "states": {"dtype": "F64", "shape": [*states], "data_offsets": [0, end]},
+        "times": {"dtype": "F64", "shape": [*times], "data_offsets": [end, last]},
+    }
+    text = json.dumps(entries, separators=(",", ":")).encode()
+    plain = len(json.dumps(metadata))
+    return (size := plain + SPARE - plain % 8).to_bytes(8, "little") + text.ljust(size)
 
 
 def read(path: Path) -> Trajectories:
-    """Read trajectories and verify their checksum.
+    """Map trajectories into memory after their checksum was verified; what is changed there stays there.
 
     Raises:
         ValueError: the checksum does not match.
@@ -113,19 +162,38 @@ def read(path: Path) -> Trajectories:
     with safe_open(path, framework="pt") as file:
         metadata = file.metadata()
         states, times = file.get_tensor("states"), file.get_tensor("times")
-    trajectories = Trajectories(states, times.expand(states.shape[:2]))
-    if checksum(trajectories) != metadata["sha256"]:
+    if checksum_in(path, times) != metadata["sha256"]:
         message = "checksum mismatch"
         raise ValueError(message)
-    return trajectories
+    return Trajectories(states, times.expand(states.shape[:2]))
+
+
+def checksum_in(path: Path, times: Tensor) -> str:
+    """Return the checksum of a file whose states lie before its times.
+
+    The file is read and not its map, which would fill the memory of this process with it.
+    """
+    digest = hashlib.sha256(content(times))
+    with path.open("rb") as file:
+        begin = 8 + int.from_bytes(file.read(8), "little")
+        left = os.fstat(file.fileno()).st_size - begin - times.nbytes
+        file.seek(begin)
+        while left > 0 and (block := file.read(min(left, BLOCK))):
+            digest.update(block)
+            left -= len(block)
+    return digest.hexdigest()
 
 
 def checksum(trajectories: Trajectories) -> str:
     """Return the SHA-256 of the times and the states."""
-    digest = hashlib.sha256()
-    for tensor in (shared_times(trajectories), trajectories.states):
-        digest.update(tensor.contiguous().numpy().data)
+    digest = hashlib.sha256(content(shared_times(trajectories)))
+    digest.update(content(trajectories.states))
     return digest.hexdigest()
+
+
+def content(tensor: Tensor) -> memoryview:
+    """Return the bytes of a tensor."""
+    return tensor.contiguous().numpy().data.cast("B")
 
 
 def shared_times(trajectories: Trajectories) -> Tensor:

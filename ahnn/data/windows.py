@@ -9,6 +9,11 @@ from ahnn.errors import UserError
 from ahnn.statistics import sampling_interval
 from ahnn.types import Trajectories, Window
 
+STREAMED = 2**31
+"""Bytes of states beyond which batches are gathered ahead of time."""
+SPEEDS = 2**22
+"""Windows whose speed is found at once."""
+
 
 class Windows:
     """All windows of W consecutive steps that fit inside single trajectories.
@@ -27,7 +32,7 @@ class Windows:
     """
 
     def __init__(self, trajectories: Trajectories, steps: int, dtype: torch.dtype) -> None:
-        firsts, lengths = stretches(trajectories.present)
+        firsts, lengths = stretches_of(trajectories)
         counts = (lengths - steps).clamp(min=0)
         require_span(steps, int(lengths.max()) - 1 if len(lengths) else 0)
         self.ends = counts.cumsum(0)
@@ -38,6 +43,7 @@ class Windows:
         self.times = trajectories.times[:0] if self.dt is not None else trajectories.times.reshape(-1)
         self.offsets = torch.arange(steps + 1)
         self.dtype = dtype
+        self.device = self.flat.device
 
     def __len__(self) -> int:
         """Return the number of windows."""
@@ -49,23 +55,36 @@ class Windows:
 
     def speeds(self) -> Tensor:
         """Return how fast momenta change over the first step of each window, shape (windows,), mean 1."""
-        rows = self.first_sample(torch.arange(len(self), device=self.flat.device))
-        momenta = self.flat.chunk(2, dim=-1)[1]
-        speed = (momenta[rows + 1] - momenta[rows]).norm(dim=-1)
-        if self.dt is None:
-            speed = speed / (self.times[rows + 1] - self.times[rows])
-        return speed / speed.mean()
+        momenta, found = self.flat.chunk(2, dim=-1)[1], []
+        for index in torch.arange(len(self), device=self.flat.device).split(SPEEDS):
+            rows = self.first_sample(index)
+            speed = (momenta[rows + 1] - momenta[rows]).norm(dim=-1)
+            found.append(speed if self.dt is not None else speed / (self.times[rows + 1] - self.times[rows]))
+        speeds = torch.cat(found)
+        return speeds / speeds.mean()
 
     def gather(self, index: Tensor) -> Window:
         """Return the windows of `index`, shape (B,), as one batch."""
         rows = self.first_sample(index).unsqueeze(-1) + self.offsets
         states = self.flat[rows]
         increments = states[:, 1:] - states[:, :-1]
-        dt = self.dt if self.dt is not None else self.times[rows].diff(dim=-1).to(self.dtype)
-        return Window(states[:, 0].to(self.dtype), increments.to(self.dtype), dt)
+        to = {"dtype": self.dtype, "device": self.device}
+        dt = self.dt if self.dt is not None else self.times[rows].diff(dim=-1).to(**to)
+        return Window(states[:, 0].to(**to), increments.to(**to), dt)
+
+    @property
+    def streamed(self) -> bool:
+        """Whether batches may have to wait for a disk, or for the way to a device."""
+        return not self.flat.is_cuda and self.flat.nbytes > STREAMED
 
     def to(self, device: torch.device) -> None:
-        """Move samples and index tables to a device, once; batches are then gathered there."""
+        """Move samples and index tables to a device, once, where it has room; batches are gathered there.
+
+        Where it has none, batches are gathered here and moved one by one.
+        """
+        self.device = device
+        if device.type == "cuda" and self.flat.nbytes > torch.cuda.mem_get_info(device)[0] / 2:
+            return
         for name in ("flat", "times", "ends", "firsts", "offsets"):
             setattr(self, name, getattr(self, name).to(device))
 
@@ -78,6 +97,17 @@ def require_span(steps: int, longest: int) -> None:
             f"without a gap; received {steps}. Shorten the windows, or set loss.derivative=0"
         )
         raise UserError(message)
+
+
+def stretches_of(trajectories: Trajectories) -> tuple[Tensor, Tensor]:
+    """Return the stretches of all trajectories, found part by part; see `stretches`."""
+    found, before = [], 0
+    for part in trajectories.parts():
+        firsts, lengths = stretches(part.present)
+        found.append((firsts + before, lengths))
+        before += part.times.numel()
+    firsts, lengths = zip(*found, strict=True)
+    return torch.cat(firsts), torch.cat(lengths)
 
 
 def stretches(present: Tensor) -> tuple[Tensor, Tensor]:

@@ -17,6 +17,7 @@ from helpers import SYSTEMS
 from ahnn.data import store
 from ahnn.data.generate import generate
 from ahnn.errors import UserError
+from ahnn.files import write_atomically
 from ahnn.types import Trajectories
 
 SPRING = dataclasses.replace(SYSTEMS["mass_spring"], steps=5)
@@ -24,7 +25,7 @@ RECIPE = store.recipe(SPRING, 3, 0)
 
 
 def make():
-    return generate(SPRING, 3, 0)
+    return [generate(SPRING, 3, 0)]
 
 
 def stored(folder):
@@ -37,7 +38,8 @@ def never():
 
 
 def test_what_is_stored_is_what_was_made(tmp_path):
-    made = store.load_or_make(tmp_path, RECIPE, make)
+    (made,) = make()
+    store.load_or_make(tmp_path, RECIPE, make)
     loaded = store.load_or_make(tmp_path, RECIPE, never)
     assert torch.equal(made.states, loaded.states)
     assert torch.equal(made.times, loaded.times)
@@ -47,7 +49,7 @@ def test_what_is_stored_is_what_was_made(tmp_path):
 def test_nan_beyond_the_end_survives_storage(tmp_path):
     states = torch.tensor([[[1.0, 2.0], [torch.nan, torch.nan]]], dtype=torch.float64)
     made = Trajectories(states, torch.tensor([[0.0, 0.1]], dtype=torch.float64))
-    store.write(tmp_path / "x.safetensors", made, RECIPE)
+    store.write(tmp_path / "x.safetensors", [made], RECIPE)
     assert torch.equal(store.read(tmp_path / "x.safetensors").states.isnan(), states.isnan())
 
 
@@ -67,7 +69,8 @@ def test_a_flipped_byte_is_found_and_the_data_are_made_again(tmp_path, caplog, p
 
 
 def test_a_flipped_byte_in_the_times_is_found(tmp_path):
-    made = store.load_or_make(tmp_path, RECIPE, make)
+    (made,) = make()
+    store.load_or_make(tmp_path, RECIPE, make)
     path = stored(tmp_path)
     content, last = path.read_bytes(), made.times[0, -1:].numpy().tobytes()
     assert content.count(last) == 1
@@ -78,7 +81,7 @@ def test_a_flipped_byte_in_the_times_is_found(tmp_path):
 def test_times_of_their_own_survive_storage(tmp_path):
     times = torch.tensor([[0.0, 0.1, 0.3], [0.0, 0.2, 0.3]], dtype=torch.float64)
     made = Trajectories(torch.ones(2, 3, 2, dtype=torch.float64), times)
-    store.write(tmp_path / "x.safetensors", made, RECIPE)
+    store.write(tmp_path / "x.safetensors", [made], RECIPE)
     assert torch.equal(store.read(tmp_path / "x.safetensors").times, times)
 
 
@@ -98,14 +101,14 @@ def test_a_folder_that_cannot_be_written_is_refused_before_generation(tmp_path):
 
 def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path, monkeypatch):
     path = tmp_path / "x"
-    store.write_atomically(path, b"old")
+    write_atomically(path, b"old")
 
     def fail(_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", fail)
     with pytest.raises(OSError, match="No space left"):
-        store.write_atomically(path, b"new")
+        write_atomically(path, b"new")
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
 
@@ -113,8 +116,8 @@ def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path, monkeypatch)
 def test_readers_see_whole_files_while_others_write(tmp_path):
     path = tmp_path / "x"
     contents = [bytes([i]) * 200_000 for i in range(4)]
-    store.write_atomically(path, contents[0])
-    writers = [threading.Thread(target=store.write_atomically, args=(path, c)) for c in contents]
+    write_atomically(path, contents[0])
+    writers = [threading.Thread(target=write_atomically, args=(path, c)) for c in contents]
     for writer in writers:
         writer.start()
     seen = {path.read_bytes() for _ in range(50)}
@@ -137,7 +140,7 @@ def test_what_a_killed_writer_left_goes_with_the_next_write_in_the_folder(tmp_pa
     foreign = tmp_path / ".mine.tmp"
     foreign.write_bytes(b"dear")
     assert len(list(tmp_path.glob(".x.*.tmp"))) == 1
-    store.write_atomically(tmp_path / "z", b"new")
+    write_atomically(tmp_path / "z", b"new")
     assert {path.name for path in tmp_path.iterdir()} == {".mine.tmp", "z"}
 
 
@@ -147,7 +150,7 @@ def test_no_writer_loses_its_file_to_the_others(tmp_path):
     def write(number):
         try:
             for _ in range(100):
-                store.write_atomically(tmp_path / f"{number}", bytes(1000))
+                write_atomically(tmp_path / f"{number}", bytes(1000))
         except OSError as error:
             failures.append(error)
 

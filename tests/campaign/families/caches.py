@@ -20,7 +20,7 @@ def cases(draw, folder):
     """Yield damaged caches."""
     logging.getLogger("ahnn").setLevel(logging.ERROR)
     recipe = store.recipe(SPRING, 4, 0)
-    truth = store.load_or_make(folder, recipe, lambda: generate(SPRING, 4, 0))
+    truth = store.load_or_make(folder, recipe, lambda: [generate(SPRING, 4, 0)])
     (path,) = folder.glob("*.safetensors")
     good = path.read_bytes()
     while True:
@@ -31,6 +31,6 @@ def cases(draw, folder):
 def attempt(path, content, recipe, truth) -> None:
     """Read a damaged cache."""
     path.write_bytes(content)
-    found = store.load_or_make(path.parent, recipe, lambda: truth)
+    found = store.load_or_make(path.parent, recipe, lambda: [truth])
     assert torch.equal(found.states, truth.states), "other states"
     assert torch.equal(found.times, truth.times), "other times"

@@ -106,12 +106,12 @@ def cache(place, moment) -> None:
 
     def write(folder, number) -> None:
         del number
-        store.load_or_make(folder, recipe, lambda: truth)
+        store.load_or_make(folder, recipe, lambda: [truth])
         (path,) = folder.glob("*.safetensors")
         path.unlink()
 
     folder, _ = killed(place, moment, write)
-    again = store.load_or_make(folder, recipe, lambda: truth)
+    again = store.load_or_make(folder, recipe, lambda: [truth])
     assert torch.equal(again.states, truth.states), "other states"
     write_atomically(folder / "another", b"")
     assert not [*folder.glob(".*.tmp")], "leftovers"
