@@ -55,9 +55,10 @@ class ValidationRollout(Unheard, Callback):
             return 0.0
         if self._measured is None:
             flow, whole = cast(Any, module).flow(), data.trajectories("val").part(slice(self.count))
-            dt = Statistics.of(whole).dt
+            dt, start = Statistics.of(whole).dt, whole.states[:, 0].to(module.device)
+            rollout(flow, start, dt, 2)  # the first of all may compile its library
             begin = time.perf_counter()
-            rollout(flow, whole.states[:, 0].to(module.device), dt, TRIED + 1)
+            rollout(flow, start, dt, TRIED + 1)
             self._measured = (time.perf_counter() - begin) / TRIED * whole.states.shape[1]
         return self._measured
 
