@@ -93,7 +93,7 @@ def picture(rows: list[Row], path: Path) -> None:
     axes.set_yticks([i + 0.09 * (len(names) - 1) for i in range(len(rows))], [row.name for row in rows])
     axes.invert_yaxis()
     axes.set_xlabel("CPU time / floor")
-    axes.legend()
+    figure.legend(loc="outside lower center", ncols=3)
     figure.savefig(path, dpi=120)
 
 
