@@ -17,8 +17,8 @@ M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 def keep_freed() -> None:
     """Let the C library keep the memory of tensors that are gone, for those that come.
 
-    Pages given back come again full of zeros, which took a fifth of the time of second-order steps. Nothing
-    is done where the user's environment tunes malloc, or where the C library is another than glibc.
+    Pages given back come again full of zeros, which took a fifth of the time of steps in the weak form.
+    Nothing is done where the user's environment tunes malloc, or where the C library is another than glibc.
     """
     tuned = {"MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_", "GLIBC_TUNABLES"} & os.environ.keys()
     if sys.platform != "linux" or tuned:

@@ -98,7 +98,7 @@ def plain_config(cfg: Any, who: str = "configuration") -> dict[str, Any]:
 def new_folder(path: str) -> str:
     """Make a folder of this name, or with a number behind it, that no other process has; resolver of YAML.
 
-    None is made for a job that has a folder already, that of a sweep, nor for a command that only looks.
+    None is made for a job that Hydra has given a folder already, nor for a command that only looks.
     """
     placed = HydraConfig.initialized() and not OmegaConf.is_missing(HydraConfig.get().runtime, "output_dir")
     if placed or {"--cfg", "-c"} & {*sys.argv}:

@@ -87,13 +87,9 @@ def unscented_filter(
         parameters = UnscentedParameters() if parameters is None else parameters
         weights = unscented_weights(parameters, size, device, batch=batch)
         chol_q = process_factor(process_noise, state.belief)
-
         follow = flow if gradients else steady(flow)
-
-        def same(k: int) -> StepModel:
-            return StepModel(follow, chol_q(grid.lengths[k]), sensor)
-
-        return run(state, rows, grid, same, weights, form, smoothing=smoothing)
+        model = lambda k: StepModel(follow, chol_q(grid.lengths[k]), sensor)  # noqa: E731
+        return run(state, rows, grid, model, weights, form, smoothing=smoothing)
 
 
 def _initial(belief: Belief | FilterState, start_time: float) -> FilterState:
