@@ -7,7 +7,7 @@ eliminated, and the prior (Laplace's approximation). Three things that no truth 
 - chi-square of the training per degree of freedom, where it exceeds 1: the noise is larger than was said, or
   the model does not reach the data;
 - the step to the optimum that is left, -H^-1 g: a training that ended early is off by that much, too;
-- held-out measurements: if they pull at the parameters by more than both explain, by as much more.
+- held-out measurements: if forecasts miss them by more than both explain, by as much more.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 from ahnn.dynamics import Dynamics
 from ahnn.measurements import Segment
 from ahnn.shooting.robust import ROBUST, RobustName
+from ahnn.training.acceleration import accelerated
 from ahnn.training.evidence import Prior, by_evidence, determined, log_evidence, posterior_factor
+from ahnn.training.forecasts import forecasts, needed_scale
 from ahnn.training.levenberg_marquardt import ATTEMPTS, SUFFICIENT, adapted
 from ahnn.training.normal_equations import Block, damped_step, promised_decrease
 from ahnn.training.posterior import WideProblem, with_prior
@@ -32,10 +34,6 @@ ARRIVED = 0.05
 """Squared length of the step that is left, as a share of what noise alone gives, that is not worth a step."""
 DAMPING = 1e-3
 """Of the first step: networks are not linear over the step that a full one would be."""
-SCALES = torch.logspace(0, 6, 601, dtype=torch.float64)
-"""Factors on the covariance that are compared."""
-REFUSED = 1.353
-"""Gain in log-likelihood that a factor above 1 must bring: 1 is then refused with 95 %, one-sided."""
 
 
 class Place(NamedTuple):
@@ -105,9 +103,9 @@ def conclude(
         here = place(problem, theta, sizes)
     if here is None:
         return None
-    _, _, others = WideProblem(dynamics, held_out, ROBUST[robust]).equations(here.theta, sizes)
     names = [name for name, _ in dynamics.named_parameters()]
-    return uncertainty(here, others, dict(zip(names, here.prior.strengths.tolist(), strict=True)))
+    strengths = dict(zip(names, here.prior.strengths.tolist(), strict=True))
+    return uncertainty(here, WideProblem(dynamics, held_out, ROBUST[robust]), strengths)
 
 
 def place(problem: WideProblem, theta: Tensor, sizes: Sequence[int]) -> Place | None:
@@ -128,12 +126,16 @@ def lower(problem: WideProblem, here: Place, damping: float) -> tuple[Tensor | N
     block = with_prior(here.block, here.prior, here.theta)
     before = here.loss + here.prior.penalty(here.theta)
     for _ in range(ATTEMPTS):
-        move = damped_step([block], damping, here.theta)
-        if move is None:
+        straight = damped_step([block], damping, here.theta)
+        if straight is None:
             break
+        move = accelerated(problem, here.theta, [block], straight, damping)
+        if move is None:
+            damping *= 3
+            continue
         theta = here.theta + move
         decrease = before - problem.loss(theta) - here.prior.penalty(theta)
-        gain = float(decrease / promised_decrease([block], move))
+        gain = float(decrease / promised_decrease([block], straight))
         accepted = gain > SUFFICIENT
         damping = adapted(damping, gain, 0.0, accepted)
         if accepted:
@@ -141,11 +143,11 @@ def lower(problem: WideProblem, here: Place, damping: float) -> tuple[Tensor | N
     return None, damping
 
 
-def uncertainty(here: Place, held_out: Sequence[Block], strengths: dict[str, float]) -> Uncertainty:
-    """Return the covariance at a place, as wide as the held-out measurements ask for."""
+def uncertainty(here: Place, held_out: WideProblem, strengths: dict[str, float]) -> Uncertainty:
+    """Return the covariance at a place, as wide as forecasts of held-out measurements ask for."""
     inflation = max(here.chi_square, 1.0)
     spread = Uncertainty(here.factor, here.offset, inflation, {}).spread
-    unexplained = held_out_scale(spread, held_out[0]) if held_out else 1.0
+    unexplained = needed_scale(forecasts(held_out, here.theta, spread))
     about = {
         "parameters": len(here.theta),
         "determined": here.determined,
@@ -156,23 +158,3 @@ def uncertainty(here: Place, held_out: Sequence[Block], strengths: dict[str, flo
         "log_evidence": log_evidence(here.block.matrix, here.loss, here.degrees, here.theta, here.prior),
     }
     return Uncertainty(here.factor, here.offset, inflation * unexplained, about)
-
-
-def held_out_scale(factor: Tensor, test: Block) -> float:
-    """Return the factor on a covariance L L^T that held-out measurements ask for; 1 unless they refuse it.
-
-    If theta is off by N(0, f L L^T), the gradient g = J^T r of other measurements is N(0, A + f A L L^T A)
-    with A = J^T J. In the eigenvectors of L^T A L, with eigenvalues m, the components of L^T g are
-    independent, of variance m + f m^2.
-
-    Args:
-        factor: L, shape (P, R).
-        test: matrix A and gradient g of the held-out measurements.
-    """
-    sizes, vectors = torch.linalg.eigh(factor.mT @ test.matrix @ factor)
-    told = sizes > 1e-9 * sizes[-1]
-    m, pull = sizes[told], (vectors.mT @ (factor.mT @ test.gradient))[told]
-    variance = m + SCALES.unsqueeze(-1) * m * m
-    likelihood = -0.5 * (variance.log() + pull.square() / variance).sum(-1)
-    best = int(likelihood.argmax())
-    return float(SCALES[best]) if float(likelihood[best] - likelihood[0]) > REFUSED else 1.0
