@@ -48,14 +48,21 @@ def _on_measurements(model: Any, data: WindowDataModule, per_epoch: int, epochs:
     Over long stretches the paths of untrained dynamics are given up early: the first stage is timed.
     """
     objective = model.curriculum.at(0, epochs.stop)
-    loader = data.train_dataloader()
-    each = step_seconds(model, data, objective) / next(iter(loader)).times.numel()
-    total = len(epochs) * next(iter(data.val_dataloader())).times.numel()
-    total += (model.curriculum.closing + 1) * data.trajectories("train").times.numel()
+    each = step_seconds(model, data, objective) / next(iter(data.train_dataloader())).times.numel()
+    total = (model.curriculum.closing + 1) * data.trajectories("train").times.numel()
+    return each * (total + sum(amounts(data, per_epoch, epochs)))
+
+
+def amounts(data: WindowDataModule, per_epoch: int, epochs: range) -> list[int]:
+    """Return how much each epoch works through, its validation too: measured times, or 1 without stages."""
+    if data.stages is None:
+        return [1] * len(epochs)
+    loader, found = data.train_dataloader(), []
+    validation = next(iter(data.val_dataloader())).times.numel()
     for epoch in epochs:
         loader.set_epoch(epoch)
-        total += per_epoch * next(iter(loader)).times.numel()
-    return each * total
+        found.append(validation + per_epoch * next(iter(loader)).times.numel())
+    return found
 
 
 def _validation_seconds(model: Any, data: WindowDataModule) -> float:

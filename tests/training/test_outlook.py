@@ -46,3 +46,9 @@ def test_last_steps_and_the_covariance_count_by_all_measurements(closing, whole,
     model, trainer = SimpleNamespace(curriculum=curriculum), SimpleNamespace(callbacks=[])
     seconds = outlook.expected_seconds(trainer, Data(), model, 3, range(2))  # pyright: ignore
     assert seconds == pytest.approx(3 + 12 + 2 * 20 + whole * 100)
+
+
+def test_epochs_count_by_what_they_work_through():
+    """Three steps of 10 or 40 measurements, and a validation of 200; windows of states are alike."""
+    assert outlook.amounts(Data(), 3, range(3)) == [230, 320, 320]  # pyright: ignore
+    assert outlook.amounts(SimpleNamespace(stages=None), 3, range(3)) == [1, 1, 1]  # pyright: ignore

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import logging
 import time
-from typing import Any
+from typing import Any, cast
 
 from lightning import LightningModule, Trainer
 from lightning.pytorch.callbacks import ProgressBar
 from rich.progress import Progress, TaskID, TextColumn
 
 from ahnn.progress import progress_bar
+from ahnn.training.outlook import amounts
 from ahnn.training.unheard import Unheard
 
 REFRESH_SECONDS = 0.5
@@ -30,6 +31,7 @@ class TrainingProgress(Unheard, ProgressBar):
         self._due = 0.0
         self._began = 0.0
         self._first = 0
+        self._amounts: list[int] = []
         self._shown = True
 
     def disable(self) -> None:
@@ -47,6 +49,8 @@ class TrainingProgress(Unheard, ProgressBar):
         self._bar.start()
         self._began = time.monotonic()
         self._first = trainer.current_epoch
+        per_epoch, epochs = int(trainer.num_training_batches), range(trainer.max_epochs or 1)
+        self._amounts = amounts(cast(Any, trainer).datamodule, per_epoch, epochs)
 
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
@@ -69,7 +73,8 @@ class TrainingProgress(Unheard, ProgressBar):
             return
         done, epochs = trainer.current_epoch + 1, int(trainer.max_epochs or 1)
         values = [f"{name} {float(v):.2e}" for name, v in trainer.callback_metrics.items() if "val/" in name]
-        left = (time.monotonic() - self._began) / (done - self._first) * (epochs - done)
+        elapsed, behind = time.monotonic() - self._began, sum(self._amounts[self._first : done])
+        left = elapsed / behind * sum(self._amounts[done:])
         log.info("epoch %d/%d  %s  about %.0f s left", done, epochs, "  ".join(values), left)
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
