@@ -25,7 +25,8 @@ class Uncertainty:
         inflation: factor on the covariance, at least 1, for what noise does not explain.
         about: plain values: `determined` (effective number of parameters), `strengths` of the prior,
             `chi_square` of the training, `remaining` (squared length of the offset in standard deviations),
-            `held_out` (the part of the inflation that validation measurements ask for), `log_evidence`.
+            `held_out` (the part of the inflation that forecasts of validation trajectories ask for),
+            `log_evidence`.
     """
 
     factor: Tensor
