@@ -44,7 +44,7 @@ class Forecast(NamedTuple):
 
     Attributes:
         missed: (B, N) predicted - measured; NaN where nothing was measured.
-        known: (B, N) variance by noise and start.
+        known: (B, N) variance by noise and start, and the square of what parameters are known to be off.
         spread: (B, N) variance by the parameters.
     """
 
@@ -73,15 +73,17 @@ def needed_scale(forecast: Forecast) -> float:
 
 
 @torch.no_grad()
-def forecasts(problem: ShootingProblem, theta: Tensor, factor: Tensor) -> Forecast:
+def forecasts(problem: ShootingProblem, theta: Tensor, factor: Tensor, offset: Tensor) -> Forecast:
     """Return the forecasts of trajectories that were held out.
 
     Args:
         problem: their measurements, fitted from end to end.
         theta: the parameters, shape (P,).
         factor: L, shape (P, R); L L^T is their covariance.
+        offset: (P,) by which they are known to be off.
     """
-    parts = [_forecast(problem, theta, factor, part) for part in _parts(problem, factor.shape[1])]
+    columns = torch.cat((factor, offset.unsqueeze(-1)), dim=-1)
+    parts = [_forecast(problem, theta, columns, part) for part in _parts(problem, columns.shape[1])]
     none = theta.new_zeros(0, 0)
     return Forecast(*map(torch.cat, zip(*parts, strict=True))) if parts else Forecast(none, none, none)
 
@@ -93,7 +95,7 @@ def _parts(problem: ShootingProblem, columns: int) -> Iterator[slice]:
     return (slice(k, min(k + rows, count)) for k in range(0, count, rows))
 
 
-def _forecast(problem: ShootingProblem, theta: Tensor, factor: Tensor, part: slice) -> Forecast:
+def _forecast(problem: ShootingProblem, theta: Tensor, columns: Tensor, part: slice) -> Forecast:
     trial, steps, segment = problem.trial(theta), problem.steps.rows(part), problem.batch.rows(part)
     half = len(steps.ends) // 2
     whole, _ = followed(trial, problem.starts[part], segment, steps)
@@ -104,7 +106,7 @@ def _forecast(problem: ShootingProblem, theta: Tensor, factor: Tensor, part: sli
     kept = (degrees > 0) & fitted.sums.isfinite()
     states, _ = followed(trial, fitted.starts, segment, steps)
     now = linearised(trial, states, segment, steps)
-    forcing = problem.forcing(theta, states) @ factor.to(torch.float32)
+    forcing = problem.forcing(theta, states) @ columns.to(torch.float32)
     moved = (now.of_state.float() @ sensitivities(now.jacobians.float(), forcing, steps)).double()
     before, after = (now.of_start[:, :half].flatten(1, 2), now.of_start[:, half:].flatten(1, 2))
     basis, triangle = torch.linalg.qr(before)
@@ -112,9 +114,10 @@ def _forecast(problem: ShootingProblem, theta: Tensor, factor: Tensor, part: sli
     left = moved[:, half:].flatten(1, 2) - taken @ (basis.mT @ moved[:, :half].flatten(1, 2))
     plain, there = segment.residuals(states[:, steps.ends]), ~segment.values.isnan() & of_use
     there &= kept[:, None, None] & plain.isfinite()
-    known = noise_variance(plain, there) * (1 + taken.square().sum(-1))
+    spread = left.square()
+    known = noise_variance(plain, there) * (1 + taken.square().sum(-1)) + spread[..., -1]
     missed = plain[:, half:].flatten(1).where(there[:, half:].flatten(1) & known.isfinite(), torch.nan)
-    return Forecast(missed, known, left.square().sum(-1))
+    return Forecast(missed, known, spread[..., :-1].sum(-1))
 
 
 def noise_variance(residuals: Tensor, there: Tensor) -> float:

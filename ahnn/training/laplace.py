@@ -146,8 +146,8 @@ def lower(problem: WideProblem, here: Place, damping: float) -> tuple[Tensor | N
 def uncertainty(here: Place, held_out: WideProblem, strengths: dict[str, float]) -> Uncertainty:
     """Return the covariance at a place, as wide as forecasts of held-out measurements ask for."""
     inflation = max(here.chi_square, 1.0)
-    spread = Uncertainty(here.factor, here.offset, inflation, {}).spread
-    unexplained = needed_scale(forecasts(held_out, here.theta, spread))
+    widened = inflation**0.5 * here.factor
+    unexplained = needed_scale(forecasts(held_out, here.theta, widened, here.offset))
     about = {
         "parameters": len(here.theta),
         "determined": here.determined,

@@ -22,10 +22,12 @@ def batch_of(seed, sd):
     return segment(rows=10, intervals=40, measurement=Position(1), seed=seed, sd=sd, longest=0.05)[1]
 
 
-def forecast_of(batch, off, factor, robust="none"):
+def forecast_of(batch, off, factor, robust="none", offset=(0.0, 0.0)):
     model = Swing(*(torch.tensor([2.0, 0.5], **DOUBLE) + off).tolist())
     problem = WideProblem(model, batch, ROBUST[robust])
-    return forecasts(problem, parameters_to_vector(model.parameters()).detach(), factor)
+    return forecasts(
+        problem, parameters_to_vector(model.parameters()).detach(), factor, torch.tensor(offset, **DOUBLE)
+    )
 
 
 def test_the_spread_is_what_parameters_do_to_forecasts():
@@ -33,6 +35,8 @@ def test_the_spread_is_what_parameters_do_to_forecasts():
     factor, batch = 0.02 * SPREAD, batch_of(0, 1e-7)
     found = [forecast_of(batch, column, factor) for column in factor.T]
     total = torch.stack([one.missed.square() for one in found]).sum(0)
+    again = forecast_of(batch, factor[:, 0], factor[:, 1:], offset=factor[:, 0].tolist())
+    close(again.known - found[0].known + again.spread, found[0].spread, 1e-3)
     there = total.isfinite()
     close(total[there], found[0].spread[there], 0.03)
     assert float(found[0].known.mean() / found[0].spread.mean()) < 1e-3
