@@ -32,8 +32,8 @@ from ahnn.uncertainty import Uncertainty
 
 ARRIVED = 0.05
 """Squared length of the step that is left, as a share of what noise alone gives, that is not worth a step."""
-DAMPING = 1e-3
-"""Of the first step: networks are not linear over the step that a full one would be."""
+DAMPING = 1e-6
+"""Of the first step. Where it is too little the bend says so, for less than a step too short costs."""
 
 
 class Place(NamedTuple):
