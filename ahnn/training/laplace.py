@@ -7,7 +7,7 @@ eliminated, and the prior (Laplace's approximation). Three things that no truth 
 - chi-square of the training per degree of freedom, where it exceeds 1: the noise is larger than was said, or
   the model does not reach the data;
 - the step to the optimum that is left, -H^-1 g: a training that ended early is off by that much, too;
-- held-out measurements: if forecasts miss them by more than both explain, by as much more.
+- held-out measurements: if the model leaves more of them than both explain, by as much more.
 """
 
 from __future__ import annotations
@@ -24,9 +24,8 @@ from ahnn.measurements import Segment
 from ahnn.shooting.robust import ROBUST, RobustName
 from ahnn.training.acceleration import accelerated
 from ahnn.training.evidence import Prior, by_evidence, determined, log_evidence, posterior_factor
-from ahnn.training.forecasts import forecasts, needed_scale
 from ahnn.training.levenberg_marquardt import ATTEMPTS, SUFFICIENT, adapted
-from ahnn.training.normal_equations import Block, damped_step, promised_decrease
+from ahnn.training.normal_equations import Block, Equations, damped_step, promised_decrease
 from ahnn.training.posterior import WideProblem, with_prior
 from ahnn.uncertainty import Uncertainty
 
@@ -34,6 +33,9 @@ ARRIVED = 0.05
 """Squared length of the step that is left, as a share of what noise alone gives, that is not worth a step."""
 DAMPING = 1e-6
 """Of the first step. Where it is too little the bend says so, for less than a step too short costs."""
+
+REFUSED = 1.645
+"""Standard deviations above what a factor of 1 leads to: it is then refused with 95 %, one-sided."""
 
 
 class Place(NamedTuple):
@@ -103,9 +105,9 @@ def conclude(
         here = place(problem, theta, sizes)
     if here is None:
         return None
+    others = WideProblem(dynamics, held_out, ROBUST[robust]).equations(here.theta, sizes)
     names = [name for name, _ in dynamics.named_parameters()]
-    strengths = dict(zip(names, here.prior.strengths.tolist(), strict=True))
-    return uncertainty(here, WideProblem(dynamics, held_out, ROBUST[robust]), strengths)
+    return uncertainty(here, others, dict(zip(names, here.prior.strengths.tolist(), strict=True)))
 
 
 def place(problem: WideProblem, theta: Tensor, sizes: Sequence[int]) -> Place | None:
@@ -143,11 +145,11 @@ def lower(problem: WideProblem, here: Place, damping: float) -> tuple[Tensor | N
     return None, damping
 
 
-def uncertainty(here: Place, held_out: WideProblem, strengths: dict[str, float]) -> Uncertainty:
-    """Return the covariance at a place, as wide as forecasts of held-out measurements ask for."""
+def uncertainty(here: Place, held_out: Equations, strengths: dict[str, float]) -> Uncertainty:
+    """Return the covariance at a place, as wide as the held-out measurements ask for."""
     inflation = max(here.chi_square, 1.0)
-    widened = inflation**0.5 * here.factor
-    unexplained = needed_scale(forecasts(held_out, here.theta, widened, here.offset))
+    spread = Uncertainty(here.factor, here.offset, inflation, {}).spread
+    unexplained = held_out_scale(spread, held_out, inflation)
     about = {
         "parameters": len(here.theta),
         "determined": here.determined,
@@ -158,3 +160,23 @@ def uncertainty(here: Place, held_out: WideProblem, strengths: dict[str, float])
         "log_evidence": log_evidence(here.block.matrix, here.loss, here.degrees, here.theta, here.prior),
     }
     return Uncertainty(here.factor, here.offset, inflation * unexplained, about)
+
+
+def held_out_scale(factor: Tensor, test: Equations, noise: float) -> float:
+    """Return the factor on a covariance L L^T that held-out measurements ask for; 1 unless they refuse it.
+
+    If theta is off by N(0, f L L^T), the squares of n residuals with noise of variance v add up to
+    n v + f tr(A L L^T), with A = J^T J: what they exceed n v by says f.
+
+    Args:
+        factor: L, shape (P, R).
+        test: the held-out measurements to second order.
+        noise: v, as the training found it.
+    """
+    if not test.blocks:
+        return 1.0
+    told = factor.mT @ test.blocks[0].matrix @ factor
+    expected = float(told.diagonal().sum())
+    doubt = (2 * (test.degrees * noise**2 + float(told.square().sum()))) ** 0.5
+    excess = float(test.loss) - test.degrees * noise
+    return excess / expected if excess > expected + REFUSED * doubt else 1.0

@@ -22,11 +22,10 @@ class Uncertainty:
     Attributes:
         factor: L, shape (P, P), float64; L L^T is the covariance that unit noise alone gives.
         offset: (P,) step from the learned parameters to the optimum, which a training has not reached quite.
-        inflation: factor on that covariance, at least 1, for what noise does not explain.
+        inflation: factor on the covariance, at least 1, for what noise does not explain.
         about: plain values: `determined` (effective number of parameters), `strengths` of the prior,
             `chi_square` of the training, `remaining` (squared length of the offset in standard deviations),
-            `held_out` (the part of the inflation that forecasts of validation trajectories ask for),
-            `log_evidence`.
+            `held_out` (the part of the inflation that validation measurements ask for), `log_evidence`.
     """
 
     factor: Tensor
@@ -36,8 +35,8 @@ class Uncertainty:
 
     @property
     def spread(self) -> Tensor:
-        """Factor, shape (P, P + 1), of the second moment of true minus learned parameters."""
-        return torch.cat((self.inflation**0.5 * self.factor, self.offset.unsqueeze(-1)), dim=-1)
+        """Factor, shape (P, P + 1), of the second moment of true minus learned parameters, inflated."""
+        return self.inflation**0.5 * torch.cat((self.factor, self.offset.unsqueeze(-1)), dim=-1)
 
     @property
     def covariance(self) -> Tensor:

@@ -12,7 +12,8 @@ from ahnn.measurements import Position
 from ahnn.shooting.robust import ROBUST
 from ahnn.training import LevenbergMarquardt
 from ahnn.training.evidence import by_evidence
-from ahnn.training.laplace import conclude
+from ahnn.training.laplace import conclude, held_out_scale
+from ahnn.training.normal_equations import Block, Equations
 from ahnn.training.posterior import WideProblem, with_prior
 from ahnn.training.shooting import ShootingProblem
 
@@ -82,6 +83,24 @@ def test_nothing_is_said_where_nothing_is_explained():
     batch = batch_of(0)
     noise = 1e9 * torch.randn(batch.values.shape, generator=generator(5), **DOUBLE)
     assert conclude(Swing(), batch._replace(values=noise), batch, 2) is None
+
+
+@pytest.mark.parametrize("factor", [1.0, 9.0, 100.0])
+@pytest.mark.parametrize("noise", [1.0, 4.0])
+def test_held_out_measurements_find_the_scale_of_a_covariance(factor, noise):
+    """Drawn from the model itself: theta off by N(0, f L L^T), and noise of some variance."""
+    count, size = 2000, 100
+    jacobian = torch.randn(count, size, generator=generator(0), **DOUBLE)
+    lower = torch.randn(size, size, generator=generator(1), **DOUBLE).tril() / size
+    off = factor**0.5 * lower @ torch.randn(size, generator=generator(2), **DOUBLE)
+    rows = jacobian @ off + noise**0.5 * torch.randn(count, generator=generator(3), **DOUBLE)
+    block = Block(torch.arange(size), jacobian.T @ jacobian, jacobian.T @ rows)
+    found = held_out_scale(lower, Equations(rows @ rows, count, [block]), noise)
+    assert found == (1.0 if factor == 1 else pytest.approx(factor, rel=0.4))
+
+
+def test_no_held_out_measurements_ask_for_nothing():
+    assert held_out_scale(torch.eye(2, **DOUBLE), Equations(torch.ones(()), 1, []), 1.0) == 1.0
 
 
 def test_a_prior_adds_the_derivatives_of_its_penalty():

@@ -31,8 +31,8 @@ def test_a_covariance_comes_back_with_its_weights_and_with_no_others(tmp_path):
     assert load_uncertainty(tmp_path, {"field.weight": STATE["field.weight"] + 1e-12}) is None
 
 
-def test_the_covariance_is_inflated_noise_and_the_step_that_is_left():
-    expected = 1.5 * torch.tensor([[5.0, 3.0], [3.0, 9.0]]) + torch.tensor([[0.25, -0.5], [-0.5, 1.0]])
+def test_the_covariance_is_noise_and_the_step_that_is_left_inflated():
+    expected = 1.5 * (torch.tensor([[5.0, 3.0], [3.0, 9.0]]) + torch.tensor([[0.25, -0.5], [-0.5, 1.0]]))
     close(KNOWN.covariance, expected, 1e-12)
 
 
