@@ -15,16 +15,23 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import torch
+from torch import Tensor
+from torch.autograd import forward_ad
+
 from ahnn.files import write_atomically
+from ahnn.types import TimeStep
 
 # No errno and no traps, so that square roots are vector operations; infinities and NaN stay what they are.
 FLAGS = ("-O3", "-funroll-loops", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi")
-POINTER, NUMBER = ctypes.c_void_p, ctypes.c_long
+POINTER, NUMBER, REAL = ctypes.c_void_p, ctypes.c_long, ctypes.c_double
+VECTORS = {"AVX512": ("-march=x86-64-v4",), "AVX2": ("-march=x86-64-v3",)}
+"""Flags of the compiler for what torch finds of vectors."""
+PART = 2048
+"""States that are worth a core."""
 
 
-def compiled_library(
-    source: Path, signatures: dict[str, tuple[Any, ...]], whose: str, flags: tuple[str, ...] = ()
-) -> ctypes.CDLL | None:
+def compiled_library(source: Path, signatures: dict[str, tuple[Any, ...]], whose: str) -> ctypes.CDLL | None:
     """Return the library of a source, or None where there is no C compiler.
 
     The compiler is `$CC`, or else `cc`. The library is kept in `$AHNN_CACHE`, `~/.cache/ahnn` by default, in
@@ -34,13 +41,12 @@ def compiled_library(
         source: a file in C.
         signatures: arguments of its functions, which return numbers.
         whose: what goes on without it, slower.
-        flags: of the compiler, besides `FLAGS`.
     """
     command = shlex.split(os.environ.get("CC", "")) or ["cc"]
     if shutil.which(command[0]) is None:
         return None
     try:
-        found = _built(source, [*command, *FLAGS, *flags])
+        found = _built(source, [*command, *FLAGS, *VECTORS.get(torch.backends.cpu.get_cpu_capability(), ())])
     except (OSError, subprocess.CalledProcessError) as error:
         told = getattr(error, "stderr", None) or error
         message = f"ahnn: {whose} goes on without its C library, slower; {shlex.join(command)} said: {told}"
@@ -79,3 +85,16 @@ def _own(folder: Path) -> bool:
     except OSError:
         return False
     return about.st_uid == os.getuid() and not about.st_mode & 0o022
+
+
+def numbers_alone(x: Tensor, dt: TimeStep) -> bool:
+    """Return whether numbers alone are wanted of float64 states (B, D) on the CPU."""
+    if torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active():
+        return False
+    if forward_ad._current_level >= 0 or torch._C._get_tracing_state() is not None:
+        return False
+    steps = (dt,) if isinstance(dt, Tensor) else ()
+    graph = torch.is_grad_enabled() and any(t.requires_grad for t in (x, *steps))
+    known = all(t.dtype == torch.float64 and t.device.type == "cpu" for t in (x, *steps))
+    fits = type(x) is Tensor and x.ndim == 2 and all(t.ndim == 0 or t.shape == x.shape[:1] for t in steps)
+    return known and fits and not graph

@@ -37,7 +37,7 @@ MAY_IMPORT = {
     "cores": set(),
     "files": {"errors"},
     "memory": {"errors"},
-    "libraries": {"files"},
+    "libraries": {"files", "types"},
     "arguments": {"errors"},
     "metrics": OPEN,
     "rollouts": OPEN,

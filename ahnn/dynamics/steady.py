@@ -12,7 +12,6 @@ from pathlib import Path
 
 import torch
 from torch import Tensor
-from torch.autograd import forward_ad
 
 from ahnn.cores import each, slices
 from ahnn.dynamics.activations import ACTIVATIONS, Activation
@@ -20,26 +19,21 @@ from ahnn.dynamics.gradients import Layers
 from ahnn.integrators import ExplicitRungeKutta
 from ahnn.integrators.tableaus import ButcherTableau
 from ahnn.libraries import NUMBER as N
+from ahnn.libraries import PART, compiled_library, numbers_alone
 from ahnn.libraries import POINTER as P
-from ahnn.libraries import compiled_library
 from ahnn.types import Flow, TimeStep
 
 KNOWN = tuple(ACTIVATIONS[name].value for name in ("gelu", "tanh", "silu"))
 """Activations in the order of their numbers in the library."""
 ROWS = 8
 """Rows of a panel, as the library has them."""
-PART = 2048
-"""States that are worth a core."""
-VECTORS = {"AVX512": ("-march=x86-64-v4",), "AVX2": ("-march=x86-64-v3",)}
-"""Flags of the compiler for what torch finds of vectors."""
 
 
 @cache
 def library() -> ctypes.CDLL | None:
     """Return the library, or None where there is no C compiler."""
-    flags = VECTORS.get(torch.backends.cpu.get_cpu_capability(), ())
     signatures = {"ahnn_step": (N, N, N, N, N, N, P, P, P, P, N, P)}
-    return compiled_library(Path(__file__).with_name("steps.c"), signatures, "a rollout", flags)
+    return compiled_library(Path(__file__).with_name("steps.c"), signatures, "a rollout")
 
 
 def steady_flow(flow: Flow, layers: Layers, method: ExplicitRungeKutta, activation: Activation) -> Flow:
@@ -68,7 +62,7 @@ class SteadyFlow:
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the states (B, D) after dt."""
-        if not (_plain(x, dt) and x.shape[1] == self.sizes[0]):
+        if not (numbers_alone(x, dt) and x.shape[1] == self.sizes[0]):
             return self.flow(x, dt)
         x, h = x.contiguous(), torch.as_tensor(dt, dtype=torch.float64).contiguous()
         out = torch.empty_like(x)
@@ -94,19 +88,6 @@ class SteadyFlow:
         if found.ahnn_step(len(x), *fixed, x.data_ptr(), h.data_ptr(), int(h.numel() > 1), out.data_ptr()):
             message = "rollout: no memory for a block of members"
             raise MemoryError(message)
-
-
-def _plain(x: Tensor, dt: TimeStep) -> bool:
-    """Return whether numbers alone are wanted of float64 states (B, D) on the CPU."""
-    if torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active():
-        return False
-    if forward_ad._current_level >= 0 or torch._C._get_tracing_state() is not None:
-        return False
-    steps = (dt,) if isinstance(dt, Tensor) else ()
-    graph = torch.is_grad_enabled() and any(t.requires_grad for t in (x, *steps))
-    known = all(t.dtype == torch.float64 and t.device.type == "cpu" for t in (x, *steps))
-    fits = type(x) is Tensor and x.ndim == 2 and all(t.ndim == 0 or t.shape == x.shape[:1] for t in steps)
-    return known and fits and not graph
 
 
 def _table(tableau: ButcherTableau) -> Tensor:

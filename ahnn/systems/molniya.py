@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import final
+from typing import cast, final
 
 import torch
 from torch import Tensor
 
 from ahnn.arguments import Finite, Positive
+from ahnn.integrators import INTEGRATORS, SymmetricComposition
+from ahnn.systems import oblate
 from ahnn.systems.satellites import Planet, Satellites
+from ahnn.types import Flow
 
 POLAR = torch.tensor([0.0, 0.0, 2.0], dtype=torch.float64)
 """How much of the oblateness acts along the polar axis besides."""
@@ -55,3 +58,9 @@ class Molniya(Satellites):
         central = inverse * inverse.sqrt() * (-self.mass * self.mu)
         planar = 1 + oblateness * (1 - 5 * sine2)
         return central * (q * torch.addcmul(planar, oblateness, POLAR.to(q)))
+
+    def compiled(self, flow: Flow, longest: float) -> Flow:
+        """Return the exact flow, in C where there is a compiler."""
+        planet = oblate.Planet(self.mass, -self.mass * self.mu, 1.5 * self.j2 * self.r_eq**2)
+        method = cast(SymmetricComposition, INTEGRATORS[self.integrator])
+        return oblate.OblateFlow(flow, planet, method, longest)

@@ -30,7 +30,8 @@ def exact_flow(system: System) -> Flow:
     Raises:
         UserError: no admissible number of substeps is accurate.
     """
-    return _substeps_flow(system, substeps(system))
+    count = substeps(system)
+    return system.compiled(_substeps_flow(system, count), system.dt / count)
 
 
 def varied_flow(system: System, constants: Mapping[str, Tensor]) -> Flow:

@@ -15,6 +15,7 @@ from ahnn.dynamics.gradients import Layers
 from ahnn.dynamics.steady import SteadyFlow
 from ahnn.integrators import INTEGRATORS
 from ahnn.integrators.tableaus import EULER
+from ahnn.libraries import PART
 from ahnn.rollouts import rollout
 from ahnn.types import steady
 
@@ -95,10 +96,10 @@ def test_slopes_are_those_of_libm(number):
 
 @pytest.mark.usefixtures("two")
 def test_a_member_does_not_depend_on_the_others_and_the_lost_stay_alone():
-    flow, x = steady(dynamics()), states(room.PART + 21)
+    flow, x = steady(dynamics()), states(PART + 21)
     lengths = 0.1 + torch.rand(len(x), generator=generator(3), dtype=F64)
     whole = flow(x, lengths)
-    for part in (slice(0, 1), slice(5, 22), slice(room.PART - 3, None)):
+    for part in (slice(0, 1), slice(5, 22), slice(PART - 3, None)):
         assert torch.equal(flow(x[part], lengths[part]), whole[part])
     lost = x.clone()
     lost[3], lost[7, 2], lost[11] = torch.nan, torch.inf, -1e200

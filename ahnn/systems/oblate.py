@@ -1,0 +1,77 @@
+"""The exact flow of satellites of an oblate planet in C, where there is a compiler."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ahnn.cores import each, slices
+from ahnn.integrators import SymmetricComposition
+from ahnn.libraries import NUMBER as N
+from ahnn.libraries import PART, REAL, compiled_library, numbers_alone
+from ahnn.libraries import POINTER as P
+from ahnn.types import Flow, TimeStep
+
+
+class Planet(NamedTuple):
+    """Constants of the motion.
+
+    Attributes:
+        mass: of the satellite.
+        attraction: -mass mu.
+        oblateness: 3/2 J2 r_eq^2.
+    """
+
+    mass: float
+    attraction: float
+    oblateness: float
+
+
+@cache
+def library() -> ctypes.CDLL | None:
+    """Return the library, or None where there is no C compiler."""
+    signatures = {"ahnn_oblate_steps": (N, N, P, P, REAL, REAL, REAL, N, P, P, N, P)}
+    return compiled_library(Path(__file__).with_name("oblate.c"), signatures, "the data of orbits")
+
+
+class OblateFlow:
+    """A flow by a composition of leapfrogs, of states (B, 6) on the CPU; other states follow `flow`.
+
+    Args:
+        flow: what it stands for.
+        planet: constants of the motion.
+        method: the composition.
+        longest: step that is not cut into several.
+    """
+
+    def __init__(self, flow: Flow, planet: Planet, method: SymmetricComposition, longest: float) -> None:
+        self.flow, self.planet, self.longest = flow, planet, longest
+        self.drifts, self.kicks = (torch.tensor(own, dtype=torch.float64) for own in method.weights)
+
+    def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
+        """Return the states (B, 6) after dt."""
+        if not (numbers_alone(x, dt) and x.shape[1] == 6) or library() is None:
+            return self.flow(x, dt)
+        x, h = x.contiguous(), torch.as_tensor(dt, dtype=torch.float64).contiguous()
+        count = max(1, math.ceil(float(h.abs().max()) / self.longest - 1e-9))
+        out, h = torch.empty_like(x), h / count
+
+        def follow(part: slice) -> None:
+            self._follow(x[part], h[part] if h.numel() > 1 else h, count, out[part])
+
+        each(follow, slices(len(x), PART), x.device)
+        return out
+
+    def _follow(self, x: Tensor, h: Tensor, count: int, out: Tensor) -> None:
+        """Write the states after `count` steps of length h to `out`."""
+        found = library()
+        assert found is not None
+        fixed = len(self.kicks), self.drifts.data_ptr(), self.kicks.data_ptr(), *self.planet
+        own = x.data_ptr(), h.data_ptr(), int(h.numel() > 1), out.data_ptr()
+        found.ahnn_oblate_steps(len(x), *fixed, count, *own)
