@@ -50,9 +50,9 @@ def generated(system: System, count: int, seed: int) -> Iterator[Trajectories]:
                 now = flow(now, system.dt)
                 states[:, k] = now
                 bar.advance(task)
-            beyond = torch.arange(longest + 1) > ends.unsqueeze(-1)
-            require_finite(system, states, beyond, begin)
-            states[beyond] = torch.nan
+            require_finite(system, states, ends, begin)
+            if int(ends.min()) < longest:
+                states[torch.arange(longest + 1) > ends.unsqueeze(-1)] = torch.nan
             yield Trajectories(states, times.expand(len(states), -1))
 
 
@@ -67,15 +67,15 @@ def longest_of(system: System, steps: Tensor) -> int:
     return int(steps.max())
 
 
-def require_finite(system: System, states: Tensor, beyond: Tensor, before: int) -> None:
-    """Check trajectories (B, T, D), `before` others, wherever they are not `beyond` their end, (B, T).
+def require_finite(system: System, states: Tensor, ends: Tensor, before: int) -> None:
+    """Check trajectories (B, T, D), `before` others, up to the steps (B,) where they end.
 
     Raises:
         UserError: a state is not finite; nothing could be learned from it, nor scored.
     """
-    wrong = ~(states.isfinite().all(-1) | beyond)
-    if not bool(wrong.any()):
-        return
+    if bool(states[torch.arange(len(states)), ends].isfinite().all()):
+        return  # what is not finite once stays so
+    wrong = ~states.isfinite().all(-1) & (torch.arange(states.shape[1]) <= ends.unsqueeze(-1))
     b, k = (int(n) for n in wrong.nonzero()[0])
     lost = f"{int(wrong.any(-1).sum())} of {len(states)} trajectories"
     message = (
