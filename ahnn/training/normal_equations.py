@@ -92,7 +92,7 @@ def normal_equations(jacobian: Tensor, residuals: Tensor, sizes: Sequence[int]) 
         residuals: r, shape (N,). The blocks are in its precision.
         sizes: of the tensors that the P parameters consist of; a tensor is never split.
     """
-    used = torch.stack([part.any(-1) for part in jacobian.split(list(sizes), dim=-1)], dim=-1)
+    used = torch.stack([_used(part) for part in jacobian.split(list(sizes), dim=-1)], dim=-1)
     columns = torch.arange(jacobian.shape[1], device=jacobian.device).split(list(sizes))
     blocks = []
     for members in independent(used):
@@ -104,6 +104,12 @@ def normal_equations(jacobian: Tensor, residuals: Tensor, sizes: Sequence[int]) 
         gradient = own.T @ left.to(own)
         blocks.append(Block(block, gram(own).to(residuals), gradient.to(residuals)))
     return blocks
+
+
+def _used(part: Tensor) -> Tensor:
+    """Return which rows (N,) of some columns (N, K) are not zero; mostly one column tells it of all."""
+    one = part[:, part.shape[1] // 2] != 0
+    return one if bool(one.all()) else part.any(-1)
 
 
 def _columns(jacobian: Tensor, block: Tensor) -> Tensor:

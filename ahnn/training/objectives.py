@@ -134,7 +134,8 @@ class Derivative:
 
 def _below_zeros(rows: Tensor, size: int) -> Tensor:
     """Return rows (B, L, P) below those of the first components, which no parameter moves: (B, size, P)."""
-    return nn.functional.pad(rows, (0, 0, size - rows.shape[1], 0))
+    missing = size - rows.shape[1]
+    return nn.functional.pad(rows, (0, 0, missing, 0)) if missing else rows  # padding with nothing copies
 
 
 OBJECTIVES: Table[Callable[..., Objective]] = Table("ahnn.objectives", {"recursive": Recursive})

@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, cast
+from typing import ClassVar, NamedTuple, cast
 
 import torch
 from torch import Tensor
@@ -50,6 +50,7 @@ class Shooting:
 
     intervals: int | None
     robust: RobustName = "none"
+    bends: ClassVar[bool] = True  # its problems know the second derivative of their residuals
 
     def residuals(self, dynamics: Dynamics, batch: Segment) -> Tensor:
         """Return the weighted residuals of the segments that converged, shape (B, K + 1, M), with a graph.

@@ -190,7 +190,8 @@ class WeakProblem:
         sums.mul_(
             (tests.there.unsqueeze(-1) / self.batch.instrument.deviations[-moved:]).unsqueeze(-1).to(sums)
         )
-        jacobian = self.factor.rows(part).whiten(torch.nn.functional.pad(sums, (0, 0, still, 0)))
+        padded = torch.nn.functional.pad(sums, (0, 0, still, 0)) if still else sums
+        jacobian = self.factor.rows(part).whiten(padded)
         jacobian = jacobian.mul_(weight.unsqueeze(-1).to(jacobian)).flatten(0, 2)
         # Sums of many residuals decide, whose matrix has no digits left in float32.
         return Rows(self.robust.cost(plain).sum(), (weight * plain).flatten(), jacobian.to(theta))
