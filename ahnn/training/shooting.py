@@ -124,7 +124,7 @@ class ShootingProblem:
         self.count = int(freedom(self.batch).sum())
 
     def trial(self, theta: Tensor) -> Trial:
-        """Return the flow with parameters theta; the one before is that flow then, too."""
+        """Return the flow with parameters theta, shape (P,), for as long as no other is asked for."""
         for module in (self._exact, self._rough):
             vector_to_parameters(theta.to(next(module.parameters())), module.parameters())
         return Trial(self._exact.increment, self._rough.increment, self.robust)
@@ -198,7 +198,7 @@ class ShootingProblem:
         moves = -torch.linalg.solve_triangular(triangle, basis.mT @ slope.unsqueeze(-1), upper=True)
         moves = reach * moves.squeeze(-1)
         second = rows(reach, starts + moves) - 2 * now.residuals.flatten(1) + rows(-reach, starts - moves)
-        second = second / reach**2
+        second = (second / reach**2).nan_to_num(0, 0, 0)  # a start that moves without end says nothing
         second = second - (basis @ (basis.mT @ second.unsqueeze(-1))).squeeze(-1)
         second = second * self.limit.rows(part).weight(sums)[:, None]
         pulls = torch.einsum("bkm,bkmd->bkd", second.view_as(now.residuals), now.of_state)

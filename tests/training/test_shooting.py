@@ -105,6 +105,19 @@ def test_the_bend_is_the_second_difference_of_the_reduced_residuals():
     close(problem.bend(theta, step, 0.1), slopes.T @ second(0.1, step)[0], 0.02)
 
 
+def test_a_start_that_measurements_do_not_see_bends_nothing():
+    _, batch = segment()
+
+    class Blind(Position):
+        def __call__(self, x, t):
+            return 0 * super().__call__(x, t)
+
+    problem = ShootingProblem(Swing(), batch, ROBUST["none"])
+    problem.batch = batch._replace(instrument=batch.instrument._replace(measurement=Blind(1)))
+    theta = parameters_to_vector(Swing().parameters()).detach()
+    assert torch.equal(problem.bend(theta, 0.1 * theta, 0.1), torch.zeros_like(theta))
+
+
 def test_an_exact_model_is_found_and_its_chi_square_is_one():
     _, batch = segment(rows=100, intervals=30, measurement=Position(1))
     model = Swing(1.7, 0.8)
