@@ -31,7 +31,9 @@ PART = 2048
 """States that are worth a core."""
 
 
-def compiled_library(source: Path, signatures: dict[str, tuple[Any, ...]], whose: str) -> ctypes.CDLL | None:
+def compiled_library(
+    source: Path, signatures: dict[str, tuple[Any, ...]], whose: str, *, vectors: bool = False
+) -> ctypes.CDLL | None:
     """Return the library of a source, or None where there is no C compiler.
 
     The compiler is `$CC`, or else `cc`. The library is kept in `$AHNN_CACHE`, `~/.cache/ahnn` by default, in
@@ -41,12 +43,14 @@ def compiled_library(source: Path, signatures: dict[str, tuple[Any, ...]], whose
         source: a file in C.
         signatures: arguments of its functions, which return numbers.
         whose: what goes on without it, slower.
+        vectors: compile for the vectors that torch finds, which an old compiler may not know.
     """
     command = shlex.split(os.environ.get("CC", "")) or ["cc"]
     if shutil.which(command[0]) is None:
         return None
+    flags = VECTORS.get(torch.backends.cpu.get_cpu_capability(), ()) if vectors else ()
     try:
-        found = _built(source, [*command, *FLAGS, *VECTORS.get(torch.backends.cpu.get_cpu_capability(), ())])
+        found = _built(source, [*command, *FLAGS, *flags])
     except (OSError, subprocess.CalledProcessError) as error:
         told = getattr(error, "stderr", None) or error
         message = f"ahnn: {whose} goes on without its C library, slower; {shlex.join(command)} said: {told}"

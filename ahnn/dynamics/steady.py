@@ -33,7 +33,7 @@ ROWS = 8
 def library() -> ctypes.CDLL | None:
     """Return the library, or None where there is no C compiler."""
     signatures = {"ahnn_step": (N, N, N, N, N, N, P, P, P, P, N, P)}
-    return compiled_library(Path(__file__).with_name("steps.c"), signatures, "a rollout")
+    return compiled_library(Path(__file__).with_name("steps.c"), signatures, "a rollout", vectors=True)
 
 
 def steady_flow(flow: Flow, layers: Layers, method: ExplicitRungeKutta, activation: Activation) -> Flow:

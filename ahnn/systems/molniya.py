@@ -61,6 +61,6 @@ class Molniya(Satellites):
 
     def compiled(self, flow: Flow, longest: float) -> Flow:
         """Return the exact flow, in C where there is a compiler."""
-        planet = oblate.Planet(self.mass, -self.mass * self.mu, 1.5 * self.j2 * self.r_eq**2)
+        constants = oblate.Attraction(self.mass, -self.mass * self.mu, 1.5 * self.j2 * self.r_eq**2)
         method = cast(SymmetricComposition, INTEGRATORS[self.integrator])
-        return oblate.OblateFlow(flow, planet, method, longest)
+        return oblate.OblateFlow(flow, constants, method, longest)

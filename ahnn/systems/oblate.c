@@ -10,14 +10,14 @@ typedef double block[3][MEMBERS];
 #define INLINE static inline __attribute__((always_inline))
 
 /* to += weight h from */
-INLINE void add(double weight, const double *h, const block from, block to) {
+INLINE void add(double weight, const double *h, block from, block to) {
     for (int d = 0; d < 3; d++)
         for (int m = 0; m < MEMBERS; m++) to[d][m] += weight * h[m] * from[d][m];
 }
 
 /* dp += weight h F(q + dq), with the attraction -mass mu and the oblateness 3/2 J2 r_eq^2 */
-INLINE void kick(double weight, double attraction, double oblateness, const double *h, const block q,
-                 const block dq, block dp) {
+INLINE void kick(double weight, double attraction, double oblateness, const double *h, block q,
+                 block dq, block dp) {
     for (int m = 0; m < MEMBERS; m++) {
         double x = q[0][m] + dq[0][m], y = q[1][m] + dq[1][m], z = q[2][m] + dq[2][m];
         double inverse = 1.0 / (x * x + y * y + z * z), bulge = oblateness * inverse;

@@ -19,17 +19,17 @@ from ahnn.libraries import POINTER as P
 from ahnn.types import Flow, TimeStep
 
 
-class Planet(NamedTuple):
-    """Constants of the motion.
+class Attraction(NamedTuple):
+    """Constants of the equations of motion.
 
     Attributes:
         mass: of the satellite.
-        attraction: -mass mu.
+        central: -mass mu.
         oblateness: 3/2 J2 r_eq^2.
     """
 
     mass: float
-    attraction: float
+    central: float
     oblateness: float
 
 
@@ -37,7 +37,8 @@ class Planet(NamedTuple):
 def library() -> ctypes.CDLL | None:
     """Return the library, or None where there is no C compiler."""
     signatures = {"ahnn_oblate_steps": (N, N, P, P, REAL, REAL, REAL, N, P, P, N, P)}
-    return compiled_library(Path(__file__).with_name("oblate.c"), signatures, "the data of orbits")
+    source = Path(__file__).with_name("oblate.c")
+    return compiled_library(source, signatures, "the data of orbits", vectors=True)
 
 
 class OblateFlow:
@@ -45,13 +46,15 @@ class OblateFlow:
 
     Args:
         flow: what it stands for.
-        planet: constants of the motion.
+        constants: of the equations of motion.
         method: the composition.
         longest: step that is not cut into several.
     """
 
-    def __init__(self, flow: Flow, planet: Planet, method: SymmetricComposition, longest: float) -> None:
-        self.flow, self.planet, self.longest = flow, planet, longest
+    def __init__(
+        self, flow: Flow, constants: Attraction, method: SymmetricComposition, longest: float
+    ) -> None:
+        self.flow, self.constants, self.longest = flow, constants, longest
         self.drifts, self.kicks = (torch.tensor(own, dtype=torch.float64) for own in method.weights)
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
@@ -72,6 +75,6 @@ class OblateFlow:
         """Write the states after `count` steps of length h to `out`."""
         found = library()
         assert found is not None
-        fixed = len(self.kicks), self.drifts.data_ptr(), self.kicks.data_ptr(), *self.planet
+        fixed = len(self.kicks), self.drifts.data_ptr(), self.kicks.data_ptr(), *self.constants
         own = x.data_ptr(), h.data_ptr(), int(h.numel() > 1), out.data_ptr()
         found.ahnn_oblate_steps(len(x), *fixed, count, *own)

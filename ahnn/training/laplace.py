@@ -7,7 +7,7 @@ eliminated, and the prior (Laplace's approximation). Three things that no truth 
 - chi-square of the training per degree of freedom, where it exceeds 1: the noise is larger than was said, or
   the model does not reach the data;
 - the step to the optimum that is left, -H^-1 g: a training that ended early is off by that much, too;
-- held-out measurements: if the model leaves more of them than both explain, by as much more.
+- held-out measurements: if the model leaves more of them unexplained than both account for, by that ratio.
 """
 
 from __future__ import annotations
@@ -143,7 +143,7 @@ def uncertainty(here: Place, held_out: Equations, strengths: dict[str, float]) -
     """Return the covariance at a place, as wide as the held-out measurements ask for."""
     inflation = max(here.chi_square, 1.0)
     spread = Uncertainty(here.factor, here.offset, inflation, {}).spread
-    unexplained = held_out_scale(spread, held_out, inflation)
+    unexplained = held_out_scale(spread, held_out, here.chi_square)
     about = {
         "parameters": len(here.theta),
         "determined": here.determined,
@@ -160,7 +160,7 @@ def held_out_scale(factor: Tensor, test: Equations, noise: float) -> float:
     """Return the factor on a covariance L L^T that held-out measurements ask for; 1 unless they refuse it.
 
     If theta is off by N(0, f L L^T), the squares of n residuals with noise of variance v add up to
-    n v + f tr(A L L^T), with A = J^T J: what they exceed n v by says f.
+    n v + f tr(A L L^T), with A = J^T J: their excess over n v gives f.
 
     Args:
         factor: L, shape (P, R).
@@ -171,6 +171,6 @@ def held_out_scale(factor: Tensor, test: Equations, noise: float) -> float:
         return 1.0
     told = factor.mT @ test.blocks[0].matrix @ factor
     expected = float(told.diagonal().sum())
-    doubt = (2 * (test.degrees * noise**2 + float(told.square().sum()))) ** 0.5
+    variance = test.degrees * noise**2 + 2 * noise * expected + float(told.square().sum())
     excess = float(test.loss) - test.degrees * noise
-    return excess / expected if excess > expected + REFUSED * doubt else 1.0
+    return excess / expected if excess > expected + REFUSED * (2 * variance) ** 0.5 else 1.0

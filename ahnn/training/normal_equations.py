@@ -108,7 +108,7 @@ def normal_equations(jacobian: Tensor, residuals: Tensor, sizes: Sequence[int]) 
 
 def _used(part: Tensor) -> Tensor:
     """Return which rows (N,) of some columns (N, K) are not zero; mostly one column tells it of all."""
-    one = part[:, part.shape[1] // 2] != 0
+    one = part[:, part.shape[1] // 2 :][:, :1].any(-1)
     return one if bool(one.all()) else part.any(-1)
 
 

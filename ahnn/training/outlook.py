@@ -55,7 +55,7 @@ def _on_measurements(model: Any, data: WindowDataModule, per_epoch: int, epochs:
 
 def amounts(data: WindowDataModule, per_epoch: int, epochs: range) -> list[int]:
     """Return how much each epoch works through, its validation too: measured times, or 1 without stages."""
-    if data.stages is None:
+    if getattr(data, "stages", None) is None:
         return [1] * len(epochs)
     loader, found = data.train_dataloader(), []
     validation = next(iter(data.val_dataloader())).times.numel()

@@ -49,8 +49,9 @@ class TrainingProgress(Unheard, ProgressBar):
         self._bar.start()
         self._began = time.monotonic()
         self._first = trainer.current_epoch
-        per_epoch, epochs = int(trainer.num_training_batches), range(trainer.max_epochs or 1)
-        self._amounts = amounts(cast(Any, trainer).datamodule, per_epoch, epochs)
+        if self._bar.disable:
+            per_epoch, epochs = int(trainer.num_training_batches), range(trainer.max_epochs or 1)
+            self._amounts = amounts(cast(Any, trainer).datamodule, per_epoch, epochs)
 
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
