@@ -110,3 +110,26 @@ def sensitivities(jacobians: Tensor, forcing: Tensor, steps: Steps, first: Tenso
         if k + 1 in measured:
             wanted.append(current)
     return torch.stack(wanted, dim=1)
+
+
+def adjoints(jacobians: Tensor, pulls: Tensor, steps: Steps) -> Tensor:
+    """Return c, shape (B, N + 1, D), with sum c_k f_theta(x_k) = sum pulls_k dx_k/dtheta.
+
+    The transpose of `sensitivities`, the start held fixed: backwards through the same steps.
+
+    Args:
+        jacobians: of the steps, (B, N, D, D).
+        pulls: on the states at the times of measurements, (B, K + 1, D).
+        steps: lengths, and which states are meant.
+    """
+    found = pulls.new_zeros(len(pulls), steps.lengths.shape[1] + 1, pulls.shape[-1])
+    at = dict(zip(steps.ends.tolist(), pulls.unbind(1), strict=True))
+    last = steps.lengths.shape[1]
+    pull = at[last]
+    for k in reversed(range(last)):
+        half = steps.lengths[:, k, None] / 2
+        found[:, k + 1] += half * pull
+        pull = (pull.unsqueeze(1) @ jacobians[:, k]).squeeze(1)
+        found[:, k] += half * pull
+        pull = pull + at.get(k, 0.0)
+    return found

@@ -22,6 +22,7 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 from ahnn.dynamics import Dynamics
 from ahnn.measurements import Segment
 from ahnn.shooting.robust import ROBUST, RobustName
+from ahnn.training.acceleration import accelerated
 from ahnn.training.evidence import Prior, by_evidence, determined, log_evidence, posterior_factor
 from ahnn.training.levenberg_marquardt import ATTEMPTS, SUFFICIENT, adapted
 from ahnn.training.normal_equations import Block, Equations, damped_step, promised_decrease
@@ -30,8 +31,10 @@ from ahnn.uncertainty import Uncertainty
 
 ARRIVED = 0.05
 """Squared length of the step that is left, as a share of what noise alone gives, that is not worth a step."""
-DAMPING = 1e-3
-"""Of the first step: networks are not linear over the step that a full one would be."""
+DAMPING = 1e-6
+"""Of the first step. Where it is too little the bend says so, for less than a step too short costs."""
+HARDER = 1e3
+"""Times the damping, for a step that went beyond its bend: two such attempts are back at a careful one."""
 REFUSED = 1.645
 """Standard deviations above what a factor of 1 leads to: it is then refused with 95 %, one-sided."""
 
@@ -126,12 +129,16 @@ def lower(problem: WideProblem, here: Place, damping: float) -> tuple[Tensor | N
     block = with_prior(here.block, here.prior, here.theta)
     before = here.loss + here.prior.penalty(here.theta)
     for _ in range(ATTEMPTS):
-        move = damped_step([block], damping, here.theta)
-        if move is None:
+        straight = damped_step([block], damping, here.theta)
+        if straight is None:
             break
+        move = accelerated(problem, here.theta, [block], straight, damping)
+        if move is None:
+            damping *= HARDER
+            continue
         theta = here.theta + move
         decrease = before - problem.loss(theta) - here.prior.penalty(theta)
-        gain = float(decrease / promised_decrease([block], move))
+        gain = float(decrease / promised_decrease([block], straight))
         accepted = gain > SUFFICIENT
         damping = adapted(damping, gain, 0.0, accepted)
         if accepted:

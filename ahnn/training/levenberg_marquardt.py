@@ -41,7 +41,7 @@ class LevenbergMarquardt(Optimizer):
         params: the parameters of the module whose residuals are minimised.
         damping: of the first step; it adapts from there.
         tolerance: admitted relative rise of the loss on the windows held back.
-        acceleration: let steps follow the bend of the residuals where it is known, in the weak form.
+        acceleration: let steps follow the bend of the residuals where it is known, on measurements.
     """
 
     stepper = SecondOrder()
@@ -60,8 +60,8 @@ class LevenbergMarquardt(Optimizer):
         """Raise UserError for acceleration where it would change nothing: no objective knows a bend."""
         if self.acceleration and not any(getattr(objective, "bends", False) for objective in objectives):
             message = (
-                "optimizer.acceleration: expected a stage `relative` or `weak` in loss.stages, whose bend is "
-                "known; received none. Use optimizer=levenberg_marquardt"
+                "optimizer.acceleration: expected stages of measurements (loss.stages), the bend of whose "
+                "residuals is known; received windows of states. Use optimizer=levenberg_marquardt"
             )
             raise UserError(message)
 

@@ -21,7 +21,7 @@ class WideProblem(ShootingProblem):
     @torch.no_grad()
     def follow(self, theta: Tensor) -> None:
         """Move the starts to where they fit best after a step to theta, shape (P,)."""
-        fitted = refine(self._at(theta), self.starts, self.batch, self.steps, REFITS)
+        fitted = refine(self.trial(theta), self.starts, self.batch, self.steps, REFITS)
         self.starts, self.limit = fitted.starts, Limit.of(fitted.sums, freedom(self.batch))
 
 

@@ -10,24 +10,27 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple, cast
 
 import torch
 from torch import Tensor
+from torch.func import vjp
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from ahnn.dynamics import Dynamics, HasField
-from ahnn.dynamics.derivatives import field_jacobian
+from ahnn.dynamics.derivatives import field_jacobian, parametrised
 from ahnn.errors import UserError
 from ahnn.measurements import Segment
 from ahnn.measurements.smoothing import guess
-from ahnn.shooting.paths import path, sensitivities, steps_between
+from ahnn.shooting.paths import adjoints, path, sensitivities, steps_between
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
 from ahnn.shooting.starts import HOPELESS, Trial, fit_starts, followed, linearised, refine
 from ahnn.training.normal_equations import Equations, Rows, accumulated
 
 CELLS = 5e7
 """Numbers in the largest tensor of sensitivities; longer batches are cut into parts of segments."""
+NUMBERS = 50
+"""Held for each component of a state while its pull on the field is followed back."""
 UNMET = 1e4
 """Mean squared residual of a whole trajectory that a validation gives up, since telling more takes long."""
 TIMES_TYPICAL = 5.0
@@ -47,6 +50,7 @@ class Shooting:
 
     intervals: int | None
     robust: RobustName = "none"
+    bends: ClassVar[bool] = True  # its problems know the second derivative of their residuals
 
     def residuals(self, dynamics: Dynamics, batch: Segment) -> Tensor:
         """Return the weighted residuals of the segments that converged, shape (B, K + 1, M), with a graph.
@@ -107,10 +111,10 @@ class ShootingProblem:
                 f"{type(dynamics).__name__}. Use model=ahnn or model=node"
             )
             raise UserError(message)
-        self.robust, self._forcing = robust, field_jacobian(dynamics)
+        self.robust, self.forcing = robust, field_jacobian(dynamics)
         self._exact = copy.deepcopy(dynamics).requires_grad_(False)
         self._rough = copy.deepcopy(dynamics).requires_grad_(False).float()
-        trial = self._at(parameters_to_vector(dynamics.parameters()).detach())
+        trial = self.trial(parameters_to_vector(dynamics.parameters()).detach())
         steps = steps_between(batch.times, batch.instrument.longest)
         self.fitted = fit_starts(trial, guess(batch), batch, steps, hopeless)
         kept = near(self.fitted.sums, freedom(batch), hopeless)
@@ -119,7 +123,8 @@ class ShootingProblem:
         self.limit = Limit.of(self.fitted.sums[kept], freedom(self.batch))
         self.count = int(freedom(self.batch).sum())
 
-    def _at(self, theta: Tensor) -> Trial:
+    def trial(self, theta: Tensor) -> Trial:
+        """Return the flow with parameters theta, shape (P,), for as long as no other is asked for."""
         for module in (self._exact, self._rough):
             vector_to_parameters(theta.to(next(module.parameters())), module.parameters())
         return Trial(self._exact.increment, self._rough.increment, self.robust)
@@ -135,7 +140,7 @@ class ShootingProblem:
         """Return the sum of squared residuals, each segment from the start that fits it best, limited."""
         if not len(self.starts):
             return theta.new_full((), torch.inf)
-        trial = self._at(theta)
+        trial = self.trial(theta)
         return self.limit.cost(refine(trial, self.starts, self.batch, self.steps, REFITS).sums).sum()
 
     @torch.no_grad()
@@ -144,7 +149,7 @@ class ShootingProblem:
         del sizes
         if not len(self.starts):
             return Equations(theta.new_tensor(HOPELESS), 1, [])
-        trial = self._at(theta)
+        trial = self.trial(theta)
         return accumulated(
             lambda part: self._projected(trial, theta, part), self._parts(len(theta)), theta, self.count
         )
@@ -155,7 +160,7 @@ class ShootingProblem:
         segment, limit = self.batch.rows(part), self.limit.rows(part)
         states, sums = followed(trial, self.starts[part], segment, steps)
         now = linearised(trial, states, segment, steps)
-        moved = sensitivities(now.jacobians.float(), self._forcing(theta, states), steps)
+        moved = sensitivities(now.jacobians.float(), self.forcing(theta, states), steps)
         of_theta = (now.of_state.float() @ moved).flatten(1, 2)
         basis = torch.linalg.qr(now.of_start.flatten(1, 2)).Q
         rows = now.residuals.flatten(1)
@@ -163,6 +168,43 @@ class ShootingProblem:
         low, weight = basis.float(), limit.weight(sums).sqrt()
         of_theta = (of_theta - low @ (low.mT @ of_theta)) * weight[:, None, None].float()
         return Rows(limit.cost(sums).sum(), (rows * weight[:, None]).flatten(), of_theta.flatten(0, 1))
+
+    @torch.no_grad()
+    def bend(self, theta: Tensor, step: Tensor, reach: float) -> Tensor:
+        """Return J^T r_vv, as in `ahnn.training.acceleration.Bends`; the starts move along with the step."""
+        total = torch.zeros_like(theta)
+        for part in self._parts(NUMBERS):
+            states, pulls = self._pulls(theta, step, reach, part)
+            field = parametrised(self._exact, cast(HasField, self._exact).field, theta.dtype)
+            back = vjp(lambda parameters, field=field, x=states: field(parameters, x), theta)[1]
+            total = total + back(pulls)[0]
+        return total
+
+    def _pulls(self, theta: Tensor, step: Tensor, reach: float, part: slice) -> tuple[Tensor, Tensor]:
+        """Return the paths of some segments, (B, N + 1, D), and how r_vv pulls at the field there."""
+        steps, segment, starts = self.steps.rows(part), self.batch.rows(part), self.starts[part]
+        trial = self.trial(theta)
+        states, sums = followed(trial, starts, segment, steps)
+        now = linearised(trial, states, segment, steps)
+        weight = self.robust.weight(segment.residuals(states[:, steps.ends])).sqrt()
+
+        def rows(share: float, from_starts: Tensor) -> Tensor:
+            trial = self.trial(theta + share * step)
+            measured = path(trial.exact, from_starts, steps.lengths)[:, steps.ends]
+            return (segment.residuals(measured) * weight).flatten(1)
+
+        basis, triangle = torch.linalg.qr(now.of_start.flatten(1, 2))
+        slope = (rows(reach, starts) - rows(-reach, starts)) / (2 * reach)
+        moves = -torch.linalg.solve_triangular(triangle, basis.mT @ slope.unsqueeze(-1), upper=True)
+        moves = reach * moves.squeeze(-1)
+        second = rows(reach, starts + moves) - 2 * now.residuals.flatten(1) + rows(-reach, starts - moves)
+        finite = second.isfinite().all(1, keepdim=True)  # a start that moves without end says nothing
+        second = (second / reach**2).where(finite, 0.0)
+        second = second - (basis @ (basis.mT @ second.unsqueeze(-1))).squeeze(-1)
+        second = second * self.limit.rows(part).weight(sums)[:, None]
+        pulls = torch.einsum("bkm,bkmd->bkd", second.view_as(now.residuals), now.of_state)
+        self.trial(theta)
+        return states, adjoints(now.jacobians.to(states), pulls, steps)
 
 
 def freedom(batch: Segment) -> Tensor:

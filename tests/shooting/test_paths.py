@@ -8,7 +8,15 @@ import pytest
 import torch
 from helpers import close, generator
 
-from ahnn.shooting.paths import path, sensitivities, step_jacobians, steps_between, transitions
+from ahnn.shooting.paths import (
+    Steps,
+    adjoints,
+    path,
+    sensitivities,
+    step_jacobians,
+    steps_between,
+    transitions,
+)
 
 A = torch.tensor([[0.1, 1.0], [-2.0, -0.3]], dtype=torch.float64)
 
@@ -75,3 +83,15 @@ def test_sensitivities_converge_with_the_square_of_the_step():
         errors.append(float((got[0] - expected).abs().max()))
     for coarse, fine in pairwise(errors):
         assert 3.7 < coarse / fine < 4.3
+
+
+def test_adjoints_are_the_transpose_of_sensitivities():
+    """Sum pulls_k S_k v = sum c_k f_theta(x_k) v, for any pulls and any forcing."""
+    jacobians, forcing = (
+        torch.randn(3, n, 2, 2, generator=generator(n), dtype=torch.float64) for n in (7, 8)
+    )
+    pulls = torch.randn(3, 3, 2, generator=generator(9), dtype=torch.float64)
+    steps = Steps(lengths(), torch.tensor([0, 2, 7]))
+    forward = torch.einsum("bkd,bkdp->p", pulls, sensitivities(jacobians, forcing, steps))
+    backward = torch.einsum("bnd,bndp->p", adjoints(jacobians, pulls, steps), forcing)
+    close(backward, forward, 1e-12)

@@ -121,5 +121,5 @@ def test_equations_are_summed_in_float64():
     narrow = ShootingProblem(Swing(), batch, ROBUST["none"])
     wide = WideProblem(Swing(), batch, ROBUST["none"])
     theta = flat(Swing())
-    assert narrow._projected(narrow._at(theta), theta, slice(None)).jacobian.dtype == torch.float32
-    assert wide._projected(wide._at(theta), theta, slice(None)).jacobian.dtype == torch.float64
+    assert narrow._projected(narrow.trial(theta), theta, slice(None)).jacobian.dtype == torch.float32
+    assert wide._projected(wide.trial(theta), theta, slice(None)).jacobian.dtype == torch.float64

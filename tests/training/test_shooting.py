@@ -66,7 +66,7 @@ def test_an_outlier_among_the_first_samples_holds_no_start_fast():
 def reduced(problem, theta):
     """Residuals at the best starts of theta, flat, by many refits, and their cost."""
     with torch.no_grad():
-        now = problem._at(theta)
+        now = problem.trial(theta)
         fitted = refine(now, problem.starts, problem.batch, problem.steps, 12)
         states = fitted.states[:, problem.steps.ends]
         plain = problem.batch.residuals(states)
@@ -89,6 +89,33 @@ def test_normal_equations_are_those_of_the_reduced_residuals(robust):
         numeric = torch.stack([(a[0] - b[0]) / (2 * e) for a, b in zip(ahead, behind, strict=True)], -1)
         close(block.matrix, numeric.T @ numeric, 0.03)
     assert count == int(batch.measured.sum()) - 2 * len(batch.values)
+
+
+def test_the_bend_is_the_second_difference_of_the_reduced_residuals():
+    _, batch = segment(measurement=State(1), longest=0.01)
+    wrong = Swing(2.005, 0.495)
+    problem = ShootingProblem(wrong, batch, ROBUST["none"])
+    theta, step = parameters_to_vector(wrong.parameters()).detach(), torch.tensor([0.1, -0.05], **DOUBLE)
+
+    def second(e, v):
+        ahead, here, behind = (reduced(problem, theta + s * v)[0] for s in (e, 0, -e))
+        return (ahead - 2 * here + behind) / e**2, (ahead - behind) / (2 * e)
+
+    slopes = torch.stack([second(1e-4, d)[1] for d in torch.eye(2, **DOUBLE)], -1)
+    close(problem.bend(theta, step, 0.1), slopes.T @ second(0.1, step)[0], 0.02)
+
+
+def test_a_start_that_measurements_do_not_see_bends_nothing():
+    _, batch = segment()
+
+    class Blind(Position):
+        def __call__(self, x, t):
+            return 0 * super().__call__(x, t)
+
+    problem = ShootingProblem(Swing(), batch, ROBUST["none"])
+    problem.batch = batch._replace(instrument=batch.instrument._replace(measurement=Blind(1)))
+    theta = parameters_to_vector(Swing().parameters()).detach()
+    assert torch.equal(problem.bend(theta, 0.1 * theta, 0.1), torch.zeros_like(theta))
 
 
 def test_an_exact_model_is_found_and_its_chi_square_is_one():

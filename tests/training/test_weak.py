@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -18,7 +19,7 @@ from ahnn.shooting.paths import path
 from ahnn.shooting.robust import ROBUST
 from ahnn.systems import Molniya
 from ahnn.systems.truth import exact_flow
-from ahnn.training import LevenbergMarquardt, shooting, spans, weak
+from ahnn.training import LevenbergMarquardt, Loss, LossOptions, Recursive, shooting, spans, weak
 from ahnn.training.banded import Factor
 from ahnn.training.curriculum import objective_of
 from ahnn.training.spans import bumps, integrated, quadrature
@@ -195,18 +196,20 @@ def test_the_bend_is_the_second_derivative_of_the_residuals(robust):
 
 def test_acceleration_is_refused_where_no_stage_knows_a_bend():
     optimizer = LevenbergMarquardt(Swing().parameters(), acceleration=True)
-    stages = [objective_of(name, "none") for name in ("weak", "whole", 16)]
-    optimizer.check(stages)
-    with pytest.raises(UserError, match=r"optimizer.acceleration: expected a stage .* received none"):
-        optimizer.check(stages[1:])
+    for name in ("relative", "weak", "whole", 16):
+        optimizer.check([objective_of(name, "none")])
+    with pytest.raises(UserError, match=r"optimizer.acceleration: expected stages .* received windows"):
+        optimizer.check([Recursive(Loss(2, LossOptions()), 5)])
 
 
-def test_a_stage_without_a_bend_takes_straight_steps():
+def test_a_problem_without_a_bend_takes_straight_steps():
     batch, after = states(rows=3), []
     for acceleration in (True, False):
         model = Swing()
         optimizer = LevenbergMarquardt(model.parameters(), acceleration=acceleration)
-        optimizer.step(lambda model=model: (objective_of("whole", "none").problem(model, batch), None))
+        problem = Weak().problem(model, batch)
+        unbent = SimpleNamespace(loss=problem.loss, equations=problem.equations)
+        optimizer.step(lambda unbent=unbent: (unbent, None))
         after.append(parameters_to_vector(model.parameters()))
     assert torch.equal(*after)
     assert not torch.equal(after[0], parameters_to_vector(Swing().parameters()))
