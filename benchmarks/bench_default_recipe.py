@@ -20,11 +20,10 @@ import time
 from pathlib import Path
 
 import torch
-from hydra import compose, initialize_config_dir
 
+from ahnn.cli.commandline import compose, config_loader
 from ahnn.errors import TrainingError, UserError
 from ahnn.metrics import errors, rmse_norm
-from ahnn.paths import conf_dir
 from ahnn.rollouts import rollout
 from ahnn.statistics import sampling_interval
 from ahnn.train import prepare
@@ -57,11 +56,11 @@ def trained(overrides: list[str], seconds: float) -> float:
     """Return the error of a training that took so many seconds of CPU time; inf where it came to nothing.
 
     Raises:
-        UserError: a recipe that the measurements do not fit.
+        UserError: a recipe that the measurements do not fit, or a default that the command line refuses.
     """
-    with tempfile.TemporaryDirectory() as folder, initialize_config_dir(str(conf_dir()), version_base=None):
-        cfg = compose("train", [f"folder={folder}", f"run={folder}", "data.trajectories=625", *overrides])
-        data, model, *_ = prepare(cfg)
+    with tempfile.TemporaryDirectory() as folder:
+        place = [f"folder={folder}", f"run={folder}", "data.trajectories=625"]
+        data, model, *_ = prepare(compose(config_loader(), "train", [*place, *overrides]))
     statistics = data.statistics()
     model.calibrate(statistics)
     loader, optimizer = data.train_dataloader(), model.configure_optimizers()
@@ -104,9 +103,9 @@ def measured(overrides: list[str], seconds: float) -> str:
 
 
 def factor(rows: dict[str, str]) -> float:
-    """Return by what factor the error of the default exceeds the least of all recipes."""
+    """Return by what factor the default's error exceeds the least of all recipes; NaN if it is refused."""
     known = {name: float(error) for name, error in rows.items() if error != "refused"}
-    return known[DEFAULT] / min(known.values()) if DEFAULT in known else math.inf
+    return known[DEFAULT] / min(known.values()) if DEFAULT in known else math.nan
 
 
 def main() -> None:

@@ -130,6 +130,8 @@ def test_a_mistake_is_one_message_and_leaves_nothing(mistake, tmp_path, capfd, m
         (["experiment=molniya_mechanical", "data.noise=0.1"], "data.noise: expected a recipe that"),
         (["system=molniya", "sensor=orbit_states", "recipe=eccentric"], "loss.balance: expected 0 with"),
         (["data.noise=0.1", "recipe=second_order", "loss.balance=0.5"], "loss.balance: expected 0 with"),
+        (["system=molniya", "sensor=orbit_positions", "hamiltonian=mechanical"], "recipe: expected one that"),
+        (["experiment=molniya_positions", "hamiltonian=mechanical"], "recipe: expected one that"),
     ],
 )
 def test_no_recipe_learns_noise_unless_it_is_named(given, said, tmp_path, capfd, monkeypatch):

@@ -29,6 +29,7 @@ from ahnn.errors import UserError
 from ahnn.paths import conf_dir
 
 MODES = ("run", "multirun", "cfg", "info", "shell_completion")
+NAMES_A_RECIPE = ("recipe=", "loss=")
 
 
 def read(argv: Sequence[str]) -> Namespace:
@@ -170,6 +171,7 @@ def compose(loader: ConfigLoaderImpl, name: str, overrides: list[str]) -> DictCo
             message = f"configuration: unknown key {key!r}{hint}"
         raise UserError(message) from error
     check_recipe(cfg, overrides)
+    check_potential(cfg, overrides)
     return cfg
 
 
@@ -189,11 +191,29 @@ def check_recipe(cfg: DictConfig, overrides: Iterable[str]) -> None:
                 "recipe=second_order"
             )
             raise UserError(message)
-    elif noise is not None and not any(text.startswith(("recipe=", "loss=")) for text in overrides):
+    elif noise is not None and not any(text.startswith(NAMES_A_RECIPE) for text in overrides):
         message = (
             "data.noise: expected a recipe that learns from measurements; received noise for one that takes "
             "samples as exact. Use recipe=measurements, for whole states that come densely "
             "recipe=noisy_states, on orbits recipe=dense_states, or an option of sensor, which brings its own"
+        )
+        raise UserError(message)
+
+
+def check_potential(cfg: DictConfig, overrides: Iterable[str]) -> None:
+    """Refuse the recipe of a sensor that nobody named where it is known to learn nothing.
+
+    Raises:
+        UserError: positions of orbits, the whole potential unknown, and shooting from the first step on.
+    """
+    meant = {"sensor": "orbit_positions", "hamiltonian": "mechanical", "loss": "shooting"}
+    choices = OmegaConf.select(cfg, "hydra.runtime.choices") or {}
+    chosen = all(choices.get(group) == option for group, option in meant.items())
+    if chosen and not any(text.startswith(NAMES_A_RECIPE) for text in overrides):
+        message = (
+            "recipe: expected one that learns a whole potential from positions of orbits; received none, and "
+            "the sensor's own ends far from the orbits. Use recipe=noisy_positions, or "
+            "hamiltonian=central_body where the central body is known"
         )
         raise UserError(message)
 
