@@ -18,6 +18,7 @@ from typing import Any
 import torch
 from torch import Tensor
 from torch.autograd import forward_ad
+from torch.nn import Parameter
 
 from ahnn.files import write_atomically
 from ahnn.types import TimeStep
@@ -64,7 +65,8 @@ def compiled_library(
 
 def _built(source: Path, command: list[str]) -> ctypes.CDLL:
     """Return the library of the cache, or a new one, which is kept there if that is a place of one's own."""
-    key = "\0".join((source.read_text(), *command, platform.machine(), platform.system()))
+    texts = (path.read_text() for path in (source, *sorted(source.parent.glob("*.h"))))
+    key = "\0".join((*texts, *command, platform.machine(), platform.system()))
     root = Path(os.environ.get("AHNN_CACHE") or "~/.cache/ahnn").expanduser()
     path = root / "libraries" / f"{source.stem}-{hashlib.sha256(key.encode()).hexdigest()[:16]}.so"
     own = _own(path.parent)
@@ -91,14 +93,29 @@ def _own(folder: Path) -> bool:
     return about.st_uid == os.getuid() and not about.st_mode & 0o022
 
 
+def followed() -> bool:
+    """Return whether something follows single operations: a transform, a graph in the making, a mode."""
+    return (
+        torch.compiler.is_compiling()
+        or torch._C._are_functorch_transforms_active()
+        or torch._C._len_torch_dispatch_stack() > 0
+        or torch._C._get_tracing_state() is not None
+        or forward_ad._current_level >= 0
+    )
+
+
+def plain(t: Tensor, dtype: torch.dtype) -> bool:
+    """Return whether a tensor is what its memory says: numbers of a type on the CPU, and no subclass."""
+    own = (type(t) is Tensor or type(t) is Parameter) and t.layout == torch.strided
+    return own and t.dtype == dtype and t.device.type == "cpu" and torch._C._has_storage(t)
+
+
 def numbers_alone(x: Tensor, dt: TimeStep) -> bool:
     """Return whether numbers alone are wanted of float64 states (B, D) on the CPU."""
-    if torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active():
-        return False
-    if forward_ad._current_level >= 0 or torch._C._get_tracing_state() is not None:
+    if followed():
         return False
     steps = (dt,) if isinstance(dt, Tensor) else ()
     graph = torch.is_grad_enabled() and any(t.requires_grad for t in (x, *steps))
-    known = all(t.dtype == torch.float64 and t.device.type == "cpu" for t in (x, *steps))
-    fits = type(x) is Tensor and x.ndim == 2 and all(t.ndim == 0 or t.shape == x.shape[:1] for t in steps)
+    known = all(plain(t, torch.float64) for t in (x, *steps))
+    fits = x.ndim == 2 and all(t.ndim == 0 or t.shape == x.shape[:1] for t in steps)
     return known and fits and not graph

@@ -61,6 +61,7 @@ def test_a_wheel_in_a_fresh_environment_trains_from_any_directory(tmp_path):
     (wheel,) = tmp_path.glob("*.whl")
     names = zipfile.ZipFile(wheel).namelist()
     assert {"ahnn/conf/train.yaml", "ahnn/py.typed"} <= {*names}
+    assert {str(path.relative_to(ROOT)) for path in (ROOT / "ahnn").rglob("*.[ch]")} <= {*names}
     shipped = {"paper.csv", "suspicious.csv", "page.css"}  # what a report reads
     assert {f"ahnn_plugins/report/{name}" for name in shipped} <= {*names}
     assert {n.split("/")[0] for n in names if "dist-info" not in n} == {

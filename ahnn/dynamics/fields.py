@@ -7,7 +7,7 @@ from typing import Any, cast, final
 import torch
 from torch import Tensor, nn
 
-from ahnn.dynamics import written_out
+from ahnn.dynamics import native, written_out
 from ahnn.dynamics.base import Dynamics
 from ahnn.dynamics.hamiltonians import GenericHamiltonian, Structure, make_hamiltonian
 from ahnn.dynamics.inputs import Cartesian, InputName
@@ -145,6 +145,17 @@ class HamiltonianDynamics(_Integrated):
             if layers is not None:
                 return steady_flow(self, layers, method, field.network.activation)
         return self
+
+    def in_c(self) -> bool:
+        """Return whether a training takes its steps in C."""
+        field, method = self.field, self.integrator
+        if not (isinstance(field, GenericHamiltonian) and isinstance(method, ExplicitRungeKutta)):
+            return False
+        layers = field.layers(field.turn)
+        if layers is None:
+            return False
+        scheme = written_out.Scheme(method.tableau, 1.0, field.network.activation)
+        return native.applies(scheme, field.turn, layers.tensors)
 
     def energy(self, x: Tensor) -> Tensor:
         """Return the learned H, shape (...), at the states x, shape (..., D); a constant is free."""

@@ -34,6 +34,11 @@ class Layers(NamedTuple):
     last: Tensor
     leave: Tensor
 
+    @property
+    def tensors(self) -> tuple[Tensor, ...]:
+        """Weights, biases, last and leave."""
+        return (*self.weights, *self.biases, self.last, self.leave)
+
     def zeros(self) -> Layers:
         """Return zeros for gradients, matrices transposed: (F, H), as `reverse` adds to them."""
         weights = [torch.zeros_like(w.T) for w in self.weights]

@@ -36,6 +36,7 @@ class GenericHamiltonian(nn.Module):
     """
 
     unit: Tensor
+    turn: Tensor
 
     def __init__(self, dof: int, *, inputs: InputName, scaling: Kind, network: dict[str, Any]) -> None:
         super().__init__()
@@ -43,6 +44,9 @@ class GenericHamiltonian(nn.Module):
         self.momenta = Cartesian(dof, scaling, 1)
         self.network = make_network(self.positions.size + dof, 1, network)
         self.register_buffer("unit", torch.ones(()))
+        none, one = torch.zeros(dof, dof), torch.eye(dof)
+        turn = torch.cat((torch.cat((none, -one), dim=1), torch.cat((one, none), dim=1)))
+        self.register_buffer("turn", turn, persistent=False)  # gradient @ turn = (dH/dp, -dH/dq)
 
     def fit(self, statistics: Statistics) -> None:
         """Set all scalings from the training split."""
@@ -74,12 +78,11 @@ class GenericHamiltonian(nn.Module):
         maps, inner = (positions.affine, self.momenta.affine), network.layers()
         first = inner.weights[0] / torch.cat([m.scale for m in maps])
         shift = torch.cat([m.shift for m in maps])
-        of_q, of_p = first.chunk(2, dim=1)
         return Layers(
             [first, *inner.weights[1:]],
             [torch.addmv(inner.biases[0], first, shift, alpha=-1), *inner.biases[1:]],
             inner.last,
-            self.unit * torch.cat((of_p, -of_q), dim=1),
+            first @ (self.unit * self.turn),
         )
 
     def forward(self, x: Tensor) -> Tensor:

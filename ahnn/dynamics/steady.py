@@ -14,8 +14,9 @@ import torch
 from torch import Tensor
 
 from ahnn.cores import each, slices
-from ahnn.dynamics.activations import ACTIVATIONS, Activation
+from ahnn.dynamics.activations import Activation
 from ahnn.dynamics.gradients import Layers
+from ahnn.dynamics.native import KNOWN, table
 from ahnn.integrators import ExplicitRungeKutta
 from ahnn.integrators.tableaus import ButcherTableau
 from ahnn.libraries import NUMBER as N
@@ -23,8 +24,6 @@ from ahnn.libraries import PART, compiled_library, numbers_alone
 from ahnn.libraries import POINTER as P
 from ahnn.types import Flow, TimeStep
 
-KNOWN = tuple(ACTIVATIONS[name].value for name in ("gelu", "tanh", "silu"))
-"""Activations in the order of their numbers in the library."""
 ROWS = 8
 """Rows of a panel, as the library has them."""
 
@@ -57,7 +56,7 @@ class SteadyFlow:
     def __init__(self, flow: Flow, layers: Layers, tableau: ButcherTableau, activation: int) -> None:
         units, inputs = layers.weights[0].shape
         self.flow = flow
-        self.tableau, self.constants = _table(tableau), _constants(layers)
+        self.tableau, self.constants = table(tableau, torch.float64), _constants(layers)
         self.sizes = inputs, units, len(layers.weights), activation, len(tableau.b)
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
@@ -88,13 +87,6 @@ class SteadyFlow:
         if found.ahnn_step(len(x), *fixed, x.data_ptr(), h.data_ptr(), int(h.numel() > 1), out.data_ptr()):
             message = "rollout: no memory for a block of members"
             raise MemoryError(message)
-
-
-def _table(tableau: ButcherTableau) -> Tensor:
-    """Return the weights of the stages and of the step, (stages + 1, stages)."""
-    count = len(tableau.b)
-    rows = [(*row, *(0.0,) * (count - len(row))) for row in ((), *tableau.a, tableau.b)]
-    return torch.tensor(rows, dtype=torch.float64)
 
 
 def _constants(layers: Layers) -> Tensor:

@@ -7,93 +7,23 @@
 
 #include <stdlib.h>
 
-#define INLINE static inline __attribute__((always_inline))
+#include "lanes.h"
+
 #define ROWS 8 /* of a panel; steady.py has the same number */
-/* Members in a vector, vectors of a block, and rows of a panel at once: their sums fill the registers. */
-#if defined(__AVX512F__)
-enum { LANES = 8, VECTORS = 2, PART = 8 };
-#elif defined(__AVX2__)
-enum { LANES = 4, VECTORS = 2, PART = 4 };
-#else
-enum { LANES = 2, VECTORS = 2, PART = 4 };
-#endif
+/* Vectors of a block, and rows of a panel at once: their sums fill the registers. */
+enum { VECTORS = 2, PART = BYTES == 64 ? 8 : 4 };
 #define MEMBERS (LANES * VECTORS)
 
-typedef double lanes __attribute__((vector_size(8 * LANES), may_alias));
-typedef long long bits __attribute__((vector_size(8 * LANES), may_alias));
 typedef lanes block[VECTORS];
 
-enum { GELU, TANH, SILU };
 enum { DONE, NO_MEMORY };
-
-INLINE lanes pick(bits where, lanes yes, lanes no) {
-    return (lanes)((where & (bits)yes) | (~where & (bits)no));
-}
-
-/* exp(x) for x <= 0: the Taylor series of the remainder from the nearest multiple of log 2 (log 2 in two parts,
-   Cody & Waite 1980). Below -708 it is exp(-708) in place of a denormal number. */
-INLINE lanes exponential(lanes x) {
-    static const double inverse[] = {1.0 / 6227020800, 1.0 / 479001600, 1.0 / 39916800, 1.0 / 3628800,
-                                     1.0 / 362880,     1.0 / 40320,     1.0 / 5040,     1.0 / 720,
-                                     1.0 / 120,        1.0 / 24,        1.0 / 6,        0.5,
-                                     1.0,              1.0};
-    const lanes round = (lanes){} + 6755399441055744.0, least = (lanes){} - 708.0; /* 1.5 2^52 */
-    const bits one = (bits){} + 0x3ff0000000000000LL;
-    x = pick(x < least, least, x);
-    lanes shifted = x * 1.4426950408889634 + round, whole = shifted - round;
-    lanes r = x - whole * 6.93147180369123816490e-01;
-    r = r - whole * 1.90821492927058770002e-10;
-    lanes sum = (lanes){} + inverse[0];
-    for (int k = 1; k < 14; k++) sum = sum * r + inverse[k];
-    return sum * (lanes)(((bits)shifted << 52) + one);
-}
-
-/* z Phi(z) and its slope Phi(z) + z phi(z). With t = |z| the tail 1 - Phi(t) is exp(-t^2 / 2) P(q) / (t + 4.5),
-   q = (t - 4.5) / (t + 4.5) (Shepherd & Laframboise 1981, Math. Comp. 36, 249). P is the Chebyshev series of
-   degree 22, summed by powers: its remainder is 3e-17 of its largest term. */
-INLINE void gelu(lanes z, lanes *value, lanes *slope) {
-    static const double tail[] = {
-        1.0440252036819998e-09, 2.662280765855698e-10,  -1.1251292724707997e-08, -6.170870319722238e-09,
-        7.060212865222912e-08,  6.605207817943098e-08,  -3.7926071995466557e-07, -5.037449540432435e-07,
-        2.1426759805083802e-06, 3.192063301118266e-06,  -1.423571236638514e-05,  -1.59337294151542e-05,
-        0.00011204260719214357, 6.381295655218961e-06,  -0.0009177464773392233,  0.0017488305479398012,
-        0.004223613376799493,   -0.033871326175605156,  0.11138259657043223,     -0.2531417999510249,
-        0.4464525170556733,     -0.6402577602526165,    0.7632305289702032};
-    const lanes zero = {}, far = (lanes){} + 37.0; /* beyond it numbers are denormal, and slow */
-    lanes t = pick(z < zero, -z, z);
-    t = pick(t > far, far, t);
-    lanes inverse = 1.0 / (t + 4.5), q = (t - 4.5) * inverse, sum = (lanes){} + tail[0];
-    for (int k = 1; k < 23; k++) sum = sum * q + tail[k];
-    lanes e = exponential(-0.5 * t * t), above = e * sum * inverse;
-    lanes cumulative = pick(z < zero, above, 1.0 - above);
-    *value = z * cumulative;
-    *slope = cumulative + z * (0.3989422804014327 * e);
-}
-
-/* Of both, the exponential of -|z| keeps what is small. */
-INLINE void tanh_(lanes z, lanes *value, lanes *slope) {
-    const lanes zero = {};
-    lanes e = exponential(pick(z < zero, 2.0 * z, -2.0 * z)), inverse = 1.0 / (1.0 + e);
-    lanes size = (1.0 - e) * inverse;
-    *value = pick(z < zero, -size, size);
-    *slope = 4.0 * e * inverse * inverse;
-}
-
-INLINE void silu(lanes z, lanes *value, lanes *slope) {
-    const lanes zero = {};
-    lanes e = exponential(pick(z < zero, z, -z)), larger = 1.0 / (1.0 + e), smaller = e * larger;
-    lanes logistic = pick(z < zero, smaller, larger);
-    *value = z * logistic;
-    *slope = logistic + *value * pick(z < zero, larger, smaller);
-}
 
 static void activate(long activation, long width, const block *z, block *value, block *slope) {
     for (long i = 0; i < width; i++)
-        for (long v = 0; v < VECTORS; v++) switch (activation) {
-            case GELU: gelu(z[i][v], &value[i][v], &slope[i][v]); break;
-            case TANH: tanh_(z[i][v], &value[i][v], &slope[i][v]); break;
-            default: silu(z[i][v], &value[i][v], &slope[i][v]);
-            }
+        for (long v = 0; v < VECTORS; v++) {
+            point at = activated(activation, z[i][v]);
+            value[i][v] = at.value, slope[i][v] = at.slope;
+        }
 }
 
 INLINE long panels(long rows) { return (rows + ROWS - 1) / ROWS; }

@@ -7,23 +7,17 @@ parameters autograd then has one node for each step in place of several hundred.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
 from torch.autograd import Function
 
+from ahnn.dynamics import native
 from ahnn.dynamics.activations import Activation
 from ahnn.dynamics.gradients import Layers, Record, gradient, plain_gradient, recorded_gradient, reverse
-from ahnn.integrators.tableaus import EULER, ButcherTableau
-
-
-class Scheme(NamedTuple):
-    """What of a step is not a tensor to be differentiated: method, its step h, activation."""
-
-    tableau: ButcherTableau
-    h: float | Tensor
-    activation: Activation
+from ahnn.dynamics.native import Scheme
+from ahnn.integrators.tableaus import EULER
 
 
 def applies(activation: Activation, x: Tensor) -> bool:
@@ -53,18 +47,24 @@ def step(x: Tensor, layers: Layers, scheme: Scheme) -> Tensor:
         layers: of f, as `gradients` has it.
         scheme: h is a number or a (B, 1) tensor.
     """
-    x = x.T.contiguous().T  # by columns, as fields come
-    tensors = (*layers.weights, *layers.biases, layers.last, layers.leave)
+    tensors = layers.tensors
     if torch.is_grad_enabled() and any(t.requires_grad for t in (x, *tensors)):
         found = _Step.apply(scheme, x, *tensors)
         assert isinstance(found, Tensor)
         return found
+    if native.applies(scheme, x, tensors):
+        return native.Increment(scheme, x, tensors).follow()
     kernels = scheme.activation.kernels
     assert kernels is not None
-    slopes: list[Tensor] = []
+    x, slopes = _by_columns(x), list[Tensor]()
     for row in ((), *scheme.tableau.a):
         slopes.append(gradient(moved(x, row, slopes, scheme.h), layers, kernels))
     return combined(scheme.tableau.b, slopes, scheme.h)
+
+
+def _by_columns(x: Tensor) -> Tensor:
+    """Return x, (B, D), in the order that fields come in."""
+    return x.T.contiguous().T
 
 
 def combined(weights: tuple[float, ...], slopes: list[Tensor], h: float | Tensor) -> Tensor:
@@ -88,7 +88,7 @@ def moved(x: Tensor, weights: tuple[float, ...], slopes: list[Tensor], h: float 
 
 
 def layers_of(tensors: Sequence[Tensor]) -> Layers:
-    """Return the layers that were flattened to weights, biases, last and leave."""
+    """Return the layers that these are the `tensors` of."""
     depth = len(tensors) // 2 - 1
     return Layers(list(tensors[:depth]), list(tensors[depth:-2]), *tensors[-2:])
 
@@ -98,26 +98,39 @@ class _Step(Function):
 
     @staticmethod
     def forward(ctx: Any, scheme: Scheme, x: Tensor, *tensors: Tensor) -> Tensor:
+        ctx.scheme = scheme
+        ctx.save_for_backward(x, *tensors)
+        ctx.native = native.applies(scheme, x, tensors)
+        if ctx.native:
+            step = native.Increment(scheme, x, tensors)
+            ctx.room = step.room()
+            return step.follow(ctx.room)
         layers, kernels = layers_of(tensors), scheme.activation.kernels
         assert kernels is not None
-        slopes: list[Tensor] = []
+        x, slopes = _by_columns(x), list[Tensor]()
         records: list[list[Record]] = []
         for row in ((), *scheme.tableau.a):
             slope, record = recorded_gradient(moved(x, row, slopes, scheme.h), layers, kernels)
             slopes.append(slope)
             records.append(record)
-        ctx.scheme, ctx.records = scheme, records
-        ctx.save_for_backward(x, *tensors)
+        ctx.records = records
         return combined(scheme.tableau.b, slopes, scheme.h)
 
     @staticmethod
     def backward(ctx: Any, *cotangents: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         x, *tensors = ctx.saved_tensors
-        if torch.is_grad_enabled():  # the backward pass shall itself have a graph, which autograd makes
-            return None, *_differentiable(ctx, cotangents[0], (x, *tensors))
-        layers, (a, b), h = layers_of(tensors), ctx.scheme.tableau, ctx.scheme.h
+        scheme, v = ctx.scheme, cotangents[0]
+        plain = native.applies(scheme, v, (*tensors, x)) if ctx.native else torch._C._has_storage(v)
+        if torch.is_grad_enabled() or not plain:  # it shall itself have a graph, or is one of several at once
+            with torch.enable_grad():
+                return None, *_differentiable(ctx, v, (x, *tensors))
+        if ctx.native:
+            room, ctx.room = ctx.room, None
+            moved_by, sums = native.Increment(scheme, x, tensors).follow_back(v, room)
+            return None, moved_by, *sums
+        layers, (a, b), h = layers_of(tensors), scheme.tableau, scheme.h
         sums, total = layers.zeros(), torch.zeros_like(x)
-        later: list[Tensor] = [cotangents[0]]  # that of the increment, then those of the stages from the last
+        later: list[Tensor] = [v]  # that of the increment, then those of the stages from the last
         for i in reversed(range(len(b))):
             column = (b[i], *(row[i] for row in reversed(a[i:])))
             if not any(column):

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 from ahnn.data.datamodule import WindowDataModule
+from ahnn.dynamics import Dynamics, HamiltonianDynamics
 from ahnn.errors import UserError
 from ahnn.integrators import GaussLegendre4
 from ahnn.training.compilation import price
@@ -21,6 +22,8 @@ log = logging.getLogger(__name__)
 
 SAVED = 0.4
 """Part of an optimiser step that compiled code saves, at least (docs/benchmarks.md)."""
+SAVED_IN_C = 0.1
+"""The same where the step is in C anyway."""
 WORTH = 60.0
 """Seconds below which nothing is tried: the compiler's modules alone take some to load."""
 
@@ -84,17 +87,22 @@ def _pays_back(trainer: Any, data: WindowDataModule, model: Any, cache: Path) ->
     epochs = int(trainer.max_epochs or 1)
     counts = Counter(model.curriculum.at(epoch, epochs) for epoch in range(epochs))
     total = sum(n * per_epoch * step_seconds(model, data, objective) for objective, n in counts.items())
-    if total * SAVED < WORTH:
+    saved = total * (SAVED_IN_C if _in_c(model.dynamics) else SAVED)
+    if saved < WORTH:
         return False
     cost = sum(_price(model, data, objective, cache) for objective in counts)
-    pays = cost < total * SAVED
+    pays = cost < saved
     log.info(
         "compile: auto %s the optimiser steps: about %.0f s of compilation, about %.0f s saved",
         "compiles" if pays else "does not compile",
         cost,
-        total * SAVED,
+        saved,
     )
     return pays
+
+
+def _in_c(dynamics: Dynamics) -> bool:
+    return isinstance(dynamics, HamiltonianDynamics) and dynamics.in_c()
 
 
 def _price(model: Any, data: WindowDataModule, objective: Objective, cache: Path) -> float:

@@ -114,3 +114,13 @@ def test_one_operation_stands_between_states_and_parameters():
     own = dynamics("gelu")
     x = torch.randn(4, 4, generator=generator(1), dtype=torch.float64)
     assert type(own.increment(x, column(0.2)).grad_fn).__name__ == "_StepBackward"
+
+
+def test_several_cotangents_at_once_are_those_one_by_one():
+    own = dynamics("gelu")
+    x = torch.randn(4, 4, generator=generator(1), dtype=torch.float64).requires_grad_()
+    v = torch.randn(3, 4, 4, generator=generator(2), dtype=torch.float64)
+    asked = [x, *inputs_of(own)]
+    found = torch.autograd.grad(own.increment(x, 0.2), asked, v, is_grads_batched=True)
+    one_by_one = [torch.autograd.grad(own.increment(x, 0.2), asked, u) for u in v]
+    require_close(found, [torch.stack(rows) for rows in zip(*one_by_one, strict=True)])

@@ -1,0 +1,133 @@
+"""Steps and their reverse in C, in float32: what first-order training spends its time on.
+
+The library does what `written_out` does by some hundred operations of torch, a block of members at a time.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ahnn.cores import each, slices
+from ahnn.dynamics.activations import ACTIVATIONS, Activation
+from ahnn.integrators.tableaus import ButcherTableau
+from ahnn.libraries import NUMBER as N
+from ahnn.libraries import POINTER as P
+from ahnn.libraries import compiled_library, followed, plain
+
+KNOWN = tuple(ACTIVATIONS[name].value for name in ("gelu", "tanh", "silu"))
+"""Activations in the order of their numbers in the libraries."""
+PART = 512
+"""States that are worth a core, and sums of their own."""
+KEPT = 1 << 22
+"""Bytes of a step beyond which they are made again sooner than read again."""
+
+
+class Scheme(NamedTuple):
+    """What of a step is not a tensor to be differentiated: method, its step h, activation."""
+
+    tableau: ButcherTableau
+    h: float | Tensor
+    activation: Activation
+
+
+@cache
+def library() -> ctypes.CDLL | None:
+    """Return the library, or None where there is no C compiler."""
+    signatures = {
+        "ahnn_kept": (N, N, N, N, N),
+        "ahnn_increment": (N, N, N, N, N, N, P, P, P, P, N, P, P, P, P),
+    }
+    source = Path(__file__).with_name("reverse.c")
+    return compiled_library(source, signatures, "first-order training", vectors=True)
+
+
+def applies(scheme: Scheme, x: Tensor, tensors: Sequence[Tensor]) -> bool:
+    """Return whether the library takes a step from x, (B, D), and these parameters."""
+    steps = (scheme.h,) if isinstance(scheme.h, Tensor) else ()
+    fits = x.ndim == 2 and x.shape[1] == tensors[0].shape[1] and all(t.shape == (len(x), 1) for t in steps)
+    known = scheme.activation.value in KNOWN and all(plain(t, torch.float32) for t in (x, *steps, *tensors))
+    return fits and known and not followed() and library() is not None
+
+
+@cache
+def table(tableau: ButcherTableau, dtype: torch.dtype) -> Tensor:
+    """Return the weights of the stages and of the step, (stages + 1, stages)."""
+    count = len(tableau.b)
+    rows = [(*row, *(0.0,) * (count - len(row))) for row in ((), *tableau.a, tableau.b)]
+    return torch.tensor(rows, dtype=dtype)
+
+
+class Increment:
+    """One step from states x, (B, D), ready to be followed and followed back.
+
+    Args:
+        scheme: method, step h (a number or (B, 1)) and activation, which apply.
+        x: (B, D).
+        tensors: weights and biases of the layers, last row and E.
+    """
+
+    def __init__(self, scheme: Scheme, x: Tensor, tensors: Sequence[Tensor]) -> None:
+        tableau, h, activation = scheme
+        self.x, self.tensors = x.contiguous(), [t.contiguous() for t in tensors]
+        self.h = torch.as_tensor(h, dtype=torch.float32).contiguous()
+        self.table = table(tableau, torch.float32)
+        units, inputs = self.tensors[0].shape
+        self.sizes = inputs, units, len(tensors) // 2 - 1, KNOWN.index(activation.value), len(tableau.b)
+        self.parts = slices(len(x), PART)
+
+    def room(self) -> Tensor | None:
+        """Return memory for what the reverse would else make again; None if that costs less."""
+        found, (inputs, units, depth, _, stages) = _found(), self.sizes
+        count = found.ahnn_kept(min(len(self.x), PART), inputs, units, depth, stages)
+        return self.x.new_empty(len(self.parts), count) if 4 * count * len(self.parts) <= KEPT else None
+
+    def follow(self, room: Tensor | None = None) -> Tensor:
+        """Return the increment, (B, D); what the reverse needs is left in the room."""
+        return self._call(None, room)[0]
+
+    def follow_back(self, v: Tensor, room: Tensor | None = None) -> tuple[Tensor, list[Tensor]]:
+        """Return v . d(increment)/dx, (B, D), and v . d(increment)/dtensors; v is (B, D).
+
+        The room is the one that the step was followed with, and useless afterwards.
+        """
+        moved, sums = self._call(v.contiguous(), room)
+        parts = sums.split([t.numel() for t in self.tensors])
+        return moved, [part.view_as(t) for part, t in zip(parts, self.tensors, strict=True)]
+
+    def _call(self, v: Tensor | None, room: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Return what is asked, (B, D), and the gradients one after the other.
+
+        Raises:
+            MemoryError: there is none for a block of members.
+        """
+        found, x, h, out = _found(), self.x, self.h, torch.empty_like(self.x)
+        sums = x.new_empty(len(self.parts), 0 if v is None else sum(t.numel() for t in self.tensors))
+        given = (P * len(self.tensors))(*(t.data_ptr() for t in self.tensors))
+        fixed = *self.sizes, self.table.data_ptr(), given
+
+        def work(k: int) -> None:
+            part, kept = self.parts[k], None if room is None else room[k].data_ptr()
+            steps = h[part] if h.ndim else h
+            pull = None if v is None else v[part].data_ptr()
+            read = x[part].data_ptr(), steps.data_ptr(), h.ndim // 2, pull
+            if found.ahnn_increment(
+                len(x[part]), *fixed, *read, kept, out[part].data_ptr(), sums[k].data_ptr()
+            ):
+                message = "training: no memory for a block of members"
+                raise MemoryError(message)
+
+        each(work, range(len(self.parts)), x.device)
+        return out, sums.sum(0) if len(self.parts) > 1 else sums[0]
+
+
+def _found() -> ctypes.CDLL:
+    found = library()
+    assert found is not None
+    return found

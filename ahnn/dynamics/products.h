@@ -1,0 +1,63 @@
+/* Matrices in rows of whole vectors: their products, and their way in and out; see lanes.h. */
+
+/* Of a tile of a product: its sums fill the registers. */
+enum { ROWS = 4, ACROSS = BYTES == 64 ? 4 : 2 };
+
+#define AT(array, i) (*(lanes *)((array) + (i)))
+#define EACH(i, count) for (long i = 0; i < (count); i += LANES)
+
+INLINE long filled(long count, long by) { return (count + by - 1) / by * by; }
+
+/* A tile of C = start + A B, for as many vectors across as the compiler is told. */
+INLINE void tile(long across, const real *a, long row, long column, const real *b, long length, long inner,
+                 const real *start, long start_row, real *c) {
+    lanes sum[ROWS][ACROSS];
+    for (long r = 0; r < ROWS; r++)
+        for (long v = 0; v < across; v++) sum[r][v] = AT(start, r * start_row + v * LANES);
+    for (long k = 0; k < inner; k++)
+        for (long r = 0; r < ROWS; r++)
+            for (long v = 0; v < across; v++)
+                sum[r][v] += a[r * row + k * column] * AT(b, k * length + v * LANES);
+    for (long r = 0; r < ROWS; r++)
+        for (long v = 0; v < across; v++) AT(c, r * length + v * LANES) = sum[r][v];
+}
+
+/* C = start + A B with A(r, k) at a[r row + k column]; rows of B and C are `length`, rows of A whole tiles. */
+static void product(const real *a, long row, long column, const real *b, long length, long rows, long inner,
+                    const real *start, long start_row, real *c) {
+    for (long j = 0; j < length;) {
+        long across = length - j >= ACROSS * LANES ? ACROSS : 1;
+        for (long r = 0; r < rows; r += ROWS) {
+            const real *from = a + r * row, *with = start + r * start_row + j;
+            real *to = c + r * length + j;
+            if (across == 1) tile(1, from, row, column, b + j, length, inner, with, start_row, to);
+            else tile(ACROSS, from, row, column, b + j, length, inner, with, start_row, to);
+        }
+        j += across * LANES;
+    }
+}
+
+/* Fill up a matrix (rows, columns), or its transpose, to rows of `length`; the room is zero before. */
+static void lay(const real *matrix, long rows, long columns, int turned, long length, real *to) {
+    for (long r = 0; r < rows; r++)
+        for (long c = 0; c < columns; c++, matrix++) to[turned ? c * length + r : r * length + c] = *matrix;
+}
+
+/* The reverse of `lay`, which returns where the next one begins. */
+static real *lift(const real *from, long rows, long columns, int turned, long length, real *matrix) {
+    for (long r = 0; r < rows; r++)
+        for (long c = 0; c < columns; c++, matrix++) *matrix = from[turned ? c * length + r : r * length + c];
+    return matrix;
+}
+
+/* Memory that is given away piece by piece; without a base its pieces are only counted. */
+typedef struct {
+    real *base;
+    size_t used;
+} arena;
+
+static real *take(arena *from, long count) {
+    real *here = from->base ? from->base + from->used : NULL;
+    from->used += (size_t)filled(count, LANES);
+    return here;
+}
