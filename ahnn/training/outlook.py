@@ -6,6 +6,7 @@ import copy
 import itertools
 import time
 from collections.abc import Callable
+from statistics import median
 from typing import Any
 
 import torch
@@ -14,7 +15,9 @@ from ahnn.data.datamodule import WindowDataModule
 from ahnn.training.objectives import Objective
 
 TRIALS = 3
-"""Steps that are timed."""
+"""Steps that are timed, at most."""
+ENOUGH = 0.25
+"""Seconds of steps that are typical enough: of those that take longer one is timed."""
 
 
 def expected_seconds(
@@ -94,8 +97,8 @@ def step_seconds(model: Any, data: WindowDataModule, objective: Objective) -> fl
 def _median(work: Callable[[], Any], repeats: int = 1) -> float:
     """Return the median time of some work, a first call apart."""
     times = []
-    for _ in range(repeats + 1):
+    while len(times) < 2 or (len(times) <= repeats and sum(times[1:]) < ENOUGH):
         begin = time.perf_counter()
         work()
         times.append(time.perf_counter() - begin)
-    return sorted(times[1:])[repeats // 2]
+    return median(times[1:])
