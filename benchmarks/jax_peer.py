@@ -81,3 +81,22 @@ def rollout(net: eqx.Module, start: np.ndarray, dt: float, steps: int) -> Work:
 
     x = jnp.asarray(start)
     return lambda: jax.block_until_ready(run(net, x))
+
+
+def second_order(net: eqx.Module, start: np.ndarray, slopes: np.ndarray) -> Work:
+    """Return work: one step of optimistix's Levenberg-Marquardt on the field less its targets."""
+    import optimistix as optx
+
+    parameters, static = eqx.partition(net, eqx.is_inexact_array)
+    solver = optx.LevenbergMarquardt(rtol=1e-12, atol=1e-12)
+
+    def residuals(parameters: eqx.Module, data: tuple) -> jax.Array:
+        dq, dp = jnp.split(jax.vmap(jax.grad(eqx.combine(parameters, static)))(data[0]), 2, axis=-1)
+        return jnp.concatenate((dp, -dq), axis=-1) - data[1]
+
+    @eqx.filter_jit
+    def run(parameters: eqx.Module, data: tuple) -> eqx.Module:
+        return optx.least_squares(residuals, solver, parameters, data, max_steps=1, throw=False).value
+
+    data = jnp.asarray(start), jnp.asarray(slopes)
+    return lambda: jax.block_until_ready(run(parameters, data))
