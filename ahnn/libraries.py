@@ -107,7 +107,8 @@ def followed() -> bool:
 def plain(t: Tensor, dtype: torch.dtype) -> bool:
     """Return whether a tensor is what its memory says: numbers of a type on the CPU, and no subclass."""
     own = (type(t) is Tensor or type(t) is Parameter) and t.layout == torch.strided
-    return own and t.dtype == dtype and t.device.type == "cpu" and torch._C._has_storage(t)
+    own = own and torch._C._has_storage(t) and not t.is_neg() and not t._is_zerotensor()
+    return own and t.dtype == dtype and t.device.type == "cpu"
 
 
 def numbers_alone(x: Tensor, dt: TimeStep) -> bool:

@@ -41,9 +41,10 @@ ahnn is faster. The floor is the time that the multiply-adds of the network take
 All follow a generic Hamiltonian network of three degrees of freedom by Runge-Kutta steps of order four. A
 training step is the Huber loss of the recursive predictions over a window, its gradient and AdamW, in
 float32, without Lightning; the optimiser of ahnn is fused, as `recipe=first_order` has it, that of the
-peers in PyTorch is the default one. Compiled is the same step with `compile=true`; its compilation is not
-counted either. A rollout of ahnn is in C where there is a compiler, as `run.rollout` has it. The floor is of
-torch's own products, which do not use all that some processors have: it can be undercut.
+peers in PyTorch is the default one. Steps of ahnn and their reverse are in C where there is a compiler, as
+in any training, and its rollouts, as `run.rollout` has them. Compiled is the same step with `compile=true`,
+by torch and its compiler alone, whose time is not counted either. The floor is of torch's own products,
+which do not use all that some processors have: it can be undercut.
 """
 
 

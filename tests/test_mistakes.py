@@ -10,6 +10,8 @@ import pytest
 from entry import SMALL, call
 from hydra.core.global_hydra import GlobalHydra
 
+from ahnn.cli.commandline import compose, config_loader
+
 GL4 = "integrator=gl4"
 COSINE = "scheduler=cosine"
 ADAMW = ["optimizer=adamw", "scheduler=none"]
@@ -142,6 +144,12 @@ def test_no_recipe_learns_noise_unless_it_is_named(given, said, tmp_path, capfd,
     assert err.count("\n") == 1
     assert not out
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_potential_is_not_asked_for_where_there_is_a_beginning_or_another_objective():
+    asked = ["system=molniya", "sensor=orbit_positions", "hamiltonian=mechanical"]
+    for named in ("recipe=noisy_positions", "ckpt=last", "weights=other", "loss.stages=[[weak,1.0]]"):
+        assert compose(config_loader(), "train", [*asked, named]).model.hamiltonian == "mechanical"
 
 
 def test_a_key_like_no_other_lists_the_top_level_alone(tmp_path, capfd, monkeypatch):

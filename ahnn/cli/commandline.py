@@ -201,15 +201,17 @@ def check_recipe(cfg: DictConfig, overrides: Iterable[str]) -> None:
 
 
 def check_potential(cfg: DictConfig, overrides: Iterable[str]) -> None:
-    """Refuse the recipe of a sensor that nobody named where it is known to learn nothing.
+    """Refuse the recipe of a sensor that nobody named where it is known to learn nothing from the beginning.
 
     Raises:
         UserError: positions of orbits, the whole potential unknown, and shooting from the first step on.
     """
-    meant = {"sensor": "orbit_positions", "hamiltonian": "mechanical", "loss": "shooting"}
     choices = OmegaConf.select(cfg, "hydra.runtime.choices") or {}
-    chosen = all(choices.get(group) == option for group, option in meant.items())
-    if chosen and not any(text.startswith(NAMES_A_RECIPE) for text in overrides):
+    meant = choices.get("sensor") == "orbit_positions" and choices.get("hamiltonian") == "mechanical"
+    stages = OmegaConf.select(cfg, "loss.stages") or [[None]]
+    begun = cfg.get("ckpt") is not None or cfg.get("weights") is not None
+    named = any(text.startswith(NAMES_A_RECIPE) for text in overrides)
+    if meant and isinstance(stages[0][0], int) and not begun and not named:
         message = (
             "recipe: expected one that learns a whole potential from positions of orbits; received none, and "
             "the sensor's own ends far from the orbits. Use recipe=noisy_positions, or "

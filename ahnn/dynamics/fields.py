@@ -151,11 +151,11 @@ class HamiltonianDynamics(_Integrated):
         field, method = self.field, self.integrator
         if not (isinstance(field, GenericHamiltonian) and isinstance(method, ExplicitRungeKutta)):
             return False
-        layers = field.layers(field.turn)
+        layers = field.layers(field.unit)
         if layers is None:
             return False
         scheme = written_out.Scheme(method.tableau, 1.0, field.network.activation)
-        return native.applies(scheme, field.turn, layers.tensors)
+        return native.applies(scheme, layers.leave.detach(), layers.tensors)
 
     def energy(self, x: Tensor) -> Tensor:
         """Return the learned H, shape (...), at the states x, shape (..., D); a constant is free."""

@@ -36,7 +36,6 @@ class GenericHamiltonian(nn.Module):
     """
 
     unit: Tensor
-    turn: Tensor
 
     def __init__(self, dof: int, *, inputs: InputName, scaling: Kind, network: dict[str, Any]) -> None:
         super().__init__()
@@ -44,9 +43,6 @@ class GenericHamiltonian(nn.Module):
         self.momenta = Cartesian(dof, scaling, 1)
         self.network = make_network(self.positions.size + dof, 1, network)
         self.register_buffer("unit", torch.ones(()))
-        none, one = torch.zeros(dof, dof), torch.eye(dof)
-        turn = torch.cat((torch.cat((none, -one), dim=1), torch.cat((one, none), dim=1)))
-        self.register_buffer("turn", turn, persistent=False)  # gradient @ turn = (dH/dp, -dH/dq)
 
     def fit(self, statistics: Statistics) -> None:
         """Set all scalings from the training split."""
@@ -78,11 +74,12 @@ class GenericHamiltonian(nn.Module):
         maps, inner = (positions.affine, self.momenta.affine), network.layers()
         first = inner.weights[0] / torch.cat([m.scale for m in maps])
         shift = torch.cat([m.shift for m in maps])
+        signed = torch.stack((self.unit, -self.unit)).repeat_interleave(len(shift) // 2)
         return Layers(
             [first, *inner.weights[1:]],
             [torch.addmv(inner.biases[0], first, shift, alpha=-1), *inner.biases[1:]],
             inner.last,
-            first @ (self.unit * self.turn),
+            first.roll(len(shift) // 2, 1) * signed,  # (dH/dp, -dH/dq) in place of (dH/dq, dH/dp)
         )
 
     def forward(self, x: Tensor) -> Tensor:

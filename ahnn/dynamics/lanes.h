@@ -33,7 +33,7 @@ enum { EXP_TERMS = 8, TAIL_TERMS = 10, MANTISSA = 23 };
 #define LOG2_LOW -2.12194440e-4f
 #define ONE 0x3f800000
 #define SHIFT 4.0f
-#define FAR 13.0f
+#define FAR 12.9f
 static const real INVERSE[] = {1.0f / 5040, 1.0f / 720, 1.0f / 120, 1.0f / 24, 1.0f / 6, 0.5f, 1.0f, 1.0f};
 static const real TAIL[] = {
     -1.120079126e-04f, 2.205256404e-04f, 1.582084987e-03f, -3.533103224e-03f, -7.535270617e-03f,
@@ -99,7 +99,7 @@ INLINE point gelu(lanes z) {
     return (point){z * cumulative, cumulative + z * density, density * ((real)2.0 - t * t)};
 }
 
-/* Of both that follow, the exponential of -|z| keeps what is small. */
+/* Of both that follow, the exponential of -|z| keeps what is small far out. */
 INLINE point tanh_(lanes z) {
     const lanes zero = {};
     lanes e = exponential(pick(z < zero, (real)2.0 * z, (real)-2.0 * z));

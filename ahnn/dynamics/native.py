@@ -51,7 +51,8 @@ def library() -> ctypes.CDLL | None:
 def applies(scheme: Scheme, x: Tensor, tensors: Sequence[Tensor]) -> bool:
     """Return whether the library takes a step from x, (B, D), and these parameters."""
     steps = (scheme.h,) if isinstance(scheme.h, Tensor) else ()
-    fits = x.ndim == 2 and x.shape[1] == tensors[0].shape[1] and all(t.shape == (len(x), 1) for t in steps)
+    fits = x.ndim == 2 and len(x) > 0 and x.shape[1] == tensors[0].shape[1]
+    fits = fits and all(t.shape == (len(x), 1) for t in steps)
     known = scheme.activation.value in KNOWN and all(plain(t, torch.float32) for t in (x, *steps, *tensors))
     return fits and known and not followed() and library() is not None
 
@@ -61,7 +62,7 @@ def table(tableau: ButcherTableau, dtype: torch.dtype) -> Tensor:
     """Return the weights of the stages and of the step, (stages + 1, stages)."""
     count = len(tableau.b)
     rows = [(*row, *(0.0,) * (count - len(row))) for row in ((), *tableau.a, tableau.b)]
-    return torch.tensor(rows, dtype=dtype)
+    return torch.tensor(rows, dtype=dtype, device="cpu")
 
 
 class Increment:
@@ -76,7 +77,7 @@ class Increment:
     def __init__(self, scheme: Scheme, x: Tensor, tensors: Sequence[Tensor]) -> None:
         tableau, h, activation = scheme
         self.x, self.tensors = x.contiguous(), [t.contiguous() for t in tensors]
-        self.h = torch.as_tensor(h, dtype=torch.float32).contiguous()
+        self.h = torch.as_tensor(h, dtype=torch.float32, device=x.device).contiguous()
         self.table = table(tableau, torch.float32)
         units, inputs = self.tensors[0].shape
         self.sizes = inputs, units, len(tensors) // 2 - 1, KNOWN.index(activation.value), len(tableau.b)

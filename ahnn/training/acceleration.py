@@ -40,9 +40,9 @@ def accelerated(
     pull = problem.bend(theta, step, REACH)
     turned = [block._replace(gradient=pull[block.columns]) for block in blocks]
     turn = damped_step(turned, damping, theta)
-    if turn is None or _length(turn, blocks) > LONGEST * _length(step, blocks):
-        return None
-    return step + turn / 2
+    if turn is not None and _length(turn, blocks) <= LONGEST * _length(step, blocks):
+        return step + turn / 2
+    return None
 
 
 def _length(step: Tensor, blocks: Sequence[Block]) -> float:

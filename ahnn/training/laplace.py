@@ -24,7 +24,7 @@ from ahnn.measurements import Segment
 from ahnn.shooting.robust import ROBUST, RobustName
 from ahnn.training.acceleration import accelerated
 from ahnn.training.evidence import Prior, by_evidence, determined, log_evidence, posterior_factor
-from ahnn.training.levenberg_marquardt import ATTEMPTS, SUFFICIENT, adapted
+from ahnn.training.levenberg_marquardt import ATTEMPTS, LARGEST, SUFFICIENT, adapted
 from ahnn.training.normal_equations import Block, Equations, damped_step, promised_decrease
 from ahnn.training.posterior import WideProblem, with_prior
 from ahnn.uncertainty import Uncertainty
@@ -130,11 +130,11 @@ def lower(problem: WideProblem, here: Place, damping: float) -> tuple[Tensor | N
     before = here.loss + here.prior.penalty(here.theta)
     for _ in range(ATTEMPTS):
         straight = damped_step([block], damping, here.theta)
-        if straight is None:
-            break
-        move = accelerated(problem, here.theta, [block], straight, damping)
-        if move is None:
-            damping *= HARDER
+        move = straight
+        if straight is not None:
+            move = accelerated(problem, here.theta, [block], straight, damping)
+        if straight is None or move is None:
+            damping = min(damping * HARDER, LARGEST)
             continue
         theta = here.theta + move
         decrease = before - problem.loss(theta) - here.prior.penalty(theta)

@@ -159,7 +159,9 @@ def test_a_lost_member_stays_alone():
 def test_other_tensors_take_single_operations(monkeypatch):
     own, x, v = dynamics(), numbers(9, 4), numbers(9, 4, seed=2)
     compared(own, numbers(4, 9).T, v, 0.2)  # not contiguous
-    assert own.increment(x[:0], 0.2).shape == (0, 4)
+    empty = gradients(own, x[:0], v[:0], 0.2)[0]
+    assert empty[0].shape == (0, 4)
+    assert not any(bool(t.any()) for t in empty)
     assert not gradients(dynamics("sine"), x, v, 0.2)[1].native
     layers, tanh = own.field.layers(x), ACTIVATIONS["tanh"]
     with pytest.raises(RuntimeError):  # states of another size: torch says so
@@ -190,5 +192,18 @@ def test_a_parameter_that_changed_in_between_is_noticed():
         value.backward()
 
 
-def test_what_a_checkpoint_holds_did_not_change():
-    assert not any("turn" in name for name in dynamics().state_dict())
+def test_a_default_device_is_that_of_others():
+    native.table.cache_clear()
+    own, x, v = dynamics(), numbers(9, 4), numbers(9, 4, seed=2)
+    before = gradients(own, x, v, 0.2)[0]
+    native.table.cache_clear()
+    with torch.device("meta"):
+        assert all(map(torch.equal, before, gradients(own, x, v, 0.2)[0]))
+
+
+def test_tensors_that_stand_for_others_are_not_read():
+    own, x = dynamics(), numbers(9, 4)
+    wide = copy.deepcopy(own).double()
+    with torch.no_grad():
+        near([own.increment(torch._neg_view(x), 0.2)], [wide.increment(-x.double(), 0.2)])
+    assert not native.plain(torch._efficientzerotensor((9, 4)), torch.float32)

@@ -65,3 +65,11 @@ def test_a_step_that_bends_too_much_is_not_taken():
     theta = torch.tensor([0.5, 0.25], dtype=torch.float64)
     _, _, blocks = Valley().equations(theta, [2])
     assert accelerated(Valley(), theta, blocks, torch.tensor([3.0, 3.0], dtype=torch.float64), 1.0) is None
+
+
+def test_a_bend_that_is_not_finite_bends_nothing():
+    theta = torch.tensor([0.5, 0.25], dtype=torch.float64)
+    _, _, blocks = Valley().equations(theta, [2])
+    lost = Valley()
+    lost.bend = lambda theta, *_: torch.full_like(theta, torch.nan)
+    assert accelerated(lost, theta, blocks, damped_step(blocks, 1e-12, theta), 1e-12) is None
