@@ -88,6 +88,8 @@ def picture(found: dict[str, dict[str, Curve]], path: Path) -> None:
         axes.loglog(
             [low, last[0]], [last[1] * low / last[0], last[1]], "k:", linewidth=1, label="in proportion"
         )
+        axes.set_xticks(list(curve), [f"{n:,}" for n in curve], minor=False)
+        axes.set_xticks([], minor=True)
         axes.set_xlabel(what)
         axes.set_ylim(bottom=min(v for c in rows.values() for v in c.values()) / 2)
         axes.legend(fontsize="small")
