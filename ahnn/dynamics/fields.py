@@ -9,8 +9,10 @@ from torch import Tensor, nn
 
 from ahnn.dynamics import native, written_out
 from ahnn.dynamics.base import Dynamics
+from ahnn.dynamics.gradients import Layers
 from ahnn.dynamics.hamiltonians import GenericHamiltonian, Structure, make_hamiltonian
 from ahnn.dynamics.inputs import Cartesian, InputName
+from ahnn.dynamics.native import Scheme
 from ahnn.dynamics.networks import make_network
 from ahnn.dynamics.scaling import Kind
 from ahnn.dynamics.steady import steady_flow
@@ -126,36 +128,33 @@ class HamiltonianDynamics(_Integrated):
         super().__init__(field, integrator)
         self.assumes = f"{hamiltonian} Hamiltonian, {inputs} inputs"
 
-    def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
-        """Return the integrator's increment along the field, shape (B, D)."""
-        field, method = self.field, self.integrator
-        if isinstance(field, GenericHamiltonian) and isinstance(method, ExplicitRungeKutta):
-            layers = field.layers(x) if x.ndim == 2 else None
-            if layers is not None:
-                scheme = written_out.Scheme(method.tableau, column(dt), field.network.activation)
-                return written_out.step(x, layers, scheme)
-        return super().increment(x, dt)
-
-    def steady(self) -> Flow:
-        """Return the same flow for many steps, as long as parameters and buffers do not change."""
-        field, method = self.field, self.integrator
-        if isinstance(field, GenericHamiltonian) and isinstance(method, ExplicitRungeKutta):
-            with torch.no_grad():
-                layers = field.layers(field.unit)
-            if layers is not None:
-                return steady_flow(self, layers, method, field.network.activation)
-        return self
-
-    def in_c(self) -> bool:
-        """Return whether a training takes its steps in C."""
+    def _as_one(self, x: Tensor, dt: TimeStep) -> tuple[Layers, Scheme] | None:
+        """Return field and scheme where a step from states like x is one operation, else None."""
         field, method = self.field, self.integrator
         if not (isinstance(field, GenericHamiltonian) and isinstance(method, ExplicitRungeKutta)):
+            return None
+        layers = field.layers(x)
+        return layers and (layers, Scheme(method.tableau, column(dt), field.network.activation))
+
+    def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
+        """Return the integrator's increment along the field, shape (B, D)."""
+        found = self._as_one(x, dt) if x.ndim == 2 else None
+        return super().increment(x, dt) if found is None else written_out.step(x, *found)
+
+    @torch.no_grad()
+    def steady(self) -> Flow:
+        """Return the same flow for many steps, as long as parameters and buffers do not change."""
+        found = self._as_one(next(self.parameters()), 1.0)
+        return self if found is None else steady_flow(self, *found)
+
+    @torch.no_grad()
+    def in_c(self) -> bool:
+        """Return whether a training takes its steps in C."""
+        found = self._as_one(next(self.parameters()), 1.0)
+        if found is None:
             return False
-        layers = field.layers(field.unit)
-        if layers is None:
-            return False
-        scheme = written_out.Scheme(method.tableau, 1.0, field.network.activation)
-        return native.applies(scheme, layers.leave.detach(), layers.tensors)
+        layers, scheme = found
+        return native.applies(scheme, layers.leave, layers.tensors)
 
     def energy(self, x: Tensor) -> Tensor:
         """Return the learned H, shape (...), at the states x, shape (..., D); a constant is free."""

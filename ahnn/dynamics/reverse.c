@@ -179,7 +179,7 @@ static void follow_back(const network *of, const block *b, const gradients *to) 
     }
 }
 
-/* Give all of them their places. */
+/* Give all but the stages their places. */
 static void place(arena *from, network *of, gradients *to, block *b) {
     long wide = of->wide, narrow = of->narrow, depth = of->depth, matrix = of->room * wide;
     of->up = take(from, depth * matrix), of->down = take(from, depth * matrix);
@@ -191,7 +191,6 @@ static void place(arena *from, network *of, gradients *to, block *b) {
     b->x = take(from, row), b->v = take(from, row), b->on_f = take(from, row), b->increment = take(from, row);
     b->h = take(from, of->members);
     for (long i = 0; i < 3; i++) b->spare[i] = take(from, layers);
-    b->stages = take(from, of->stages * (3 * row + layers * KEPT * depth));
 }
 
 /* Read the parameters: matrices and biases of the layers, the last row, E. */
@@ -253,26 +252,27 @@ long ahnn_kept(long batch, long size, long width, long depth, long stages) {
 /* Write the increments (batch, size) of one step from x, or, where v is given, v . d(increment)/dx, and
    v . d(increment)/dparameters to `sums`, one after the other as in `given`. The tableau has the rows of stages,
    then the weights of the step, each `stages` long; h_step is 0 where all members share one step. The increment
-   leaves in `kept`, if there is one, what the reverse, which then overwrites it, would have to make again. */
+   leaves in `records`, if there are any, what the reverse, which then overwrites it, would have to make again. */
 long ahnn_increment(long batch, long size, long width, long depth, long activation, long stages,
                     const real *tableau, const real *const *given, const real *x, const real *h, long h_step,
-                    const real *v, real *kept, real *out, real *sums) {
+                    const real *v, real *records, real *out, real *sums) {
     network of = network_of(batch, size, width, depth, activation, stages);
     gradients to;
     block b;
     arena from = {NULL, 0};
     of.tableau = tableau;
     place(&from, &of, &to, &b);
-    size_t bytes = sizeof(real) * from.used;
-    from = (arena){aligned_alloc(BYTES, bytes), 0};
+    size_t zero = sizeof(real) * from.used, block_of_stages = sizeof(real) * (size_t)(stages * apart(&of));
+    from = (arena){aligned_alloc(BYTES, zero + (records ? 0 : block_of_stages)), 0};
     if (!from.base) return NO_MEMORY;
-    memset(from.base, 0, bytes);
+    memset(from.base, 0, zero); /* stages are written before they are read */
     place(&from, &of, &to, &b);
+    b.stages = from.base + from.used;
     read(&of, given);
     for (long first = 0; first < batch; first += of.members) {
         enter(&of, &b, batch - first, x + first * size, h + first * h_step, h_step, v ? v + first * size : NULL);
-        if (kept) b.stages = kept + first / of.members * stages * apart(&of);
-        if (!v || !kept) follow(&of, &b);
+        if (records) b.stages = records + first / of.members * stages * apart(&of);
+        if (!v || !records) follow(&of, &b);
         if (v) follow_back(&of, &b, &to);
         long own = batch - first < of.members ? batch - first : of.members;
         lift(b.increment, own, size, 0, of.narrow, out + first * size);

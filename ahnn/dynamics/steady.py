@@ -14,13 +14,11 @@ import torch
 from torch import Tensor
 
 from ahnn.cores import each, slices
-from ahnn.dynamics.activations import Activation
 from ahnn.dynamics.gradients import Layers
-from ahnn.dynamics.native import KNOWN, table
-from ahnn.integrators import ExplicitRungeKutta
+from ahnn.dynamics.native import KNOWN, Scheme, table
 from ahnn.integrators.tableaus import ButcherTableau
 from ahnn.libraries import NUMBER as N
-from ahnn.libraries import PART, compiled_library, numbers_alone
+from ahnn.libraries import PART, compiled_library, numbers_alone, plain
 from ahnn.libraries import POINTER as P
 from ahnn.types import Flow, TimeStep
 
@@ -35,19 +33,18 @@ def library() -> ctypes.CDLL | None:
     return compiled_library(Path(__file__).with_name("steps.c"), signatures, "a rollout", vectors=True)
 
 
-def steady_flow(flow: Flow, layers: Layers, method: ExplicitRungeKutta, activation: Activation) -> Flow:
+def steady_flow(flow: Flow, layers: Layers, scheme: Scheme) -> Flow:
     """Return a flow in C, or the flow itself where the library, the activation or its numbers are missing.
 
     Args:
         flow: what it stands for, and what is asked where derivatives are wanted.
         layers: of its field.
-        method: its integrator.
-        activation: of the network.
+        scheme: its method and activation; of any step.
     """
-    plain = layers.last.dtype == torch.float64 and layers.last.device.type == "cpu"
-    if not plain or activation.value not in KNOWN or library() is None:
+    known = scheme.activation.value in KNOWN and plain(layers.last, torch.float64)
+    if not known or library() is None:
         return flow
-    return SteadyFlow(flow, layers, method.tableau, KNOWN.index(activation.value))
+    return SteadyFlow(flow, layers, scheme.tableau, KNOWN.index(scheme.activation.value))
 
 
 class SteadyFlow:

@@ -130,9 +130,7 @@ def lower(problem: WideProblem, here: Place, damping: float) -> tuple[Tensor | N
     before = here.loss + here.prior.penalty(here.theta)
     for _ in range(ATTEMPTS):
         straight = damped_step([block], damping, here.theta)
-        move = straight
-        if straight is not None:
-            move = accelerated(problem, here.theta, [block], straight, damping)
+        move = straight if straight is None else accelerated(problem, here.theta, [block], straight, damping)
         if straight is None or move is None:
             damping = min(damping * HARDER, LARGEST)
             continue

@@ -8,6 +8,7 @@ from helpers import MOLNIYA, close, generator
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ahnn.data import noise_floor as room
 from ahnn.data.generate import generate
 from ahnn.data.noise_floor import noise_floor, remark_on
 from ahnn.types import Trajectories
@@ -37,6 +38,15 @@ def test_nothing_is_said_of_samples_at_unequal_steps():
     assert remark_on(given, NAMES, None) is not None
     uneven = given.times + 1e-3 * torch.rand(given.times.shape, generator=generator(7), dtype=torch.float64)
     assert remark_on(Trajectories(given.states, uneven), NAMES, None) is None
+
+
+def test_some_of_many_trajectories_tell_the_noise(monkeypatch):
+    seen = []
+    monkeypatch.setattr(room, "LOOKED_AT", ORBITS.times.numel() // 3)
+    monkeypatch.setattr(room, "noise_floor", lambda samples: seen.append(samples) or noise_floor(samples))
+    assert "0.1" in str(remark_on(noisy(0.1), NAMES, None))
+    assert len(seen[0].states) == 4  # of 12, evenly chosen
+    assert torch.equal(seen[0].times, ORBITS.times[::3])
 
 
 def test_absent_samples_do_not_count():

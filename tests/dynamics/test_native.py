@@ -7,6 +7,8 @@ import copy
 import pytest
 import torch
 from helpers import generator
+from test_written_out import dynamics as narrow
+from test_written_out import inputs_of
 from torch.func import functional_call, jvp
 from torch.fx.experimental.proxy_tensor import make_fx
 
@@ -22,19 +24,8 @@ NAMES = ("gelu", "tanh", "silu")
 EXPLICIT = [name for name, method in INTEGRATORS.items() if hasattr(method, "tableau")]
 
 
-def dynamics(activation="gelu", method="rk4", width=13, depth=2, dof=2) -> HamiltonianDynamics:
-    torch.manual_seed(0)
-    network = {"width": width, "depth": depth, "activation": activation}
-    options = {"hamiltonian": "generic", "inertia": 1.0, "mu": None, "inputs": "cartesian"}
-    options |= {"scaling": "block", "network": network, "integrator": {"name": method}}
-    found = HamiltonianDynamics(dof, **options)
-    field = found.field
-    for part in (field.positions.affine, field.momenta.affine):
-        part.shift.normal_()
-        part.scale.uniform_(0.5, 2.0)
-    field.unit.fill_(1.7)
-    torch.nn.init.normal_(field.network.output.weight)
-    return found
+def dynamics(activation="gelu", method="rk4", **sizes) -> HamiltonianDynamics:
+    return narrow(activation, method, dtype=torch.float32, **{"width": 13, "depth": 2} | sizes)
 
 
 def numbers(*shape, seed=1):
@@ -45,8 +36,7 @@ def gradients(own, x, v, dt):
     """The increment, its reverse with v for x and parameters, and the type of the node."""
     x = x.clone().requires_grad_()
     value = own.increment(x, dt)
-    asked = [x, *(p for name, p in own.named_parameters() if not name.endswith("output.bias"))]
-    return [value, *torch.autograd.grad(value, asked, v)], value.grad_fn
+    return [value, *torch.autograd.grad(value, [x, *inputs_of(own)], v)], value.grad_fn
 
 
 def near(found, expected, tolerance=5e-6):

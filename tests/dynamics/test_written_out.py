@@ -18,18 +18,20 @@ METHODS = ("euler", "midpoint", "rk4", "dopri5", "dopri8")
 OWN_STEPS = torch.tensor((0.1, 0.3, 0.2, 0.25, 0.15), dtype=torch.float64)
 
 
-def dynamics(activation: str, method: str = "rk4", depth: int = 3) -> HamiltonianDynamics:
+def dynamics(
+    activation: str, method: str = "rk4", depth: int = 3, *, width=5, dof=2, dtype=torch.float64
+) -> HamiltonianDynamics:
     torch.manual_seed(0)
     found = HamiltonianDynamics(
-        2,
+        dof,
         hamiltonian="generic",
         inertia=1.0,
         mu=None,
         inputs="cartesian",
         scaling="block",
-        network={"width": 5, "depth": depth, "activation": activation},
+        network={"width": width, "depth": depth, "activation": activation},
         integrator={"name": method},
-    ).double()
+    ).to(dtype)
     field = found.field
     for part in (field.positions.affine, field.momenta.affine):
         part.shift.normal_()

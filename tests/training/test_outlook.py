@@ -52,3 +52,11 @@ def test_epochs_count_by_what_they_work_through():
     """Three steps of 10 or 40 measurements, and a validation of 200; windows of states are alike."""
     assert outlook.amounts(Data(), 3, range(3)) == [230, 320, 320]  # pyright: ignore
     assert outlook.amounts(SimpleNamespace(stages=None), 3, range(3)) == [1, 1, 1]  # pyright: ignore
+
+
+@pytest.mark.parametrize(("each", "calls"), [(0.01, 4), (0.2, 3), (2.0, 2)])
+def test_steps_that_take_long_are_timed_once(each, calls, monkeypatch):
+    done = []
+    monkeypatch.setattr(outlook.time, "perf_counter", lambda: each * len(done))
+    assert outlook._median(lambda: done.append(0), 3) == pytest.approx(each)
+    assert len(done) == calls

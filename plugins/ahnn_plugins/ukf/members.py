@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
-from torch.autograd import forward_ad
 
 from ahnn.estimation.belief import Belief
+from ahnn.libraries import followed, plain
 from ahnn_plugins.ukf.library import library
 from ahnn_plugins.ukf.types import Predicted, Residual, Updated, Weights
 
@@ -20,18 +20,11 @@ SOUND, NO_MEMORY = 0, 2
 
 def apply_to(weights: Weights, *tensors: Tensor) -> bool:
     """Return whether the library does these: plain float64 on the CPU, of which nobody wants a derivative."""
-    if weights.downdate is not None or torch.compiler.is_compiling():
+    if weights.downdate is not None or followed():
         return False
-    if forward_ad._current_level >= 0 or torch._C._are_functorch_transforms_active():
-        return False
-    graph = torch.is_grad_enabled()
-    for t in (*tensors, weights.outer):
-        plain = (
-            type(t) in (Tensor, torch.nn.Parameter) and t.dtype == torch.float64 and t.device.type == "cpu"
-        )
-        if not plain or (graph and t.requires_grad):
-            return False
-    return library() is not None
+    graph, given = torch.is_grad_enabled(), (*tensors, weights.outer)
+    known = all(plain(t, torch.float64) and not (graph and t.requires_grad) for t in given)
+    return known and library() is not None
 
 
 def draw(belief: Belief, weights: Weights) -> Tensor:
