@@ -28,6 +28,9 @@ SETTLED = 1e-3
 """Change of a segment's chi-square that is none."""
 SMALLEST, LARGEST = 1e-9, 1e9
 """Range of the damping."""
+WARY, SURE = 1e-3, 1e-7
+"""First damping of a start that is a guess, and of one that was fitted before the parameters moved: what moves
+along an orbit grows with time, and hides the other directions of a start, whose share may be 1e-5."""
 
 
 class Trial(NamedTuple):
@@ -137,21 +140,23 @@ def growing(intervals: int) -> list[int]:
 
 
 @torch.no_grad()
-def refine(trial: Trial, start: Tensor, segment: Segment, steps: Steps, iterations: int) -> Fitted:
+def refine(
+    trial: Trial, start: Tensor, segment: Segment, steps: Steps, iterations: int, damping: float = WARY
+) -> Fitted:
     """Return the fit after at most so many Levenberg-Marquardt steps, each segment damped by itself."""
     fitted = followed(trial, start, segment, steps)
-    damping, moving = start.new_full((len(start),), 1e-3), fitted.sums.isfinite().nonzero().squeeze(1)
+    damped, moving = start.new_full((len(start),), damping), fitted.sums.isfinite().nonzero().squeeze(1)
     for _ in range(iterations):
         if not len(moving):
             break
         part, grid, before = segment.rows(moving), steps.rows(moving), fitted.rows(moving)
         now = linearised(trial, before.states, part, grid)
-        moves = damped_moves(now.of_start.flatten(1, 2), now.residuals.flatten(1), damping[moving])
+        moves = damped_moves(now.of_start.flatten(1, 2), now.residuals.flatten(1), damped[moving])
         after = followed(trial, before.starts + moves, part, grid)
         better = after.sums <= before.sums
         fitted.states[moving[better]], fitted.sums[moving[better]] = after.rows(better)
-        factor = torch.where(better, 0.1, 10.0)
-        damping[moving] = (damping[moving] * factor).clamp(SMALLEST, LARGEST)
+        factor = torch.where(better, 0.03, 10.0)
+        damped[moving] = (damped[moving] * factor).clamp(SMALLEST, LARGEST)
         moving = moving[(before.sums - after.sums).abs() > SETTLED]
     return fitted
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ahnn.shooting.starts import Trial, refine
+from ahnn.shooting.starts import Trial
 from ahnn.training.evidence import Prior
 from ahnn.training.normal_equations import Block, Rows
-from ahnn.training.shooting import REFITS, Limit, ShootingProblem, freedom
+from ahnn.training.shooting import Limit, ShootingProblem, freedom
 
 
 class WideProblem(ShootingProblem):
@@ -21,7 +21,7 @@ class WideProblem(ShootingProblem):
     @torch.no_grad()
     def follow(self, theta: Tensor) -> None:
         """Move the starts to where they fit best after a step to theta, shape (P,)."""
-        fitted = refine(self.trial(theta), self.starts, self.batch, self.steps, REFITS)
+        fitted = self.refitted(theta)
         self.starts, self.limit = fitted.starts, Limit.of(fitted.sums, freedom(self.batch))
 
 

@@ -24,7 +24,7 @@ from ahnn.measurements import Segment
 from ahnn.measurements.smoothing import guess
 from ahnn.shooting.paths import adjoints, path, sensitivities, steps_between
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
-from ahnn.shooting.starts import HOPELESS, Trial, fit_starts, followed, linearised, refine
+from ahnn.shooting.starts import HOPELESS, SURE, Fitted, Trial, fit_starts, followed, linearised, refine
 from ahnn.training.normal_equations import Equations, Rows, accumulated
 
 CELLS = 5e7
@@ -140,8 +140,11 @@ class ShootingProblem:
         """Return the sum of squared residuals, each segment from the start that fits it best, limited."""
         if not len(self.starts):
             return theta.new_full((), torch.inf)
-        trial = self.trial(theta)
-        return self.limit.cost(refine(trial, self.starts, self.batch, self.steps, REFITS).sums).sum()
+        return self.limit.cost(self.refitted(theta).sums).sum()
+
+    def refitted(self, theta: Tensor) -> Fitted:
+        """Return all segments from the starts that fit them best once the parameters moved to theta, (P,)."""
+        return refine(self.trial(theta), self.starts, self.batch, self.steps, REFITS, SURE)
 
     @torch.no_grad()
     def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
