@@ -29,8 +29,10 @@ SETTLED = 1e-3
 SMALLEST, LARGEST = 1e-9, 1e9
 """Range of the damping."""
 WARY, SURE = 1e-3, 1e-7
-"""First damping of a start that is a guess, and of one that was fitted before the parameters moved: what moves
-along an orbit grows with time, and hides the other directions of a start, whose share may be 1e-5."""
+"""First damping of a start that is a guess, and of one that was fitted before the parameters moved.
+
+A shift along an orbit grows with time and hides the other directions of a start: their share may be 1e-5.
+"""
 
 
 class Trial(NamedTuple):
