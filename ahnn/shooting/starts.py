@@ -64,6 +64,10 @@ class Linearised(NamedTuple):
     of_state: Tensor
     of_start: Tensor
 
+    def rows(self, part: slice) -> Linearised:
+        """Return some of the segments."""
+        return Linearised(*(values[part] for values in self))
+
 
 class Fitted(NamedTuple):
     """Segments from the starts that fit them best.
@@ -81,7 +85,7 @@ class Fitted(NamedTuple):
         """(B, D) the first states."""
         return self.states[:, 0]
 
-    def rows(self, part: Tensor) -> Fitted:
+    def rows(self, part: slice | Tensor) -> Fitted:
         """Return some of the segments."""
         return Fitted(self.states[part], self.sums[part])
 

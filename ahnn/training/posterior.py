@@ -5,18 +5,15 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ahnn.shooting.starts import Trial
 from ahnn.training.evidence import Prior
-from ahnn.training.normal_equations import Block, Rows
+from ahnn.training.normal_equations import Block
 from ahnn.training.shooting import Limit, ShootingProblem, freedom
 
 
 class WideProblem(ShootingProblem):
     """Segments whose normal equations are summed in float64: badly known directions keep their digits."""
 
-    def _projected(self, trial: Trial, theta: Tensor, part: slice) -> Rows:
-        rows = super()._projected(trial, theta, part)
-        return rows._replace(jacobian=rows.jacobian.to(theta))
+    precision = torch.float64
 
     @torch.no_grad()
     def follow(self, theta: Tensor) -> None:

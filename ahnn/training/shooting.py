@@ -24,7 +24,17 @@ from ahnn.measurements import Segment
 from ahnn.measurements.smoothing import guess
 from ahnn.shooting.paths import adjoints, path, sensitivities, steps_between
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
-from ahnn.shooting.starts import HOPELESS, SURE, Fitted, Trial, fit_starts, followed, linearised, refine
+from ahnn.shooting.starts import (
+    HOPELESS,
+    SURE,
+    Fitted,
+    Linearised,
+    Trial,
+    fit_starts,
+    followed,
+    linearised,
+    refine,
+)
 from ahnn.training.normal_equations import Equations, Rows, accumulated
 
 CELLS = 5e7
@@ -97,10 +107,13 @@ class ShootingProblem:
         steps: of the integrator between measurements.
         lost: how many segments did not converge.
         count: degrees of freedom, parameters not taken off.
+        precision: of the products in the normal equations.
 
     Raises:
         UserError: dynamics without a field.
     """
+
+    precision: ClassVar[torch.dtype] = torch.float32
 
     def __init__(
         self, dynamics: Dynamics, batch: Segment, robust: Robust, hopeless: float = HOPELESS
@@ -153,39 +166,41 @@ class ShootingProblem:
         if not len(self.starts):
             return Equations(theta.new_tensor(HOPELESS), 1, [])
         trial = self.trial(theta)
-        return accumulated(
-            lambda part: self._projected(trial, theta, part), self._parts(len(theta)), theta, self.count
-        )
+        here = followed(trial, self.starts, self.batch, self.steps)  # at once: what it takes is mostly steps
+        now = linearised(trial, here.states, self.batch, self.steps)
 
-    def _projected(self, trial: Trial, theta: Tensor, part: slice) -> Rows:
-        """Return residuals and their Jacobian, float32, in the complement of the starts."""
-        steps = self.steps.rows(part)
-        segment, limit = self.batch.rows(part), self.limit.rows(part)
-        states, sums = followed(trial, self.starts[part], segment, steps)
-        now = linearised(trial, states, segment, steps)
-        moved = sensitivities(now.jacobians.float(), self.forcing(theta, states), steps)
+        def projected(part: slice) -> Rows:
+            return self._projected(theta, here.rows(part), now.rows(part), part)
+
+        return accumulated(projected, self._parts(len(theta)), theta, self.count)
+
+    def _projected(self, theta: Tensor, here: Fitted, now: Linearised, part: slice) -> Rows:
+        """Return residuals of some segments and their Jacobian in the complement of the starts."""
+        steps, limit = self.steps.rows(part), self.limit.rows(part)
+        moved = sensitivities(now.jacobians.float(), self.forcing(theta, here.states), steps)
         of_theta = (now.of_state.float() @ moved).flatten(1, 2)
         basis = torch.linalg.qr(now.of_start.flatten(1, 2)).Q
         rows = now.residuals.flatten(1)
         rows = rows - (basis @ (basis.mT @ rows.unsqueeze(-1))).squeeze(-1)
-        low, weight = basis.float(), limit.weight(sums).sqrt()
+        low, weight = basis.float(), limit.weight(here.sums).sqrt()
         of_theta = (of_theta - low @ (low.mT @ of_theta)) * weight[:, None, None].float()
-        return Rows(limit.cost(sums).sum(), (rows * weight[:, None]).flatten(), of_theta.flatten(0, 1))
+        jacobian = of_theta.flatten(0, 1).to(self.precision)
+        return Rows(limit.cost(here.sums).sum(), (rows * weight[:, None]).flatten(), jacobian)
 
     @torch.no_grad()
     def bend(self, theta: Tensor, step: Tensor, reach: float) -> Tensor:
         """Return J^T r_vv, as in `ahnn.training.acceleration.Bends`; the starts move along with the step."""
+        states, pulls = self._pulls(theta, step, reach)
         total = torch.zeros_like(theta)
         for part in self._parts(NUMBERS):
-            states, pulls = self._pulls(theta, step, reach, part)
             field = parametrised(self._exact, cast(HasField, self._exact).field, theta.dtype)
-            back = vjp(lambda parameters, field=field, x=states: field(parameters, x), theta)[1]
-            total = total + back(pulls)[0]
+            back = vjp(lambda parameters, field=field, x=states[part]: field(parameters, x), theta)[1]
+            total = total + back(pulls[part])[0]
         return total
 
-    def _pulls(self, theta: Tensor, step: Tensor, reach: float, part: slice) -> tuple[Tensor, Tensor]:
-        """Return the paths of some segments, (B, N + 1, D), and how r_vv pulls at the field there."""
-        steps, segment, starts = self.steps.rows(part), self.batch.rows(part), self.starts[part]
+    def _pulls(self, theta: Tensor, step: Tensor, reach: float) -> tuple[Tensor, Tensor]:
+        """Return the paths of all segments, (B, N + 1, D), and how r_vv pulls at the field there."""
+        steps, segment, starts = self.steps, self.batch, self.starts
         trial = self.trial(theta)
         states, sums = followed(trial, starts, segment, steps)
         now = linearised(trial, states, segment, steps)
@@ -204,7 +219,7 @@ class ShootingProblem:
         finite = second.isfinite().all(1, keepdim=True)  # a start that moves without end says nothing
         second = (second / reach**2).where(finite, 0.0)
         second = second - (basis @ (basis.mT @ second.unsqueeze(-1))).squeeze(-1)
-        second = second * self.limit.rows(part).weight(sums)[:, None]
+        second = second * self.limit.weight(sums)[:, None]
         pulls = torch.einsum("bkm,bkmd->bkd", second.view_as(now.residuals), now.of_state)
         self.trial(theta)
         return states, adjoints(now.jacobians.to(states), pulls, steps)

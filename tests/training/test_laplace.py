@@ -118,8 +118,6 @@ def test_a_prior_adds_the_derivatives_of_its_penalty():
 def test_equations_are_summed_in_float64():
     """Two parameters that act alike but for a part in a million: float32 cannot tell them apart."""
     _, batch = segment(rows=4)
-    narrow = ShootingProblem(Swing(), batch, ROBUST["none"])
-    wide = WideProblem(Swing(), batch, ROBUST["none"])
-    theta = flat(Swing())
-    assert narrow._projected(narrow.trial(theta), theta, slice(None)).jacobian.dtype == torch.float32
-    assert wide._projected(wide.trial(theta), theta, slice(None)).jacobian.dtype == torch.float64
+    for kind, narrow in ((ShootingProblem, True), (WideProblem, False)):
+        _, _, (block,) = kind(Swing(), batch, ROBUST["none"]).equations(flat(Swing()), [2])
+        assert torch.equal(block.matrix.float().double(), block.matrix) == narrow
