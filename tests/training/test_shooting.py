@@ -31,13 +31,31 @@ def test_starts_of_a_linear_flow_are_the_least_squares_solution():
     linear = Swing(2.0, 0.0)
     _, batch = segment(dynamics=linear, longest=0.005)
     steps = steps_between(batch.times, 0.005)
-    got = fit_starts(trial(linear), guess(batch), batch, steps).starts
-    a = torch.tensor([[0.0, 1.0], [-2.0, 0.0]], **DOUBLE)
+    close(fit_starts(trial(linear), guess(batch), batch, steps).starts, least_squares(batch, 2.0)[0], 1e-6)
+
+
+def least_squares(batch, stiffness):
+    """Starts of q' = p, p' = -k q that fit positions best, and the sum of squares that they leave."""
+    a = torch.tensor([[0.0, 1.0], [-stiffness, 0.0]], **DOUBLE)
     design = torch.linalg.matrix_exp(a * (batch.times - batch.times[:, :1])[..., None, None])[..., 0, :]
-    for row, (y, rows) in enumerate(zip(batch.values[..., 0], design, strict=True)):
-        there = ~y.isnan()
-        expected = torch.linalg.lstsq(rows[there], y[there].unsqueeze(-1)).solution.squeeze(-1)
-        close(got[row], expected, 1e-6)
+    starts, left = [], 0.0
+    for y, rows in zip(batch.values[..., 0], design, strict=True):
+        rows, y = rows[~y.isnan()], y[~y.isnan()]
+        starts.append(torch.linalg.lstsq(rows, y.unsqueeze(-1)).solution.squeeze(-1))
+        left += float(((rows @ starts[-1] - y) / batch.instrument.deviations).square().sum())
+    return torch.stack(starts), left
+
+
+@torch.no_grad()
+def test_starts_follow_the_parameters_where_one_direction_outgrows_the_others():
+    """Q'' = 2 q grows along one direction of the start by e^9: the other has 1e-6 of the normal equations."""
+    unstable = Swing(-2.0, 0.0)
+    _, batch = segment(intervals=45, dynamics=unstable, longest=0.005)
+    problem = ShootingProblem(unstable, batch, ROBUST["none"])
+    theta = parameters_to_vector(unstable.parameters())
+    for stiffness in (-2.0, -2.0001):
+        moved = theta + torch.tensor([stiffness + 2.0, 0.0], **DOUBLE)
+        assert float(problem.loss(moved)) == pytest.approx(least_squares(batch, stiffness)[1], rel=1e-4)
 
 
 @torch.no_grad()
