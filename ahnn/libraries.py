@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import tempfile
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,12 @@ PART = 2048
 
 
 def compiled_library(
-    source: Path, signatures: dict[str, tuple[Any, ...]], whose: str, *, vectors: bool = False
+    source: Path,
+    signatures: dict[str, tuple[Any, ...]],
+    whose: str,
+    *,
+    vectors: bool = False,
+    defined: Sequence[str] = (),
 ) -> ctypes.CDLL | None:
     """Return the library of a source, or None where there is no C compiler.
 
@@ -45,13 +51,14 @@ def compiled_library(
         signatures: arguments of its functions, which return numbers.
         whose: what goes on without it, slower.
         vectors: compile for the vectors that torch finds, which an old compiler may not know.
+        defined: names that the source asks for.
     """
     command = shlex.split(os.environ.get("CC", "")) or ["cc"]
     if shutil.which(command[0]) is None:
         return None
     flags = VECTORS.get(torch.backends.cpu.get_cpu_capability(), ()) if vectors else ()
     try:
-        found = _built(source, [*command, *FLAGS, *flags])
+        found = _built(source, [*command, *FLAGS, *flags, *(f"-D{name}" for name in defined)])
     except (OSError, subprocess.CalledProcessError) as error:
         told = getattr(error, "stderr", None) or error
         message = f"ahnn: {whose} goes on without its C library, slower; {shlex.join(command)} said: {told}"

@@ -1,4 +1,4 @@
-"""Steps and their reverse in C, in float32: what first-order training spends its time on.
+"""Steps and their reverse in C: what first-order training spends its time on.
 
 The library does what `written_out` does by some hundred operations of torch, a block of members at a time.
 """
@@ -37,24 +37,31 @@ class Scheme(NamedTuple):
     activation: Activation
 
 
+DEFINED = {torch.float32: (), torch.float64: ("DOUBLE",)}
+"""What the source asks for, by the type of its numbers."""
+
+
 @cache
-def library() -> ctypes.CDLL | None:
-    """Return the library, or None where there is no C compiler."""
+def library(dtype: torch.dtype = torch.float32) -> ctypes.CDLL | None:
+    """Return the library of numbers of a type in `DEFINED`, or None where there is no C compiler."""
     signatures = {
         "ahnn_kept": (N, N, N, N, N),
         "ahnn_increment": (N, N, N, N, N, N, P, P, P, P, N, P, P, P, P),
     }
     source = Path(__file__).with_name("reverse.c")
-    return compiled_library(source, signatures, "first-order training", vectors=True)
+    whose = "first-order training"
+    return compiled_library(source, signatures, whose, vectors=True, defined=DEFINED[dtype])
 
 
 def applies(scheme: Scheme, x: Tensor, tensors: Sequence[Tensor]) -> bool:
-    """Return whether the library takes a step from x, (B, D), and these parameters."""
+    """Return whether a library takes a step from x, (B, D), and these parameters."""
+    dtype = tensors[0].dtype
     steps = (scheme.h,) if isinstance(scheme.h, Tensor) else ()
     fits = x.ndim == 2 and len(x) > 0 and x.shape[1] == tensors[0].shape[1]
     fits = fits and all(t.shape == (len(x), 1) for t in steps)
-    known = scheme.activation.value in KNOWN and all(plain(t, torch.float32) for t in (x, *steps, *tensors))
-    return fits and known and not followed() and library() is not None
+    known = scheme.activation.value in KNOWN and dtype in DEFINED
+    known = known and all(plain(t, dtype) for t in (x, *steps, *tensors))
+    return fits and known and not followed() and library(dtype) is not None
 
 
 @cache
@@ -77,17 +84,18 @@ class Increment:
     def __init__(self, scheme: Scheme, x: Tensor, tensors: Sequence[Tensor]) -> None:
         tableau, h, activation = scheme
         self.x, self.tensors = x.contiguous(), [t.contiguous() for t in tensors]
-        self.h = torch.as_tensor(h, dtype=torch.float32, device=x.device).contiguous()
-        self.table = table(tableau, torch.float32)
+        self.h = torch.as_tensor(h, dtype=x.dtype, device=x.device).contiguous()
+        self.table, self.library = table(tableau, x.dtype), _found(x.dtype)
         units, inputs = self.tensors[0].shape
         self.sizes = inputs, units, len(tensors) // 2 - 1, KNOWN.index(activation.value), len(tableau.b)
         self.parts = slices(len(x), PART)
 
     def room(self) -> Tensor | None:
         """Return memory for what the reverse would else make again; None if that costs less."""
-        found, (inputs, units, depth, _, stages) = _found(), self.sizes
-        count = found.ahnn_kept(min(len(self.x), PART), inputs, units, depth, stages)
-        return self.x.new_empty(len(self.parts), count) if 4 * count * len(self.parts) <= KEPT else None
+        inputs, units, depth, _, stages = self.sizes
+        count = self.library.ahnn_kept(min(len(self.x), PART), inputs, units, depth, stages)
+        bytes_kept = self.x.element_size() * count * len(self.parts)
+        return self.x.new_empty(len(self.parts), count) if bytes_kept <= KEPT else None
 
     def follow(self, room: Tensor | None = None) -> Tensor:
         """Return the increment, (B, D); what the reverse needs is left in the room."""
@@ -108,7 +116,7 @@ class Increment:
         Raises:
             MemoryError: there is none for a block of members.
         """
-        found, x, h, out = _found(), self.x, self.h, torch.empty_like(self.x)
+        x, h, out = self.x, self.h, torch.empty_like(self.x)
         sums = x.new_empty(len(self.parts), 0 if v is None else sum(t.numel() for t in self.tensors))
         given = (P * len(self.tensors))(*(t.data_ptr() for t in self.tensors))
         fixed = *self.sizes, self.table.data_ptr(), given
@@ -118,7 +126,7 @@ class Increment:
             steps = h[part] if h.ndim else h
             pull = None if v is None else v[part].data_ptr()
             read = x[part].data_ptr(), steps.data_ptr(), h.ndim // 2, pull
-            if found.ahnn_increment(
+            if self.library.ahnn_increment(
                 len(x[part]), *fixed, *read, kept, out[part].data_ptr(), sums[k].data_ptr()
             ):
                 message = "training: no memory for a block of members"
@@ -128,7 +136,7 @@ class Increment:
         return out, sums.sum(0) if len(self.parts) > 1 else sums[0]
 
 
-def _found() -> ctypes.CDLL:
-    found = library()
+def _found(dtype: torch.dtype) -> ctypes.CDLL:
+    found = library(dtype)
     assert found is not None
     return found

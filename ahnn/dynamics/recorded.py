@@ -1,4 +1,4 @@
-"""A flow as one recorded sequence of operations: the same numbers, without Python between them.
+"""A flow as one recorded sequence of operations: the same numbers to rounding, without Python between them.
 
 On the 13 sigma points of one state a small network costs more in Python than in arithmetic; replayed, the
 sequence takes a quarter of the time. Only flows whose operations do not depend on the numbers are recorded:
@@ -7,13 +7,16 @@ explicit integrators and maps, and no iteration to convergence.
 
 from __future__ import annotations
 
+import copy
 import warnings
 from collections.abc import Callable
 from typing import Any
 
 import torch
 from torch import Tensor
+from torch.nn.utils import vector_to_parameters
 
+from ahnn.dynamics.base import Dynamics
 from ahnn.dynamics.fields import HamiltonianDynamics, NeuralODE
 from ahnn.dynamics.maps import NextState
 from ahnn.integrators.explicit import ExplicitRungeKutta
@@ -22,17 +25,24 @@ from ahnn.types import Flow, TimeStep
 
 SETTLED = 3
 """Calls after which a recording is as fast as it gets."""
+WORTH = 150
+"""Calls that cost what a recording does."""
 
 
 def recorded(flow: Flow) -> Flow:
-    """Return a flow with the same values, bit for bit, for one step length at a time and without gradients.
+    """Return a flow with the same values, to rounding, for one step length at a time and without gradients.
 
     Dynamics whose operations depend on the numbers, and functions of which nothing is known, come back as
     they are.
     """
-    integrated = isinstance(flow, HamiltonianDynamics | NeuralODE)
-    fixed = integrated and isinstance(flow.integrator, ExplicitRungeKutta | SymmetricComposition)
-    return _Recorded(flow) if fixed or isinstance(flow, NextState) else flow
+    return _Recorded(flow) if _fixed(flow) else flow
+
+
+def _fixed(flow: Flow) -> bool:
+    """Return whether these are dynamics whose operations do not depend on the numbers."""
+    if isinstance(flow, HamiltonianDynamics | NeuralODE):
+        return isinstance(flow.integrator, ExplicitRungeKutta | SymmetricComposition)
+    return isinstance(flow, NextState)
 
 
 class _Recorded:
@@ -47,16 +57,56 @@ class _Recorded:
         step = torch.as_tensor(dt, dtype=torch.float64)
         known = self._known.get(x.shape)
         if known is None:
-            known = self._known[x.shape] = _record(self.flow, x, step)
+            known = self._known[x.shape] = _record(lambda x, dt: self.flow(x, dt), x, step)
         return known(x, step)
 
 
-def _record(flow: Flow, x: Tensor, dt: Tensor) -> Callable[[Tensor, Tensor], Tensor]:
+class Increments:
+    """Increments of dynamics for any parameters, without gradients; recorded once that pays.
+
+    Args:
+        dynamics: float64; they stay as they are.
+    """
+
+    def __init__(self, dynamics: Dynamics) -> None:
+        self.dynamics = copy.deepcopy(dynamics).requires_grad_(False)
+        self._recorded: Callable[..., Tensor] | None = None
+        self._gain, self._calls = self._gains(), 0
+        self._theta: Tensor | None = None
+
+    def _gains(self) -> bool:
+        """Return whether a recording is faster; a step that is one operation in C has nothing to gain."""
+        flow = self.dynamics
+        return _fixed(flow) and not (isinstance(flow, HamiltonianDynamics) and flow.in_c())
+
+    def __call__(self, theta: Tensor, x: Tensor, dt: Tensor) -> Tensor:
+        """Return x(t + dt) - x(t), (B, D), for the parameters theta, (P,), states x, (B, D), and dt, (B,)."""
+        if self._recorded is not None:
+            return self._recorded(theta, x, dt)
+        self._calls += 1
+        if self._gain and self._calls > WORTH:
+            self._recorded = _record(self._with, theta, x, dt)
+        if theta is not self._theta:
+            vector_to_parameters(theta, self.dynamics.parameters())
+            self._theta = theta
+        return self.dynamics.increment(x, dt)
+
+    def _with(self, theta: Tensor, x: Tensor, dt: Tensor) -> Tensor:
+        """Return the increment with parameters that are made from theta in sight of a recording."""
+        flow = copy.deepcopy(self.dynamics)
+        parameters = dict(flow.named_parameters())
+        parts = theta.split([p.numel() for p in parameters.values()])
+        for (name, parameter), part in zip(parameters.items(), parts, strict=True):
+            owner, _, leaf = name.rpartition(".")
+            flow.get_submodule(owner)._parameters[leaf] = part.view(parameter.shape)  # pyright: ignore[reportArgumentType]
+        return flow.increment(x, dt)
+
+
+def _record(function: Callable[..., Tensor], *example: Tensor) -> Callable[..., Tensor]:
     with torch.inference_mode(mode=False), torch.no_grad(), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it is deprecated for deployment; shapes are fixed here
-        example = x.clone(), dt.clone()
+        warnings.simplefilter("ignore")  # deprecated for deployment; nothing here depends on the numbers
         trace: Any = torch.jit.trace
-        known = trace(lambda x, dt: flow(x, dt), example, check_trace=False)
-    for _ in range(SETTLED):
-        known(x, dt)
+        known = trace(function, tuple(t.clone() for t in example), check_trace=False)
+        for _ in range(SETTLED):
+            known(*example)
     return known

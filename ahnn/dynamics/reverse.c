@@ -1,5 +1,6 @@
 /* Increments of explicit Runge-Kutta steps along f = delta_1 E, the gradient of a perceptron that leaves by a
-   matrix E, and their reverse, in float: the formulas are those of gradients.py, which is the reference.
+   matrix E, and their reverse, in float, or in double where DOUBLE is defined: the formulas are those of
+   gradients.py, which is the reference.
 
    A block of members goes through all stages, and back, while its numbers stay in the cache. Rows are members
    and lanes units: every product, those that sum over members too, then has vectors that lie side by side.
@@ -8,7 +9,9 @@
 #include <stdlib.h>
 #include <string.h>
 
+#ifndef DOUBLE
 #define SINGLE
+#endif
 #include "lanes.h"
 #include "products.h"
 

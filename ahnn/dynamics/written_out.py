@@ -48,6 +48,8 @@ def step(x: Tensor, layers: Layers, scheme: Scheme) -> Tensor:
         scheme: h is a number or a (B, 1) tensor.
     """
     tensors = layers.tensors
+    if torch.is_grad_enabled() and isinstance(scheme.h, Tensor) and scheme.h.requires_grad:
+        return plain_step(x, layers, scheme)
     if torch.is_grad_enabled() and any(t.requires_grad for t in (x, *tensors)):
         found = _Step.apply(scheme, x, *tensors)
         assert isinstance(found, Tensor)
@@ -59,6 +61,14 @@ def step(x: Tensor, layers: Layers, scheme: Scheme) -> Tensor:
     x, slopes = _by_columns(x), list[Tensor]()
     for row in ((), *scheme.tableau.a):
         slopes.append(gradient(moved(x, row, slopes, scheme.h), layers, kernels))
+    return combined(scheme.tableau.b, slopes, scheme.h)
+
+
+def plain_step(x: Tensor, layers: Layers, scheme: Scheme) -> Tensor:
+    """Return the same increment by single operations, which autograd follows as often as it likes."""
+    slopes: list[Tensor] = []
+    for row in ((), *scheme.tableau.a):
+        slopes.append(plain_gradient(moved(x, row, slopes, scheme.h), layers, scheme.activation))
     return combined(scheme.tableau.b, slopes, scheme.h)
 
 
@@ -146,10 +156,6 @@ def _differentiable(ctx: Any, v: Tensor, inputs: tuple[Tensor, ...]) -> list[Ten
     """Return v . d(increment)/d(inputs), with a graph; None for inputs that ask for none."""
     inputs = tuple(t.view_as(t) for t in inputs)  # one may be made from another, which is not asked here
     asked = [t for t, needed in zip(inputs, ctx.needs_input_grad[1:], strict=True) if needed]
-    layers, scheme = layers_of(inputs[1:]), ctx.scheme
-    slopes: list[Tensor] = []
-    for row in ((), *scheme.tableau.a):
-        slopes.append(plain_gradient(moved(inputs[0], row, slopes, scheme.h), layers, scheme.activation))
-    increment = combined(scheme.tableau.b, slopes, scheme.h)
+    increment = plain_step(inputs[0], layers_of(inputs[1:]), ctx.scheme)
     found = iter(torch.autograd.grad(increment, asked, v, create_graph=True, allow_unused=True))
     return [next(found) if needed else None for needed in ctx.needs_input_grad[1:]]

@@ -10,15 +10,17 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar, NamedTuple, cast
 
 import torch
 from torch import Tensor
 from torch.func import vjp
-from torch.nn.utils import parameters_to_vector, vector_to_parameters
+from torch.nn.utils import parameters_to_vector
 
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import field_jacobian, parametrised
+from ahnn.dynamics.recorded import Increments
 from ahnn.errors import UserError
 from ahnn.measurements import Segment
 from ahnn.measurements.smoothing import guess
@@ -125,8 +127,8 @@ class ShootingProblem:
             )
             raise UserError(message)
         self.robust, self.forcing = robust, field_jacobian(dynamics)
-        self._exact = copy.deepcopy(dynamics).requires_grad_(False)
-        self._rough = copy.deepcopy(dynamics).requires_grad_(False).float()
+        self._exact, narrow = Increments(dynamics), copy.deepcopy(dynamics).requires_grad_(False)
+        self._rough = parametrised(narrow, narrow.increment, torch.float32)
         trial = self.trial(parameters_to_vector(dynamics.parameters()).detach())
         steps = steps_between(batch.times, batch.instrument.longest)
         self.fitted = fit_starts(trial, guess(batch), batch, steps, hopeless)
@@ -137,10 +139,8 @@ class ShootingProblem:
         self.count = int(freedom(self.batch).sum())
 
     def trial(self, theta: Tensor) -> Trial:
-        """Return the flow with parameters theta, shape (P,), for as long as no other is asked for."""
-        for module in (self._exact, self._rough):
-            vector_to_parameters(theta.to(next(module.parameters())), module.parameters())
-        return Trial(self._exact.increment, self._rough.increment, self.robust)
+        """Return the flow with parameters theta, shape (P,)."""
+        return Trial(partial(self._exact, theta), partial(self._rough, theta.float()), self.robust)
 
     def _parts(self, parameters: int) -> Iterator[slice]:
         """Yield the segments in parts whose sensitivities fit into memory."""
@@ -191,9 +191,9 @@ class ShootingProblem:
     def bend(self, theta: Tensor, step: Tensor, reach: float) -> Tensor:
         """Return J^T r_vv, as in `ahnn.training.acceleration.Bends`; the starts move along with the step."""
         states, pulls = self._pulls(theta, step, reach)
-        total = torch.zeros_like(theta)
+        total, own = torch.zeros_like(theta), self._exact.dynamics
         for part in self._parts(NUMBERS):
-            field = parametrised(self._exact, cast(HasField, self._exact).field, theta.dtype)
+            field = parametrised(own, cast(HasField, own).field, theta.dtype)
             back = vjp(lambda parameters, field=field, x=states[part]: field(parameters, x), theta)[1]
             total = total + back(pulls[part])[0]
         return total
@@ -221,7 +221,6 @@ class ShootingProblem:
         second = second - (basis @ (basis.mT @ second.unsqueeze(-1))).squeeze(-1)
         second = second * self.limit.weight(sums)[:, None]
         pulls = torch.einsum("bkm,bkmd->bkd", second.view_as(now.residuals), now.of_state)
-        self.trial(theta)
         return states, adjoints(now.jacobians.to(states), pulls, steps)
 
 

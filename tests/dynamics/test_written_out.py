@@ -7,7 +7,7 @@ import torch
 from helpers import generator
 from torch.func import jacrev, vmap
 
-from ahnn.dynamics import HamiltonianDynamics
+from ahnn.dynamics import HamiltonianDynamics, native
 from ahnn.dynamics.activations import ACTIVATIONS
 from ahnn.dynamics.gradients import plain_gradient
 from ahnn.dynamics.networks import Perceptron
@@ -16,6 +16,12 @@ from ahnn.integrators.base import column
 
 METHODS = ("euler", "midpoint", "rk4", "dopri5", "dopri8")
 OWN_STEPS = torch.tensor((0.1, 0.3, 0.2, 0.25, 0.15), dtype=torch.float64)
+
+
+@pytest.fixture(autouse=True, params=["in C", "single operations"])
+def _both_ways(request, monkeypatch):
+    if request.param != "in C":
+        monkeypatch.setattr(native, "library", lambda _: None)
 
 
 def dynamics(
@@ -102,6 +108,14 @@ def test_the_network_gradient_is_that_of_single_operations_far_from_the_origin_t
     require_close(*found)
     with torch.inference_mode():
         assert torch.equal(network.gradient(z), found[0][0])
+
+
+@pytest.mark.parametrize("learned", [False, True])
+def test_the_length_of_a_step_has_a_gradient(learned):
+    own = dynamics("gelu").requires_grad_(learned)
+    x = torch.randn(5, 4, generator=generator(1), dtype=torch.float64)
+    dt = OWN_STEPS.clone().requires_grad_()
+    assert torch.autograd.gradcheck(lambda dt: own.increment(x, dt), (dt,))
 
 
 def test_transforms_of_functions_see_through_a_step():
