@@ -16,8 +16,8 @@ from torch.func import vjp, vmap
 Increment = Callable[[Tensor, Tensor], Tensor]
 """(x (B, D), dt (B,)) -> x(t + dt) - x(t), shape (B, D)."""
 
-TOGETHER = 50_000
-"""States whose Jacobians are formed at once; more would not be faster, and take memory."""
+TOGETHER = 8_000
+"""States whose Jacobians are formed at once: what they take stays in the cache."""
 
 
 class Steps(NamedTuple):
