@@ -85,21 +85,25 @@ class Increments:
             return self._recorded(theta, x, dt)
         self._calls += 1
         if self._gain and self._calls > WORTH:
-            self._recorded = _record(self._with, theta, x, dt)
+            self._recorded = _record(of_parameters(copy.deepcopy(self.dynamics)), theta, x, dt)
         if theta is not self._theta:
             vector_to_parameters(theta, self.dynamics.parameters())
             self._theta = theta
         return self.dynamics.increment(x, dt)
 
-    def _with(self, theta: Tensor, x: Tensor, dt: Tensor) -> Tensor:
-        """Return the increment with parameters that are made from theta in sight of a recording."""
-        flow = copy.deepcopy(self.dynamics)
-        parameters = dict(flow.named_parameters())
-        parts = theta.split([p.numel() for p in parameters.values()])
-        for (name, parameter), part in zip(parameters.items(), parts, strict=True):
+
+def of_parameters(dynamics: Dynamics) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
+    """Return the increment as a function of parameters, too, that a recording sees; uses up the dynamics."""
+    shapes = {name: p.shape for name, p in dynamics.named_parameters()}
+    sizes = [shape.numel() for shape in shapes.values()]
+
+    def increment(theta: Tensor, x: Tensor, dt: Tensor) -> Tensor:
+        for (name, shape), part in zip(shapes.items(), theta.split(sizes), strict=True):
             owner, _, leaf = name.rpartition(".")
-            flow.get_submodule(owner)._parameters[leaf] = part.view(parameter.shape)  # pyright: ignore[reportArgumentType]
-        return flow.increment(x, dt)
+            dynamics.get_submodule(owner)._parameters[leaf] = part.view(shape)  # pyright: ignore[reportArgumentType]
+        return dynamics.increment(x, dt)
+
+    return increment
 
 
 def _record(function: Callable[..., Tensor], *example: Tensor) -> Callable[..., Tensor]:

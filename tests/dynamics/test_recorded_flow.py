@@ -42,7 +42,12 @@ def test_what_iterates_and_what_is_no_dynamics_comes_back_as_it_is():
 @torch.no_grad()
 @pytest.mark.parametrize(
     ("integrator", "hamiltonian", "gains"),
-    [("rk4", "central_body", True), ("gl4", "mechanical", False), ("rk4", "generic", False)],
+    [
+        ("rk4", "central_body", True),
+        ("leapfrog", "separable", True),
+        ("gl4", "mechanical", False),
+        ("rk4", "generic", True),
+    ],
 )
 def test_increments_of_any_parameters_and_states_are_recorded_where_that_gains(
     integrator, hamiltonian, gains, monkeypatch
