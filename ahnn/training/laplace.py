@@ -33,8 +33,8 @@ ARRIVED = 0.05
 """Squared length of the step that is left, as a share of what noise alone gives, that is not worth a step."""
 DAMPING = 1e-6
 """Of the first step. Where it is too little the bend says so, for less than a step too short costs."""
-HARDER = 1e3
-"""Times the damping, for a step that went beyond its bend: two such attempts are back at a careful one."""
+HARDER = 10.0
+"""Times the damping, for a step that went beyond its bend: the longest that does not gains most by far."""
 REFUSED = 1.645
 """Standard deviations above what a factor of 1 leads to: it is then refused with 95 %, one-sided."""
 
