@@ -137,6 +137,7 @@ class ShootingProblem:
         self.lost = int((~kept).sum())
         self.limit = Limit.of(self.fitted.sums[kept], freedom(self.batch))
         self.count = int(freedom(self.batch).sum())
+        self._refitted: tuple[Tensor, Fitted] | None = None  # the last one: a step that is taken asks again
 
     def trial(self, theta: Tensor) -> Trial:
         """Return the flow with parameters theta, shape (P,)."""
@@ -157,7 +158,10 @@ class ShootingProblem:
 
     def refitted(self, theta: Tensor) -> Fitted:
         """Return all segments from the starts that fit them best once the parameters moved to theta, (P,)."""
-        return refine(self.trial(theta), self.starts, self.batch, self.steps, REFITS, SURE)
+        if self._refitted is None or self._refitted[0] is not theta:
+            fitted = refine(self.trial(theta), self.starts, self.batch, self.steps, REFITS, SURE)
+            self._refitted = theta, fitted
+        return self._refitted[1]
 
     @torch.no_grad()
     def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:

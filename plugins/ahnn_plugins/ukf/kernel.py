@@ -10,13 +10,16 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ahnn.estimation.belief import Status, choose
+from ahnn.estimation.belief import Belief, Status, choose
 from ahnn.estimation.state import FilterState, add_repairs, fail, frozen
+from ahnn.measurements import Position, State
 from ahnn.measurements.base import Measurement
 from ahnn.numbers import described
 from ahnn.types import Flow
+from ahnn_plugins.ukf import members
 from ahnn_plugins.ukf.rounding import images_lost_in_rounding, lost_in_rounding
 from ahnn_plugins.ukf.sigma_points import draw
+from ahnn_plugins.ukf.square_root import SQUARE_ROOT
 from ahnn_plugins.ukf.types import Form, Updated, Weights
 
 
@@ -62,14 +65,23 @@ def update(
     state: FilterState, y: Tensor, sensor: Sensor, weights: Weights, form: Form
 ) -> tuple[FilterState, Updated, Tensor]:
     """Return the state given the row y (B, M), the update itself, and which rows the gate rejected."""
-    prior = state.belief
-    images = _measured(sensor.measurement, draw(prior, weights), float(state.time))
-    updated = form.update(prior, images, y, _CheckedResidual(sensor.measurement), weights, sensor.chol_r)
+    prior, images = state.belief, None
+    if form is SQUARE_ROOT and _reads(sensor, y, prior, weights):
+        updated = members.read(prior, y, sensor.chol_r)
+    else:
+        images = _measured(sensor.measurement, draw(prior, weights), float(state.time))
+        updated = form.update(prior, images, y, _CheckedResidual(sensor.measurement), weights, sensor.chol_r)
     nothing_refuses = sensor.thresholds is None and weights.crowding is None
     if updated.sound and nothing_refuses and not bool(state.status.any()):
         return _taken(state, updated), updated, torch.zeros_like(updated.singular)
     after, rejected = _decide(state, updated, ~torch.isnan(y), images, sensor, weights)
     return after, updated, rejected
+
+
+def _reads(sensor: Sensor, y: Tensor, prior: Belief, weights: Weights) -> bool:
+    """Return whether y (B, M) is the first M components of the state, of which points tell nothing new."""
+    direct = type(sensor.measurement) in (Position, State) and y.shape[-1] <= prior.mean.shape[-1]
+    return direct and weights.crowding is None and members.apply_to(weights, *prior, y, sensor.chol_r)
 
 
 def _propagate(flow: Flow, points: Tensor, dt: float) -> Tensor:
@@ -142,7 +154,12 @@ def _taken(state: FilterState, updated: Updated) -> FilterState:
 
 
 def _decide(
-    state: FilterState, updated: Updated, present: Tensor, images: Tensor, sensor: Sensor, weights: Weights
+    state: FilterState,
+    updated: Updated,
+    present: Tensor,
+    images: Tensor | None,
+    sensor: Sensor,
+    weights: Weights,
 ) -> tuple[FilterState, Tensor]:
     """Take or refuse the update, member by member; return also which rows the gate rejected, (B,) bool."""
     has_row = present.any(-1)
@@ -158,7 +175,7 @@ def _decide(
     if sensor.thresholds is not None:
         rejected = accepted & (updated.nis > sensor.thresholds[present.sum(-1)])
         accepted = accepted & ~rejected
-    if weights.crowding is not None:
+    if weights.crowding is not None and images is not None:
         lost = lost_in_rounding(state.belief, updated.belief, weights)
         lost = lost | images_lost_in_rounding(images, present, sensor.chol_r, weights)
         state = fail(state, accepted & lost, Status.IMPRECISE)

@@ -210,46 +210,94 @@ KERNEL long ahnn_joint(long batch, long size, long width, const double *images, 
     return SOUND;
 }
 
-/* Posterior given the residuals of y, in place: those of what is missing become zero. Sound if nothing is
-   missing, nothing singular and everything finite. */
+/* What an update tells of each member. */
+typedef struct {
+    double *residuals, *mean, *chol, *deviations, *nis, *log_likelihood;
+    unsigned char *singular;
+} told;
+
+/* Posterior of member b from its joint factor and the residuals of y, in place: those of what is missing become
+   zero. Sound if nothing is missing, nothing singular and everything finite. */
+INLINE long condition(long b, long size, long width, const double *factor, const double *y, const double *prior,
+                      const told *to, double *white) {
+    long columns = width + size;
+    double *residual = to->residuals + b * width, squares = 0.0, logs = 0.0, there = 0.0;
+    to->singular[b] = 0;
+    for (long i = 0; i < width; i++) {
+        const double *row = factor + i * columns;
+        double norm = 0.0, rest;
+        if (isnan(y[b * width + i])) residual[i] = 0.0;
+        else there += 1.0;
+        rest = residual[i];
+        for (long k = 0; k < i; k++) rest -= row[k] * white[k];
+        for (long k = 0; k <= i; k++) norm += row[k] * row[k];
+        norm = to->deviations[b * width + i] = sqrt(norm);
+        white[i] = rest / row[i];
+        squares += white[i] * white[i];
+        logs += log(row[i]);
+        to->singular[b] |= row[i] <= 4.0 * EPS * norm;
+    }
+    double total = squares;
+    for (long c = 0; c < size; c++) {
+        const double *row = factor + (width + c) * columns;
+        double moved = 0.0;
+        for (long k = 0; k < width; k++) moved += row[k] * white[k];
+        double after = to->mean[b * size + c] = prior[b * size + c] + moved;
+        total += after * after;
+        for (long k = 0; k < size; k++) total += row[width + k] * row[width + k];
+        memcpy(to->chol + (b * size + c) * size, row + width, sizeof(double) * (size_t)size);
+    }
+    to->nis[b] = squares;
+    to->log_likelihood[b] = -0.5 * (squares + there * LOG_TWO_PI) - logs;
+    return !to->singular[b] && there == (double)width && total < INFINITY;
+}
+
 KERNEL long ahnn_condition(long batch, long size, long width, const double *joint, const double *y,
                            const double *prior, double *residuals, double *mean, double *chol,
                            double *deviations, double *nis, double *log_likelihood, unsigned char *singular) {
+    const told to = {residuals, mean, chol, deviations, nis, log_likelihood, singular};
     long columns = width + size, sound = 1;
     double *white = malloc(sizeof(double) * (size_t)width);
     if (!white) return NO_MEMORY;
-    for (long b = 0; b < batch; b++) {
-        const double *factor = joint + b * columns * columns;
-        double *residual = residuals + b * width, squares = 0.0, logs = 0.0, there = 0.0;
-        singular[b] = 0;
-        for (long i = 0; i < width; i++) {
-            const double *row = factor + i * columns;
-            double norm = 0.0, rest;
-            if (isnan(y[b * width + i])) residual[i] = 0.0;
-            else there += 1.0;
-            rest = residual[i];
-            for (long k = 0; k < i; k++) rest -= row[k] * white[k];
-            for (long k = 0; k <= i; k++) norm += row[k] * row[k];
-            norm = deviations[b * width + i] = sqrt(norm);
-            white[i] = rest / row[i];
-            squares += white[i] * white[i];
-            logs += log(row[i]);
-            singular[b] |= row[i] <= 4.0 * EPS * norm;
-        }
-        double total = squares;
-        for (long c = 0; c < size; c++) {
-            const double *row = factor + (width + c) * columns;
-            double moved = 0.0;
-            for (long k = 0; k < width; k++) moved += row[k] * white[k];
-            double after = mean[b * size + c] = prior[b * size + c] + moved;
-            total += after * after;
-            for (long k = 0; k < size; k++) total += row[width + k] * row[width + k];
-            memcpy(chol + (b * size + c) * size, row + width, sizeof(double) * (size_t)size);
-        }
-        sound &= !singular[b] && there == (double)width && total < INFINITY;
-        nis[b] = squares;
-        log_likelihood[b] = -0.5 * (squares + there * LOG_TWO_PI) - logs;
-    }
+    for (long b = 0; b < batch; b++)
+        sound &= condition(b, size, width, joint + b * columns * columns, y, prior, &to, white);
     free(white);
+    return sound ? SOUND : UNSOUND;
+}
+
+/* Posterior where y (batch, width) are the first components of the state themselves. Opposite points then have
+   opposite images, and what is left of the deviations is the rows of the prior's factor. */
+KERNEL long ahnn_read(long batch, long size, long width, const double *y, const double *prior,
+                      const double *chol, long chol_step, const double *chol_r, long r_step, double *residuals,
+                      double *mean, double *after, double *deviations, double *nis, double *log_likelihood,
+                      unsigned char *singular) {
+    const told to = {residuals, mean, after, deviations, nis, log_likelihood, singular};
+    long columns = width + size, rows = size + 2 * width, sound = 1;
+    lanes *a = workspace((rows + 1 + columns) * columns + width), *scale = a + rows * columns;
+    if (!a) return NO_MEMORY;
+    double *joint = (double *)(scale + columns), *white = joint + LANES * columns * columns;
+    for (long first = 0; first < batch; first += LANES) {
+        block here = block_at(first, batch), own = block_at(0, here.count);
+        lanes one = (lanes){} + 1.0;
+        memset(a, 0, sizeof(lanes) * (size_t)(rows * columns));
+        for (long c = 0; c < columns; c++)
+            for (long i = 0; i < size; i++)
+                a[c * rows + i] = load(chol, &here, chol_step, (c < width ? c : c - width) * size + i);
+        for (long c = 0; c < width; c++) {
+            lanes *column = a + c * rows, found = load(y, &here, width, c);
+            bits there = found == found;
+            for (long i = 0; i < size; i++) column[i] = pick(there, column[i], (lanes){});
+            for (long i = 0; i < width; i++)
+                column[size + i] = pick(there, load(chol_r, &here, r_step, c * width + i), (lanes){});
+            column[size + width + c] = pick(there, (lanes){}, one);
+            save(residuals, &here, width, c, found - load(prior, &here, size, c));
+        }
+        balance(a, scale, rows, columns);
+        triangularise(a, rows, columns);
+        save_factor(joint, &own, a, scale, rows, columns);
+        for (long l = 0; l < here.count; l++)
+            sound &= condition(first + l, size, width, joint + l * columns * columns, y, prior, &to, white);
+    }
+    free(a);
     return sound ? SOUND : UNSOUND;
 }

@@ -1,7 +1,7 @@
 """The square-root form in C, many members at a time: the same results as in torch, to rounding.
 
 For what stays on the CPU and needs no gradient. Between two calls of the flow torch has some hundred small
-operations, each of which costs more than its arithmetic; here they are four.
+operations, each of which costs more than its arithmetic; here they are three or four.
 """
 
 from __future__ import annotations
@@ -63,12 +63,30 @@ def update(
     # What is missing is filled in: a residual may mix components.
     told = residual(y if complete else torch.where(present, y, y_pred), y_pred)
     innovation = torch.empty_like(y).copy_(told)
-    mean, after = torch.empty_like(prior.mean), y.new_empty(batch, size, size)
-    deviation, nis, log_likelihood = torch.empty_like(y), y.new_empty(batch), y.new_empty(batch)
-    singular = y.new_empty(batch, dtype=torch.bool)
-    results = (innovation, mean, after, deviation, nis, log_likelihood, singular)
-    sound = _call("ahnn_condition", *shapes, joint, y, prior.mean.contiguous(), *results)
-    return Updated(Belief(mean, after), innovation, deviation, nis, log_likelihood, singular, None, sound)
+    results = _results(prior, innovation)
+    return _updated(_call("ahnn_condition", *shapes, joint, y, prior.mean.contiguous(), *results), results)
+
+
+def read(prior: Belief, y: Tensor, chol_r: Tensor) -> Updated:
+    """Return the posterior of a row y (B, M) of the first M components of the state, NaN where missing."""
+    y, mean = y.contiguous(), prior.mean.contiguous()
+    (chol, step), (noise, noise_step) = _members(prior.chol), _members(chol_r)
+    results = _results(prior, torch.empty_like(y))
+    shapes = (*mean.shape, y.shape[-1])
+    return _updated(_call("ahnn_read", *shapes, y, mean, chol, step, noise, noise_step, *results), results)
+
+
+def _results(prior: Belief, innovation: Tensor) -> tuple[Tensor, ...]:
+    """Return memory for what an update tells, innovations in front."""
+    (batch, size), new = prior.mean.shape, innovation.new_empty
+    state = new(batch, size), new(batch, size, size)
+    singular = new(batch, dtype=torch.bool)
+    return innovation, *state, torch.empty_like(innovation), new(batch), new(batch), singular
+
+
+def _updated(sound: bool, results: tuple[Tensor, ...]) -> Updated:
+    innovation, mean, chol, deviation, nis, log_likelihood, singular = results
+    return Updated(Belief(mean, chol), innovation, deviation, nis, log_likelihood, singular, None, sound)
 
 
 def _members(matrices: Tensor) -> tuple[Tensor, int]:

@@ -7,6 +7,7 @@ import torch
 
 from ahnn.estimation import Belief, Gate
 from ahnn.estimation.linalg import tria
+from ahnn.measurements import Position, State
 from ahnn_plugins.ukf import SQUARE_ROOT, UnscentedParameters, members, unscented_filter
 from ahnn_plugins.ukf.library import library
 from ahnn_plugins.ukf.sigma_points import draw, unscented_weights
@@ -89,6 +90,38 @@ def test_one_step_equals_that_in_torch(in_torch, parameters, scale):
     assert all(map(equal, (*updated.belief, *updated[1:6]), (*expected.belief, *expected[1:6])))
     assert not updated.sound
     assert SQUARE_ROOT.update(belief, arguments[1], y.nan_to_num(), *arguments[3:]).sound
+
+
+@pytest.mark.parametrize("reading", [Position(2), State(2)], ids=("position", "state"))
+@pytest.mark.parametrize("alpha", [1.0, 0.3])
+def test_components_that_are_read_give_what_sigma_points_give(in_torch, reading, alpha):
+    generator, width = torch.Generator().manual_seed(2), len(reading.names)
+    prior = beliefs(11, 4, generator)
+    weights = unscented_weights(UnscentedParameters(alpha, 2.0, 0.5), 4)
+    y = torch.randn(11, width, generator=generator, dtype=F64)
+    y[2, 1] = y[5, 0] = y[7] = torch.nan
+    chol_r = tria(torch.randn(11, width, width, generator=generator, dtype=F64))
+    points = reading(draw(prior, weights), 0.0)
+    for rows, sound in ((y, False), (y.nan_to_num(), True)):
+        updated = members.read(prior, rows, chol_r)
+        expected = in_torch(SQUARE_ROOT.update, prior, points, rows, reading.residual, weights, chol_r)
+        assert all(map(equal, (*updated.belief, *updated[1:6]), (*expected.belief, *expected[1:6])))
+        assert updated.sound == sound
+
+
+def test_a_reading_of_ones_own_is_asked(in_torch):
+    """A class that is made from `Position` may do something else."""
+
+    class Biased(Position):
+        def __call__(self, x, t):
+            return super().__call__(x, t) + 5.0
+
+    start = beliefs(3, 4, torch.Generator().manual_seed(0))
+    rows = torch.zeros(3, 4, 2, dtype=F64)
+    arguments = (lambda x, _: x, start, rows, Biased(2), 0.1 * torch.eye(4), torch.eye(2), 1.0)
+    result, expected = unscented_filter(*arguments), in_torch(unscented_filter, *arguments)
+    assert equal(result.innovations, expected.innovations, 1e-11)
+    assert float(result.means[..., :2].mean()) < -4.0
 
 
 def test_every_status_is_that_of_torch(in_torch):
