@@ -29,10 +29,12 @@ SETTLED = 1e-3
 SMALLEST, LARGEST = 1e-9, 1e9
 """Range of the damping."""
 WARY, SURE = 1e-3, 1e-7
-"""First damping of a start that is a guess, and of one that was fitted before the parameters moved.
+"""First damping of a start that is a guess, and that of one that was fitted before the parameters moved.
 
 A shift along an orbit grows with time and hides the other directions of a start: their share may be 1e-5.
 """
+REFITS = 2
+"""Steps that move the starts after the parameters moved."""
 
 
 class Trial(NamedTuple):
@@ -146,24 +148,41 @@ def growing(intervals: int) -> list[int]:
 
 
 @torch.no_grad()
-def refine(
-    trial: Trial, start: Tensor, segment: Segment, steps: Steps, iterations: int, damping: float = WARY
-) -> Fitted:
+def refine(trial: Trial, start: Tensor, segment: Segment, steps: Steps, iterations: int) -> Fitted:
     """Return the fit after at most so many Levenberg-Marquardt steps, each segment damped by itself."""
     fitted = followed(trial, start, segment, steps)
-    damped, moving = start.new_full((len(start),), damping), fitted.sums.isfinite().nonzero().squeeze(1)
+    damping, moving = start.new_full((len(start),), WARY), fitted.sums.isfinite().nonzero().squeeze(1)
     for _ in range(iterations):
         if not len(moving):
             break
         part, grid, before = segment.rows(moving), steps.rows(moving), fitted.rows(moving)
         now = linearised(trial, before.states, part, grid)
-        moves = damped_moves(now.of_start.flatten(1, 2), now.residuals.flatten(1), damped[moving])
+        moves = damped_moves(now.of_start.flatten(1, 2), now.residuals.flatten(1), damping[moving])
         after = followed(trial, before.starts + moves, part, grid)
         better = after.sums <= before.sums
         fitted.states[moving[better]], fitted.sums[moving[better]] = after.rows(better)
         factor = torch.where(better, 0.03, 10.0)
-        damped[moving] = (damped[moving] * factor).clamp(SMALLEST, LARGEST)
+        damping[moving] = (damping[moving] * factor).clamp(SMALLEST, LARGEST)
         moving = moving[(before.sums - after.sums).abs() > SETTLED]
+    return fitted
+
+
+@torch.no_grad()
+def refit(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> Fitted:
+    """Return the fit from starts that were the best ones before the parameters moved.
+
+    They are near: the derivatives at the first of two steps serve the second, too.
+    """
+    fitted = followed(trial, start, segment, steps)
+    design = linearised(trial, fitted.states, segment, steps).of_start.flatten(1, 2)
+    damping = start.new_full((len(start),), SURE)
+    for _ in range(REFITS):
+        residuals = segment.residuals(fitted.states[:, steps.ends])
+        rows = (residuals * trial.robust.weight(residuals).sqrt()).flatten(1)
+        after = followed(trial, fitted.starts + damped_moves(design, rows, damping), segment, steps)
+        better = after.sums <= fitted.sums
+        states = torch.where(better[:, None, None], after.states, fitted.states)
+        fitted = Fitted(states, torch.where(better, after.sums, fitted.sums))
     return fitted
 
 

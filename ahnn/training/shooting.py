@@ -28,14 +28,13 @@ from ahnn.shooting.paths import adjoints, path, sensitivities, steps_between
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
 from ahnn.shooting.starts import (
     HOPELESS,
-    SURE,
     Fitted,
     Linearised,
     Trial,
     fit_starts,
     followed,
     linearised,
-    refine,
+    refit,
 )
 from ahnn.training.normal_equations import Equations, Rows, accumulated
 
@@ -47,8 +46,6 @@ UNMET = 1e4
 """Mean squared residual of a whole trajectory that a validation gives up, since telling more takes long."""
 TIMES_TYPICAL = 5.0
 """A segment whose chi-square is so many times the median counts with the logarithm of what is beyond."""
-REFITS = 2
-"""Steps that move the starts after the parameters moved."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,8 +156,7 @@ class ShootingProblem:
     def refitted(self, theta: Tensor) -> Fitted:
         """Return all segments from the starts that fit them best once the parameters moved to theta, (P,)."""
         if self._refitted is None or self._refitted[0] is not theta:
-            fitted = refine(self.trial(theta), self.starts, self.batch, self.steps, REFITS, SURE)
-            self._refitted = theta, fitted
+            self._refitted = theta, refit(self.trial(theta), self.starts, self.batch, self.steps)
         return self._refitted[1]
 
     @torch.no_grad()
