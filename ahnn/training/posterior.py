@@ -19,6 +19,7 @@ class WideProblem(ShootingProblem):
     def follow(self, theta: Tensor) -> None:
         """Move the starts to where they fit best after a step to theta, shape (P,)."""
         fitted = self.refitted(theta)
+        self._linear = None
         self.starts, self.limit = fitted.starts, Limit.of(fitted.sums, freedom(self.batch))
 
 

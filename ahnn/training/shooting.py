@@ -134,7 +134,8 @@ class ShootingProblem:
         self.lost = int((~kept).sum())
         self.limit = Limit.of(self.fitted.sums[kept], freedom(self.batch))
         self.count = int(freedom(self.batch).sum())
-        self._refitted: tuple[Tensor, Fitted] | None = None  # the last one: a step that is taken asks again
+        self._refitted: tuple[Tensor, Fitted] | None = None  # of the last parameters, which are asked again
+        self._linear: tuple[Tensor, Fitted, Linearised] | None = None
 
     def trial(self, theta: Tensor) -> Trial:
         """Return the flow with parameters theta, shape (P,)."""
@@ -165,14 +166,20 @@ class ShootingProblem:
         del sizes
         if not len(self.starts):
             return Equations(theta.new_tensor(HOPELESS), 1, [])
-        trial = self.trial(theta)
-        here = followed(trial, self.starts, self.batch, self.steps)  # at once: what it takes is mostly steps
-        now = linearised(trial, here.states, self.batch, self.steps)
+        here, now = self._linearised(theta)
 
         def projected(part: slice) -> Rows:
             return self._projected(theta, here.rows(part), now.rows(part), part)
 
         return accumulated(projected, self._parts(len(theta)), theta, self.count)
+
+    def _linearised(self, theta: Tensor) -> tuple[Fitted, Linearised]:
+        """Return all paths and their derivatives; at once, since what it takes is mostly steps."""
+        if self._linear is None or self._linear[0] is not theta:
+            trial = self.trial(theta)
+            here = followed(trial, self.starts, self.batch, self.steps)
+            self._linear = theta, here, linearised(trial, here.states, self.batch, self.steps)
+        return self._linear[1:]
 
     def _projected(self, theta: Tensor, here: Fitted, now: Linearised, part: slice) -> Rows:
         """Return residuals of some segments and their Jacobian in the complement of the starts."""
@@ -201,9 +208,7 @@ class ShootingProblem:
     def _pulls(self, theta: Tensor, step: Tensor, reach: float) -> tuple[Tensor, Tensor]:
         """Return the paths of all segments, (B, N + 1, D), and how r_vv pulls at the field there."""
         steps, segment, starts = self.steps, self.batch, self.starts
-        trial = self.trial(theta)
-        states, sums = followed(trial, starts, segment, steps)
-        now = linearised(trial, states, segment, steps)
+        (states, sums), now = self._linearised(theta)
         weight = self.robust.weight(segment.residuals(states[:, steps.ends])).sqrt()
 
         def rows(share: float, from_starts: Tensor) -> Tensor:
