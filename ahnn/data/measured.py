@@ -6,22 +6,26 @@ import torch
 from torch import Tensor
 
 from ahnn.measurements import Instrument
-from ahnn.measurements.smoothing import Local, as_states
+from ahnn.measurements.smoothing import Local, as_states, scale_of
 from ahnn.statistics import Statistics
 
 EXAMPLES = 4_000
 """Samples whose neighbourhood is smoothed."""
+UNTRUE = 5.0
+"""Times the median error, in predicting the sample in its middle, of polynomials too stiff for the motion."""
 
 
 def measured_statistics(local: Local, instrument: Instrument, times: Tensor) -> Statistics:
     """Return the statistics of measurements at times (B, T), read off polynomials that are local in time.
 
-    Rates come from the polynomials and not from differences, which noise inflates.
+    Rates come from the polynomials and not from differences, which noise inflates; single forces only where
+    a polynomial predicts its sample about as well as most do.
     """
     states = as_states(local.value, local.rate, instrument)
     rates = as_states(local.rate, local.curvature, instrument)
-    positions, forces = states.chunk(2, dim=-1)[0], rates.chunk(2, dim=-1)[1]
-    radius = positions.norm(dim=-1)
+    radius = states.chunk(2, dim=-1)[0].norm(dim=-1)
+    error = (local.error / scale_of(local)).norm(dim=-1)
+    true = error <= UNTRUE * error.median()
     dt = float(times.diff(dim=1).nanmedian())
     rate = rates.square().mean(0).sqrt()
     return Statistics(
@@ -30,7 +34,7 @@ def measured_statistics(local: Local, instrument: Instrument, times: Tensor) -> 
         increment=rate * dt,
         rate=rate,
         radius=torch.stack((radius.min(), radius.max())),
-        positions=positions,
-        forces=forces,
+        positions=states[true].chunk(2, dim=-1)[0],
+        forces=rates[true].chunk(2, dim=-1)[1],
         dt=dt,
     )

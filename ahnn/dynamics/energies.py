@@ -112,7 +112,7 @@ class CentralBody(nn.Module):
     Args:
         remainder: what a point mass does not explain; its unit is set to what is left of the data.
         mass: m, of the moving body.
-        mu: gravitational parameter; None learns it, beginning with the least-squares value.
+        mu: gravitational parameter; None learns it, beginning with the median of what single forces say.
     """
 
     def __init__(self, remainder: NetworkEnergy, mass: float, mu: float | None) -> None:
@@ -129,7 +129,7 @@ class CentralBody(nn.Module):
         return self.log_mu.exp() if self.known_mu is None else self.known_mu
 
     def fit(self, statistics: Statistics) -> None:
-        """Set mu, if it is learned, and the unit of the remainder from the sampled rates.
+        """Set mu, if it is learned, and the unit of the remainder from the sampled forces.
 
         Raises:
             UserError: the data show no attraction.
@@ -138,7 +138,8 @@ class CentralBody(nn.Module):
         q, rate = statistics.positions, statistics.forces
         attraction = -self.mass * q / q.norm(dim=-1, keepdim=True) ** 3
         if self.known_mu is None:
-            mu = (attraction * rate).sum() / attraction.square().sum()
+            # The median: where an orbit is low, forces are large, and those read off noisy samples wrong.
+            mu = ((attraction * rate).sum(-1) / attraction.square().sum(-1)).median()
             if not mu > 0:
                 message = (
                     "hamiltonian central_body: expected an attraction; received data "
