@@ -38,7 +38,7 @@ from ahnn.shooting.starts import (
 )
 from ahnn.training.normal_equations import Equations, Rows, accumulated
 
-CELLS = 5e7
+CELLS = 2.5e7
 """Numbers in the largest tensor of sensitivities; longer batches are cut into parts of segments."""
 NUMBERS = 50
 """Held for each component of a state while its pull on the field is followed back."""
@@ -182,15 +182,17 @@ class ShootingProblem:
         return self._linear[1:]
 
     def _projected(self, theta: Tensor, here: Fitted, now: Linearised, part: slice) -> Rows:
-        """Return residuals of some segments and their Jacobian in the complement of the starts."""
+        """Return residuals of some segments and their Jacobian in the complement of the starts.
+
+        Nearly all that parameters do to a path a start undoes: float32 would round away the rest.
+        """
         steps, limit = self.steps.rows(part), self.limit.rows(part)
-        moved = sensitivities(now.jacobians.float(), self.forcing(theta, here.states), steps)
-        of_theta = (now.of_state.float() @ moved).flatten(1, 2)
+        forcing = self.forcing(theta, here.states).to(theta)
+        of_theta = (now.of_state @ sensitivities(now.jacobians.to(theta), forcing, steps)).flatten(1, 2)
         basis = torch.linalg.qr(now.of_start.flatten(1, 2)).Q
-        rows = now.residuals.flatten(1)
+        rows, weight = now.residuals.flatten(1), limit.weight(here.sums).sqrt()
         rows = rows - (basis @ (basis.mT @ rows.unsqueeze(-1))).squeeze(-1)
-        low, weight = basis.float(), limit.weight(here.sums).sqrt()
-        of_theta = (of_theta - low @ (low.mT @ of_theta)) * weight[:, None, None].float()
+        of_theta = (of_theta - basis @ (basis.mT @ of_theta)) * weight[:, None, None]
         jacobian = of_theta.flatten(0, 1).to(self.precision)
         return Rows(limit.cost(here.sums).sum(), (rows * weight[:, None]).flatten(), jacobian)
 
