@@ -1,0 +1,59 @@
+"""What a start does not undo of the parameters keeps its digits over many steps of an orbit."""
+
+from __future__ import annotations
+
+import copy
+
+import torch
+from helpers import generator
+from torch.nn.utils import parameters_to_vector
+
+from ahnn.dynamics import make_dynamics
+from ahnn.dynamics.derivatives import field_jacobian
+from ahnn.measurements import Instrument, Position, Segment
+from ahnn.shooting.paths import path, sensitivities, step_jacobians, steps_between, transitions
+from ahnn.shooting.robust import ROBUST
+from ahnn.training.posterior import WideProblem
+
+NETWORK = {"width": 6, "depth": 2, "activation": "tanh"}
+SD = 0.1  # km
+
+
+def satellite():
+    """A point mass and a small network, over a day of a Molniya orbit, positions every five minutes."""
+    torch.manual_seed(0)
+    options = {"hamiltonian": "central_body", "mu": None, "inputs": "isotropic", "scaling": "block"}
+    options |= {"network": NETWORK, "integrator": {"name": "rk4"}, "inertia": 1.0}
+    dynamics = make_dynamics("hamiltonian", dof=3, **options).double()
+    potential = dynamics.field.potential
+    potential.log_mu.data.fill_(398600.0).log_()
+    potential.remainder.unit.fill_(0.03)
+    potential.remainder.inputs.middle.fill_(10.0)
+    start = torch.tensor([[3500.0, 2000.0, -5600.0, -5.0, 8.6, 0.0]], dtype=torch.float64)
+    times = 300.0 * torch.arange(289, dtype=torch.float64).unsqueeze(0)
+    steps = steps_between(times, 60.0)
+    with torch.no_grad():
+        places = path(dynamics.increment, start, steps.lengths)[:, steps.ends, :3]
+    noise = SD * torch.randn(places.shape, generator=generator(0), dtype=torch.float64)
+    deviations = torch.full((3,), SD, dtype=torch.float64)
+    return dynamics, Segment(places + noise, times, Instrument(Position(3), deviations, 60.0, 3, 1.0))
+
+
+@torch.no_grad()
+def test_normal_equations_are_right_where_parameters_are_hard_to_see():
+    dynamics, batch = satellite()
+    theta = parameters_to_vector(dynamics.parameters())
+    problem = WideProblem(dynamics, batch, ROBUST["none"])
+    _, _, (block,) = problem.equations(theta, [p.numel() for p in dynamics.parameters()])
+    wide, steps = copy.deepcopy(dynamics).requires_grad_(False), problem.steps
+    states = path(wide.increment, problem.starts, steps.lengths)
+    jacobians = step_jacobians(wide.increment, states[:, :-1], steps.lengths)
+    moved = sensitivities(jacobians, field_jacobian(wide, torch.float64)(theta, states), steps)
+    of_start = transitions(jacobians)[:, steps.ends, :3].flatten(1, 2)[0] / SD
+    basis, of_theta = torch.linalg.qr(of_start).Q, moved[:, :, :3].flatten(1, 2)[0] / SD
+    exact = of_theta - basis @ (basis.T @ of_theta)
+    values, directions = torch.linalg.eigh(exact.T @ exact)
+    seen = values > 1e-8 * values[-1]
+    found = ((block.matrix @ directions) * directions).sum(0)
+    assert int(seen.sum()) >= 4
+    assert float((found / values - 1)[seen].abs().max()) < 5e-5  # float32 would leave 6e-4
