@@ -31,8 +31,8 @@ from ahnn.uncertainty import Uncertainty
 
 ARRIVED = 0.05
 """Squared length of the step that is left, as a share of what noise alone gives, that is not worth a step."""
-DAMPING = 1e-6
-"""Of the first step. Where it is too little the bend says so, for less than a step too short costs."""
+DAMPING = 1e-3
+"""Of the first step. With less it goes far along what the measurements hardly see, and follows their noise."""
 HARDER = 10.0
 """Times the damping, for a step that went beyond its bend: the longest that does not gains most by far."""
 REFUSED = 1.645
