@@ -34,7 +34,7 @@ ARRIVED = 0.05
 DAMPING = 1e-3
 """Of the first step. With less it goes far along what measurements hardly see, and follows their noise."""
 HARDER = 10.0
-"""Times the damping, for a step that went beyond its bend: the longest that does not gains most by far."""
+"""Times the damping, for a step that went beyond its bend."""
 REFUSED = 1.645
 """Standard deviations above what a factor of 1 leads to: it is then refused with 95 %, one-sided."""
 

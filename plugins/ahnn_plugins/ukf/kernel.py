@@ -10,17 +10,18 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ahnn.estimation.belief import Belief, Status, choose
+from ahnn.estimation.belief import Status, choose
 from ahnn.estimation.state import FilterState, add_repairs, fail, frozen
 from ahnn.measurements import Position, State
 from ahnn.measurements.base import Measurement
 from ahnn.numbers import described
 from ahnn.types import Flow
-from ahnn_plugins.ukf import members
 from ahnn_plugins.ukf.rounding import images_lost_in_rounding, lost_in_rounding
 from ahnn_plugins.ukf.sigma_points import draw
-from ahnn_plugins.ukf.square_root import SQUARE_ROOT
 from ahnn_plugins.ukf.types import Form, Updated, Weights
+
+READINGS = (Position, State)
+"""Models of the first components of a state; a class made from one may do something else."""
 
 
 class Sensor(NamedTuple):
@@ -66,9 +67,9 @@ def update(
 ) -> tuple[FilterState, Updated, Tensor]:
     """Return the state given the row y (B, M), the update itself, and which rows the gate rejected."""
     prior, images = state.belief, None
-    if form is SQUARE_ROOT and _reads(sensor, y, prior, weights):
-        updated = members.read(prior, y, sensor.chol_r)
-    else:
+    direct = form.read if type(sensor.measurement) in READINGS else None
+    updated = direct and direct(prior, y, weights, sensor.chol_r)
+    if updated is None:
         images = _measured(sensor.measurement, draw(prior, weights), float(state.time))
         updated = form.update(prior, images, y, _CheckedResidual(sensor.measurement), weights, sensor.chol_r)
     nothing_refuses = sensor.thresholds is None and weights.crowding is None
@@ -76,12 +77,6 @@ def update(
         return _taken(state, updated), updated, torch.zeros_like(updated.singular)
     after, rejected = _decide(state, updated, ~torch.isnan(y), images, sensor, weights)
     return after, updated, rejected
-
-
-def _reads(sensor: Sensor, y: Tensor, prior: Belief, weights: Weights) -> bool:
-    """Return whether y (B, M) is the first M components of the state, of which points tell nothing new."""
-    direct = type(sensor.measurement) in (Position, State) and y.shape[-1] <= prior.mean.shape[-1]
-    return direct and weights.crowding is None and members.apply_to(weights, *prior, y, sensor.chol_r)
 
 
 def _propagate(flow: Flow, points: Tensor, dt: float) -> Tensor:

@@ -85,6 +85,25 @@ def update(
     return Updated(Belief(mean, chol), innovation, deviation, nis, log_likelihood, singular, repairs)
 
 
+def read(prior: Belief, y: Tensor, weights: Weights, chol_r: Tensor) -> Updated | None:
+    """Return the posterior given the first components of the state, of which points tell nothing new.
+
+    Args:
+        prior: the belief.
+        y: (B, M), NaN where missing.
+        weights: of the points that `update` would take.
+        chol_r: (B, M, M) lower factor of the measurement noise.
+
+    Returns:
+        None where the library does not do it.
+    """
+    if weights.crowding is not None or y.shape[-1] > prior.mean.shape[-1]:
+        return None
+    if not members.apply_to(weights, *prior, y, chol_r):
+        return None
+    return members.read(prior, y, chol_r)
+
+
 def joint_factor(
     outer: Tensor, shift: Tensor, chol: Tensor, weights: Weights, noise_rows: Tensor
 ) -> tuple[Tensor, Tensor | None]:
@@ -131,4 +150,4 @@ def _lowered(chol: Tensor, shift: Tensor, weights: Weights) -> tuple[Tensor, Ten
     return torch.where(lost[:, None, None], 0.0, chol), impossible & (variance > 0.0).all(-1)
 
 
-SQUARE_ROOT = Form("square-root", predict, update, needs_definite_noise=False)
+SQUARE_ROOT = Form("square-root", predict, update, needs_definite_noise=False, read=read)

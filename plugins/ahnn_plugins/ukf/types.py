@@ -121,6 +121,14 @@ class Update(Protocol):
         ...
 
 
+class Read(Protocol):
+    """Condition a prior on a row y (B, M) of the first M components of the state, without points."""
+
+    def __call__(self, prior: Belief, y: Tensor, weights: Weights, chol_r: Tensor) -> Updated | None:
+        """Return the posterior, or None where only points give it."""
+        ...
+
+
 class Form(NamedTuple):
     """A way to carry the covariance: the functions that the loop over time calls.
 
@@ -129,12 +137,14 @@ class Form(NamedTuple):
         predict: see `Predict`.
         update: see `Update`.
         needs_definite_noise: whether a singular measurement noise is refused.
+        read: see `Read`; None where there is none.
     """
 
     name: str
     predict: Predict
     update: Update
     needs_definite_noise: bool
+    read: Read | None = None
 
 
 class Backward(NamedTuple):
