@@ -68,7 +68,7 @@ def update(
     """Return the state given the row y (B, M), the update itself, and which rows the gate rejected."""
     prior, images = state.belief, None
     direct = form.read if type(sensor.measurement) in READINGS else None
-    updated = direct and direct(prior, y, weights, sensor.chol_r)
+    updated = None if direct is None else direct(prior, y, weights, sensor.chol_r)
     if updated is None:
         images = _measured(sensor.measurement, draw(prior, weights), float(state.time))
         updated = form.update(prior, images, y, _CheckedResidual(sensor.measurement), weights, sensor.chol_r)
