@@ -245,6 +245,6 @@ def test_an_update_of_which_any_part_is_not_finite_ends_its_member_alone(part):
     belief = initial_belief(torch.zeros(3, 2, dtype=F64), torch.eye(2))
     rows = torch.ones(3, 1, 1, dtype=F64)
     noise = 0.01 * torch.eye(2), torch.eye(1)
-    form = SQUARE_ROOT._replace(update=spoil)
+    form = SQUARE_ROOT._replace(read=None, update=spoil)
     result = unscented_filter(lambda x, _: 1.0 * x, belief, rows, Position(1), *noise, 1.0, form=form)
     assert result.status.tolist() == [Status.OK, Status.NOT_FINITE, Status.OK]
