@@ -82,6 +82,7 @@ Count = Annotated[int, Within(1)]
 Seed = Annotated[int, Within(0, 2**32 - 1)]
 Finite = Annotated[float, Within()]
 Positive = Annotated[float, Within(above=0)]
+NonNegative = Annotated[float, Within(0)]
 Range = Annotated[tuple[float, float] | list[float], Interval()]
 
 

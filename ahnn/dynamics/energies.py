@@ -47,36 +47,55 @@ def energy_units(statistics: Statistics) -> tuple[Tensor, Tensor]:
 
 
 class NetworkEnergy(nn.Module):
-    """A network behind an input map, times an energy unit.
+    """A network behind an input map, times an energy unit and, where it falls, (R / r)^k.
 
     Args:
         inputs: map from the physical block to the network's inputs.
         network: width, depth, activation.
         block: 0 for a function of the positions, 1 for one of the momenta.
+        falloff: k; 0 leaves open how the energy goes with the distance r from the origin.
     """
 
     unit: Tensor
+    nearest: Tensor
 
-    def __init__(self, inputs: InputMap, network: dict[str, Any], block: int) -> None:
+    def __init__(self, inputs: InputMap, network: dict[str, Any], block: int, falloff: float = 0.0) -> None:
         super().__init__()
         self.inputs = inputs
         self.block = block
+        self.falloff = falloff
         self.network = make_network(inputs.size, 1, network)
         self.register_buffer("unit", torch.ones(()))
+        if falloff:
+            self.register_buffer("nearest", torch.ones(()))
 
     def fit(self, statistics: Statistics) -> None:
-        """Set the input map and the energy in which the network's output is measured."""
+        """Set the input map, the energy in which the network's output is measured, and R."""
         self.inputs.fit(statistics)
         self.unit.copy_(energy_units(statistics)[self.block])
+        if self.falloff:
+            self.nearest.copy_(statistics.radius[0])
+
+    def envelope(self, q: Tensor) -> tuple[Tensor, Tensor]:
+        """Return w = (R / r)^k, shape (..., 1), and grad log w, shape (..., n), at q, shape (..., n)."""
+        square = q.square().sum(-1, keepdim=True)
+        return (self.nearest.square() / square) ** (self.falloff / 2), q * (-self.falloff / square)
 
     def forward(self, q: Tensor) -> Tensor:
         """Return the energy, shape (...), at q, shape (..., n)."""
-        return self.unit * self.network(self.inputs(q)).squeeze(-1)
+        found = self.network(self.inputs(q))
+        if self.falloff:
+            found = self.envelope(q)[0] * found
+        return self.unit * found.squeeze(-1)
 
     def gradient(self, q: Tensor) -> Tensor:
         """Return the gradient with respect to q, shape (..., n)."""
         z, pullback = self.inputs.linearised(q)
-        return self.unit * pullback(self.network.gradient(z))
+        slope = pullback(self.network.gradient(z))
+        if self.falloff:
+            weight, fall = self.envelope(q)
+            slope = weight * (slope + fall * self.network(z))
+        return self.unit * slope
 
     def seen(self, q: Tensor) -> Tensor:
         """Return the inputs of the network, shape (..., F)."""
@@ -147,8 +166,9 @@ class CentralBody(nn.Module):
                 )
                 raise UserError(message)
             self.log_mu.data.copy_(mu.log())
-        left = rate - self.mu * attraction
-        self.remainder.unit.copy_((left * q.norm(dim=-1, keepdim=True)).square().mean().sqrt())
+        left = (rate - self.mu * attraction) * q.norm(dim=-1, keepdim=True)
+        seen = self.remainder.envelope(q)[0] if self.remainder.falloff else torch.ones(1)
+        self.remainder.unit.copy_((left.square().mean() / seen.square().mean()).sqrt())
 
     def forward(self, q: Tensor) -> Tensor:
         """Return the potential, shape (...), at q, shape (..., n)."""

@@ -104,6 +104,7 @@ class HamiltonianDynamics(_Integrated):
         inertia: factor m of T = p^2 / 2m, used by `mechanical` and `central_body`.
         hamiltonian: generic, separable, mechanical or central_body.
         mu: gravitational parameter of `central_body`; None learns it.
+        falloff: k of a learned V(q) = (R / r)^k N(q); 0 leaves open how it goes with the distance.
         inputs: cartesian, isotropic or radial positions.
         scaling: minmax, block or none.
         network: width, depth, activation.
@@ -117,14 +118,14 @@ class HamiltonianDynamics(_Integrated):
         inertia: float,
         hamiltonian: Structure,
         mu: float | None,
+        falloff: float = 0.0,
         inputs: InputName,
         scaling: Kind,
         network: dict[str, Any],
         integrator: dict[str, Any],
     ) -> None:
-        field = make_hamiltonian(
-            hamiltonian, dof, mass=inertia, mu=mu, inputs=inputs, scaling=scaling, network=network
-        )
+        options: dict[str, Any] = {"inputs": inputs, "scaling": scaling, "network": network}
+        field = make_hamiltonian(hamiltonian, dof, mass=inertia, mu=mu, falloff=falloff, **options)
         super().__init__(field, integrator)
         self.assumes = f"{hamiltonian} Hamiltonian, {inputs} inputs"
 

@@ -12,7 +12,7 @@ from typing import Any, Literal, cast
 import torch
 from torch import Tensor, nn
 
-from ahnn.arguments import Positive, checked
+from ahnn.arguments import NonNegative, Positive, checked
 from ahnn.dynamics import written_out
 from ahnn.dynamics.energies import CentralBody, Energy, NetworkEnergy, Quadratic, energy_units
 from ahnn.dynamics.gradients import Layers
@@ -140,6 +140,7 @@ def make_hamiltonian(
     *,
     mass: float,
     mu: Positive | None,
+    falloff: NonNegative = 0.0,
     inputs: InputName,
     scaling: Kind,
     network: dict[str, Any],
@@ -152,22 +153,27 @@ def make_hamiltonian(
         dof: degrees of freedom n.
         mass: used by the last two.
         mu: gravitational parameter of `central_body`; None learns it.
+        falloff: k of a learned V(q) = (R / r)^k N(q); 0 leaves open how it goes with the distance.
         inputs: cartesian, isotropic or radial, for the positions.
         scaling: minmax, block or none.
         network: width, depth, activation.
 
     Raises:
-        UserError: unknown structure, mu for a structure without a central body, or mu that is not positive.
+        UserError: unknown structure, mu or falloff for a structure without them, or out of range.
     """
     if mu is not None and structure != "central_body":
         message = f"mu: expected None, since {structure} has no central body; received {mu}"
+        raise UserError(message)
+    if falloff and (structure == "generic" or dof < 2):
+        needs = "0, since generic has no V(q)" if structure == "generic" else "0 in one dimension"
+        message = f"falloff: expected {needs}; received {falloff:g}"
         raise UserError(message)
     if structure == "central_body" and dof < 2:
         message = "hamiltonian central_body: expected at least 2 degrees of freedom; received 1"
         raise UserError(message)
     if structure == "generic":
         return GenericHamiltonian(dof, inputs=inputs, scaling=scaling, network=network)
-    learned = NetworkEnergy(position_inputs(inputs, dof, scaling), network, 0)
+    learned = NetworkEnergy(position_inputs(inputs, dof, scaling), network, 0, falloff)
     if structure == "separable":
         return SeparableHamiltonian(NetworkEnergy(Cartesian(dof, scaling, 1), network, 1), learned)
     potential = learned if structure == "mechanical" else CentralBody(learned, mass, mu)

@@ -57,6 +57,20 @@ def reversed_rows(t: Tensor, records: list[Record], weights: list[Tensor]) -> tu
     return Stage(records, along, back[::-1]), back[-1] @ weights[0]
 
 
+def with_value(stage: Stage, v: Tensor, last: Tensor) -> Stage:
+    """Return a stage that holds the reverse of v N(z), too, but for the constant of N.
+
+    Args:
+        stage: of cotangents of grad N(z).
+        v: cotangents of N(z), (B, R).
+        last: what the output layer sees, (B, H).
+    """
+    v = v.unsqueeze(-1)
+    back = [b + v * record.delta.unsqueeze(1) for b, record in zip(stage.back, stage.records, strict=True)]
+    along = [*stage.along[:-1], stage.along[-1] + v * last.unsqueeze(1)]
+    return stage._replace(back=back, along=along)
+
+
 def write_rows(stages: list[Stage], out: Tensor) -> None:
     """Write the sum over the stages of t . dg/dparameters to `out`, (B, R, P), contiguous.
 

@@ -12,7 +12,7 @@ from ahnn.dynamics.energies import CentralBody, NetworkEnergy, Quadratic
 from ahnn.dynamics.gradients import recorded_gradient
 from ahnn.dynamics.hamiltonians import SeparableHamiltonian
 from ahnn.dynamics.networks import Perceptron
-from ahnn.dynamics.rows import layers_at, reversed_rows, write_rows
+from ahnn.dynamics.rows import layers_at, reversed_rows, with_value, write_rows
 
 SAMPLES = 256
 """Samples whose rows are made at once."""
@@ -82,10 +82,20 @@ def _write(energy: nn.Module, theta: Tensor, q: Tensor, factors: Tensor, out: Te
     inputs = torch.eye(z.shape[-1]).to(z)
     # dV/dq is linear in the gradient of the network: row i of each sample is a cotangent of it.
     linear = torch.stack([pullback(unit.expand_as(z)) for unit in inputs], dim=-1)
-    cotangents = (factors * network_energy.unit).unsqueeze(-1) * linear
+    factors, on_value = factors * network_energy.unit, None
+    if network_energy.falloff:
+        weight, fall = network_energy.envelope(q)
+        factors = factors * weight
+        on_value = (factors * fall).to(theta)
+    cotangents = factors.unsqueeze(-1) * linear
     network = cast(Perceptron, network_energy.network)
     layers, kernels = layers_at(network, theta), network.activation.kernels
     assert kernels is not None
     _, records = recorded_gradient(z.to(theta).T.contiguous().T, layers, kernels)
     stage, _ = reversed_rows(cotangents.to(theta), records, layers.weights)
-    write_rows([stage], out)
+    if on_value is None:
+        write_rows([stage], out)
+        return
+    last = torch.addmm(layers.biases[-1], records[-1].entered, layers.weights[-1].T)
+    write_rows([with_value(stage, on_value, kernels.value(last))], out)
+    out[..., -1] = on_value

@@ -20,6 +20,7 @@ class AHNN(AbstractModel):
         inertia: factor m of T = p^2 / 2m, used by `mechanical` and `central_body`.
         hamiltonian: generic, separable, mechanical or central_body.
         mu: gravitational parameter of `central_body`; None learns it.
+        falloff: k of a learned V(q) = (R / r)^k N(q); 0 leaves open how it goes with the distance.
         inputs: cartesian, isotropic or radial positions.
         scaling: minmax, block or none.
         network: width, depth, activation.
@@ -35,6 +36,7 @@ class AHNN(AbstractModel):
         inertia: float,
         hamiltonian: Structure,
         mu: float | None,
+        falloff: float = 0.0,
         inputs: InputName,
         scaling: Kind,
         network: dict[str, Any],
@@ -42,7 +44,7 @@ class AHNN(AbstractModel):
         window: int,
         loss: dict[str, Any],
     ) -> None:
-        options = {"inertia": inertia, "hamiltonian": hamiltonian, "mu": mu, "inputs": inputs}
-        options |= {"scaling": scaling, "network": network, "integrator": integrator}
+        options = {"inertia": inertia, "hamiltonian": hamiltonian, "mu": mu, "falloff": falloff}
+        options |= {"inputs": inputs, "scaling": scaling, "network": network, "integrator": integrator}
         super().__init__(make_dynamics("hamiltonian", dof=dof, **options), dof, window, loss)
         self.save_hyperparameters()

@@ -30,9 +30,9 @@ def statistics(seed=0, mass=1.0, mu=5.0, extra=0.0, count=200):
     return Statistics(low, high, 0.1 * rate, rate, radius, q, forces, 0.1)
 
 
-def body(mass=1.0, mu=None):
+def body(mass=1.0, mu=None, falloff=0.0):
     torch.manual_seed(0)
-    remainder = NetworkEnergy(Cartesian(DOF, "block", 0), TINY, 0)
+    remainder = NetworkEnergy(Cartesian(DOF, "block", 0), TINY, 0, falloff)
     made = CentralBody(remainder, mass, mu).double()
     return made
 
@@ -75,18 +75,20 @@ def test_large_forces_that_are_wrong_do_not_move_mu(mass):
     assert float(exactly.mu.detach()) == pytest.approx(5.0, rel=1e-12)
 
 
+@pytest.mark.parametrize("falloff", [0.0, 3.0])
 @pytest.mark.parametrize(("mass", "mu"), [(1.0, None), (2.5, None), (2.5, 4.0), (1.0, 5.0)])
-def test_the_unit_of_the_remainder_is_the_energy_that_a_point_mass_leaves(mass, mu):
+def test_the_unit_of_the_remainder_is_the_energy_that_a_point_mass_leaves(mass, mu, falloff):
     sampled = statistics(mass=mass, extra=0.05)
-    fitted = body(mass, mu)
+    fitted = body(mass, mu, falloff)
     fitted.fit(sampled)
     strength = float(fitted.mu.detach()) if mu is None else mu
-    squares = []
+    squares, seen = [], []
     for q, force in zip(sampled.positions, sampled.forces, strict=True):
         r = float(q.norm())
         left = force + mass * strength * q / r**3
         squares += [(float(component) * r) ** 2 for component in left]
-    close(fitted.remainder.unit, torch.tensor((sum(squares) / len(squares)) ** 0.5), 1e-7)
+        seen += DOF * [(float(sampled.radius[0]) / r) ** (2 * falloff)]
+    close(fitted.remainder.unit, torch.tensor((sum(squares) / sum(seen)) ** 0.5), 1e-7)
 
 
 def test_nothing_is_left_of_exact_data():

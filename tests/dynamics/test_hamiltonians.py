@@ -55,9 +55,11 @@ def test_gradients_of_the_gradient_are_right(activation):
 
 
 @pytest.mark.parametrize("inputs", INPUTS)
-@pytest.mark.parametrize("structure", STRUCTURES)
-def test_the_field_is_j_grad_of_the_energy(structure, inputs, statistics):
-    field = learned(structure, inputs, statistics)
+@pytest.mark.parametrize(
+    ("structure", "falloff"), [*((s, 0.0) for s in STRUCTURES), ("mechanical", 1.5), ("central_body", 3.0)]
+)
+def test_the_field_is_j_grad_of_the_energy(structure, falloff, inputs, statistics):
+    field = learned(structure, inputs, statistics, falloff=falloff)
     x = random_states(MOLNIYA, 30, seed=4).requires_grad_()
     (gradient,) = torch.autograd.grad(field.energy(x).sum(), x)
     of_q, of_p = gradient.chunk(2, dim=-1)
@@ -126,6 +128,34 @@ def test_a_central_body_of_no_attraction_is_refused(mu):
     options = {"mass": 1.0, "scaling": "block", "network": TINY, "inputs": "cartesian"}
     with pytest.raises(UserError, match=str(mu)):
         make_hamiltonian("central_body", 3, mu=mu, **options)
+
+
+@pytest.mark.parametrize("falloff", [1.0, 3.0])
+def test_a_learned_potential_falls_with_a_power_of_the_distance(falloff, statistics):
+    """On a ray the inputs that say the direction are constant; without those of the distance N is, too."""
+    field = learned("mechanical", "isotropic", statistics, falloff=falloff)
+    potential = field.potential
+    with torch.no_grad():
+        potential.network.hidden[0].weight[:, -1] = 0.0
+        potential.network.output.bias.fill_(0.3)
+    q = random_states(MOLNIYA, 10, seed=8)[:, :3]
+    close(potential(2.0 * q), potential(q) / 2.0**falloff, 1e-12)
+    low = statistics.radius[0] * q / q.norm(dim=-1, keepdim=True)
+    close(potential(low), potential.unit * potential.network(potential.inputs(low)).squeeze(-1), 1e-12)
+
+
+@pytest.mark.parametrize(
+    ("structure", "dof", "falloff", "said"),
+    [
+        ("generic", 2, 1.0, "generic has no V"),
+        ("mechanical", 1, 1.0, "one dimension"),
+        ("mechanical", 2, -1.0, "-1"),
+    ],
+)
+def test_a_fall_without_a_distance_is_refused(structure, dof, falloff, said):
+    options = {"mass": 1.0, "mu": None, "scaling": "block", "network": TINY, "inputs": "cartesian"}
+    with pytest.raises(UserError, match=said):
+        make_hamiltonian(structure, dof, falloff=falloff, **options)
 
 
 def test_impossible_structures_and_inputs_are_refused_by_name(cache):

@@ -16,10 +16,16 @@ WIDE = torch.float64
 
 @pytest.mark.parametrize("inputs", ["cartesian", "isotropic", "radial"])
 @pytest.mark.parametrize(
-    ("structure", "mu", "rows"),
-    [("separable", None, 4), ("mechanical", None, 2), ("central_body", None, 2), ("central_body", 1.3, 2)],
+    ("structure", "mu", "falloff", "rows"),
+    [
+        ("separable", None, 0, 4),
+        ("separable", None, 1.5, 4),
+        ("mechanical", None, 0, 2),
+        ("central_body", None, 0, 2),
+        ("central_body", 1.3, 3, 2),
+    ],
 )
-def test_rows_of_a_separable_field(monkeypatch, structure, mu, rows, inputs):
+def test_rows_of_a_separable_field(monkeypatch, structure, mu, falloff, rows, inputs):
     monkeypatch.setattr(separable_rows, "SAMPLES", 4)
     torch.manual_seed(0)
     own = HamiltonianDynamics(
@@ -27,13 +33,14 @@ def test_rows_of_a_separable_field(monkeypatch, structure, mu, rows, inputs):
         hamiltonian=structure,
         inertia=2.0,
         mu=mu,
+        falloff=falloff,
         inputs=inputs,
         scaling="block",
         network={"width": 5, "depth": 2, "activation": "gelu"},
         integrator={"name": "rk4"},
     ).double()
     for name, buffer in own.named_buffers():
-        if name.endswith(("unit", "spread", "scale")):
+        if name.endswith(("unit", "spread", "scale", "nearest")):
             buffer.copy_(torch.rand(buffer.shape, generator=generator(3), dtype=WIDE) + 0.5)
     assert has_separable_rows(own.field)
     theta = parameters_to_vector(own.parameters()).detach()
