@@ -8,12 +8,14 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
+from ahnn.dynamics.base import HasField
 from ahnn.estimation.consistency import band
 from ahnn.measurements import Segment
 from ahnn.measurements.smoothing import guess
 from ahnn.shooting.paths import Steps, steps_between
 from ahnn.shooting.robust import ROBUST, RobustName
 from ahnn.shooting.starts import Fitted, Trial, fit_starts
+from ahnn.types import TimeStep
 
 NORMAL95 = 1.959963984540054
 """Standard deviations within which a normal number lies with 95 %."""
@@ -34,6 +36,7 @@ class Explained(NamedTuple):
         lost: trajectories that no start explains, which do not count in the others.
         trajectories: how many were tried.
         outliers: share of the measured numbers that were taken for outliers and left out.
+        halved_steps: chi-square of the same field in steps of half the length; None where there is no field.
     """
 
     chi_square: float
@@ -43,6 +46,7 @@ class Explained(NamedTuple):
     lost: int
     trajectories: int
     outliers: float = 0.0
+    halved_steps: float | None = None
 
     @property
     def consistent(self) -> bool:
@@ -61,6 +65,11 @@ class Explained(NamedTuple):
             f"residuals in a row correlate by {self.correlation:+.1g}"
         )
         text += f"; {100 * self.outliers:.2g} % left out as outliers" if self.outliers else ""
+        if self.halved_steps is not None and abs(self.halved_steps - self.chi_square) > (high - low) / 2:
+            text += (
+                f"; in steps of half the length it leaves {self.halved_steps:#.4g}: the integrator's own error "
+                "shows beside the noise, one of higher order has less"
+            )
         return text + (
             f"; {self.lost} of {self.trajectories} trajectories not explained" if self.lost else ""
         )
@@ -68,6 +77,23 @@ class Explained(NamedTuple):
     def numbers(self) -> dict[str, Any]:
         """Return plain values for metrics.json."""
         return {**self._asdict(), "band": list(self.band), "consistent": self.consistent}
+
+
+class HalvedSteps(nn.Module):
+    """Dynamics that take two steps for one.
+
+    Args:
+        dynamics: with a method `increment`.
+    """
+
+    def __init__(self, dynamics: nn.Module) -> None:
+        super().__init__()
+        self.dynamics: Any = dynamics
+
+    def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
+        """Return x(t + dt) - x(t), shape (B, D)."""
+        first = self.dynamics.increment(x, dt / 2)
+        return first + self.dynamics.increment(x + first, dt / 2)
 
 
 @torch.no_grad()
@@ -111,7 +137,9 @@ def explain(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") 
     met = (degrees > 0) & (fitted.sums <= LOST * segment.measured)
     total = float(degrees[met].sum())
     chi = float(fitted.sums[met].sum()) / total if total else float("nan")
-    part = segment.rows(met)
+    part, halved = segment.rows(met), None
+    if isinstance(dynamics, HasField) and total:
+        halved = float(fit_to(HalvedSteps(dynamics), part)[0].sums.sum()) / total
     residuals = part.residuals(fitted.states[met][:, steps.ends])
     correlation, pairs = serial(residuals.masked_fill(part.values.isnan(), torch.nan))
     # Residuals of a fit correlate by about minus the share of the numbers that it has spent on its unknowns.
@@ -124,6 +152,7 @@ def explain(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") 
         lost=int((~met).sum()),
         trajectories=len(met),
         outliers=1 - int(segment.measured.sum()) / max(measured, 1),
+        halved_steps=halved,
     )
 
 

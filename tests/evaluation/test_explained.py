@@ -7,27 +7,28 @@ import dataclasses
 import pytest
 import torch
 from cases import SPRING, trajectories
+from helpers import close
 from torch import nn
 
 from ahnn.data.segments import Segments
 from ahnn.data.sensor import Sensor
-from ahnn.evaluation.explained import explain, serial
+from ahnn.evaluation.explained import HalvedSteps, explain, serial
 from ahnn.integrators import INTEGRATORS
 
 
 class Spring(nn.Module):
-    """A spring by RK4."""
+    """A spring by RK4, or another method."""
 
-    def __init__(self, system):
+    def __init__(self, system, method="rk4"):
         super().__init__()
-        self.system = system
+        self.field, self.method = system, INTEGRATORS[method]
 
     def increment(self, x, dt):
-        return INTEGRATORS["rk4"].increment(self.system, x, dt)
+        return self.method.increment(self.field, x, dt)
 
 
-def measured(count=40, **options):
-    sensor = Sensor(SPRING.space, measured="position", noise=0.01, every=4, **options)
+def measured(count=40, noise=0.01, **options):
+    sensor = Sensor(SPRING.space, measured="position", noise=noise, every=4, **options)
     segments = Segments(sensor.measure(trajectories(SPRING, count, 5), 0), None, sensor.instrument(SPRING.dt))
     return segments.gather(torch.arange(len(segments)))
 
@@ -47,6 +48,23 @@ def test_a_wrong_model_leaves_more_and_what_it_leaves_is_not_white():
     assert not found.consistent
     assert found.chi_square > found.band[1]
     assert found.correlation > found.correlation_band
+
+
+def test_an_integrator_that_shows_beside_the_noise_is_named():
+    batch = measured(noise=1e-3)
+    found = explain(Spring(SPRING, "euler"), batch)
+    assert found.chi_square > found.halved_steps > found.band[1]
+    assert f"half the length it leaves {found.halved_steps:#.4g}" in found.sentence()
+    exact = explain(Spring(SPRING), batch)
+    assert exact.halved_steps == pytest.approx(exact.chi_square, rel=1e-6)
+    assert "half the length" not in exact.sentence()
+
+
+def test_two_halves_are_two_steps():
+    x = trajectories(SPRING, 3, 1).states[:, 0]
+    own = Spring(SPRING, "euler")
+    there = x + own.increment(x, 0.05)
+    close(HalvedSteps(own).increment(x, 0.1), there + own.increment(there, 0.05) - x, 1e-12)
 
 
 @pytest.mark.parametrize("robust", ["huber", "student"])
