@@ -67,8 +67,8 @@ class Explained(NamedTuple):
         text += f"; {100 * self.outliers:.2g} % left out as outliers" if self.outliers else ""
         if self.halved_steps is not None and abs(self.halved_steps - self.chi_square) > (high - low) / 2:
             text += (
-                f"; in steps of half the length it leaves {self.halved_steps:#.4g}: the integrator's own error "
-                "shows beside the noise, one of higher order has less"
+                f"; in steps of half the length it leaves {self.halved_steps:#.4g}: the integrator's own "
+                "error shows beside the noise, one of higher order has less"
             )
         return text + (
             f"; {self.lost} of {self.trajectories} trajectories not explained" if self.lost else ""
