@@ -39,6 +39,7 @@ REFUSED = {
     "callbacks=[default,pfl] callbacks.pfl.monitor=nonsense": "callbacks.pfl.monitor: expected one of val/",
     "optimizer=levenberg_marquardt": "data.precision: expected 64, for the digits",
     "hamiltonian=central_body": "central_body: expected at least 2 degrees of freedom",
+    "model.falloff=3": "falloff: expected 0, since generic has no V(q); received 3",
     "data.emphasis=1e30": "data.emphasis: expected float from 0 to 4; received 1e+30",
     "model.network.width=1000000": "width and depth: expected weights that fit into",
     "model.network.depth=10000000": "width and depth: expected weights that fit into",

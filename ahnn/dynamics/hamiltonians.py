@@ -164,12 +164,12 @@ def make_hamiltonian(
     if mu is not None and structure != "central_body":
         message = f"mu: expected None, since {structure} has no central body; received {mu}"
         raise UserError(message)
+    if structure == "central_body" and dof < 2:
+        message = "hamiltonian central_body: expected at least 2 degrees of freedom; received 1"
+        raise UserError(message)
     if falloff and (structure == "generic" or dof < 2):
         needs = "0, since generic has no V(q)" if structure == "generic" else "0 in one dimension"
         message = f"falloff: expected {needs}; received {falloff:g}"
-        raise UserError(message)
-    if structure == "central_body" and dof < 2:
-        message = "hamiltonian central_body: expected at least 2 degrees of freedom; received 1"
         raise UserError(message)
     if structure == "generic":
         return GenericHamiltonian(dof, inputs=inputs, scaling=scaling, network=network)
