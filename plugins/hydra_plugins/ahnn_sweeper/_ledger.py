@@ -93,11 +93,19 @@ def allot(
             counts = count(known)
             if counts.taken >= total and not counts.waiting:
                 break
-            study.sampler = sampler_for(len(known))
+            study.sampler = sampler_for(_next_number(known))
             trial = study.ask(dict(space))
             trial.set_user_attr("asked_by", this_process())
             taken.append(trial)
     return taken
+
+
+def _next_number(trials: Sequence[FrozenTrial]) -> int:
+    """Return the number of the trial that the study hands out next: the first that waits, or a new one.
+
+    A retry of an orphan that was cut off before it had parameters draws them: its number is its seed.
+    """
+    return min((trial.number for trial in trials if trial.state.name == "WAITING"), default=len(trials))
 
 
 def settle(study: optuna.Study, url: str, numbers: Sequence[int], all_ended: bool) -> None:

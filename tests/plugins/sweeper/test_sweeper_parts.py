@@ -15,7 +15,7 @@ from optuna.trial import TrialState, create_trial
 from sweeps import ROOT
 
 from hydra_plugins.ahnn_sweeper import _owner
-from hydra_plugins.ahnn_sweeper._ledger import count
+from hydra_plugins.ahnn_sweeper._ledger import allot, count
 from hydra_plugins.ahnn_sweeper._progress import progress_line
 from hydra_plugins.ahnn_sweeper._storage import resolved
 from hydra_plugins.ahnn_sweeper._study import open_study, sampler
@@ -72,6 +72,18 @@ def test_no_two_trials_share_a_seed_and_a_restart_changes_nothing():
 
     assert len({draw(number) for number in range(20)}) == 20
     assert draw(3) == draw(3)
+
+
+def test_an_orphan_without_parameters_is_retried_with_some_of_its_own(tmp_path: Path):
+    url = f"journal:///{tmp_path / 'study.journal'}"
+    config = OmegaConf.create({"_target_": "optuna.samplers.RandomSampler", "seed": 7})
+    space = {"x": optuna.distributions.FloatDistribution(0.0, 1.0)}
+    study = open_study(url, "sweep", "minimize", [])
+    study.ask()  # its worker is killed before it has drawn, or has said who it is
+    taken = allot(study, url, space, lambda number: sampler(config, number), total=3, limit=3)
+    assert [trial.number for trial in taken] == [1, 2, 3]
+    assert taken[0].user_attrs["retry_of"] == 0
+    assert len({trial.params["x"] for trial in taken}) == 3
 
 
 def test_storage_paths_are_absolute_and_schemes_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
