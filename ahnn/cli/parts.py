@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 SIMULATION = ("trajectories", "seed", "cache")
 """Keys of `data` that say how many trajectories are simulated, and where they are kept."""
-SENSOR = {"measured": None, "noise": None, "every": 1, "gaps": 0, "outliers": 0}
+SENSOR = {"measured": None, "noise": None, "every": 1, "stride": 1, "gaps": 0, "outliers": 0}
 """Keys of `data` that say what training sees of the trajectories, with the values that change nothing."""
 
 
@@ -58,7 +58,7 @@ def build_data(cfg: DictConfig, source: Source) -> WindowDataModule:
 def build_sensor(cfg: DictConfig, source: Source) -> Sensor | None:
     """Build what training sees of trajectories, drawn or in files; None where it sees their states."""
     data = plain_config(cfg.data)
-    options: dict[str, Any] = {name: data.get(name) for name in SENSOR}  # shipped models have none of these
+    options: dict[str, Any] = {name: data.get(name, value) for name, value in SENSOR.items()}  # old runs lack some
     if isinstance(source, Files):
         return build_recorded(options, source)
     if options["noise"] is None:
@@ -97,7 +97,7 @@ def build_recorded(options: dict[str, Any], source: Files) -> Recorded | None:
         )
         raise UserError(message)
     options = {"measured": measured or ("position" if source.positions_only else "state"), "noise": noise}
-    check_arguments("data", Recorded, options, ("space", "every", "gaps", "outliers", "seed"))
+    check_arguments("data", Recorded, options, ("space", "every", "stride", "gaps", "outliers", "seed"))
     return Recorded(source.space, **options)
 
 

@@ -31,6 +31,7 @@ class Sensor:
         noise: standard deviations in the units of what is measured: one number for all, one for positions
             and one for momenta, one for each component, or those of one of several stations.
         every: samples of a trajectory between two measurements.
+        stride: samples of a trajectory in a step of the integrator, at most; each ends on a measurement.
         gaps: share of the measurements that are missing, drawn at random.
         outliers: share of the measured numbers that are off by 50 standard deviations.
         seed: of all that is drawn.
@@ -47,6 +48,7 @@ class Sensor:
         measured: Literal["state", "position"] | Any,
         noise: float | list[float],
         every: Count = 1,
+        stride: Count = 1,
         gaps: Share = 0.0,
         outliers: Share = 0.0,
         seed: Seed = 0,
@@ -65,16 +67,17 @@ class Sensor:
             raise UserError(message)
         measured_by: Any = self.measurement
         self.deviations = deviations(measured_by, noise, space)
-        self.every, self.gaps, self.outliers, self.seed = every, gaps, outliers, seed
+        self.every, self.stride, self.gaps, self.outliers, self.seed = every, stride, gaps, outliers, seed
 
     @property
     def gives_states(self) -> bool:
         """Whether whole states are measured."""
         return isinstance(self.measurement, State)
 
-    def instrument(self, longest: float) -> Instrument:
-        """Return what a fit must know; `longest` is the longest step of an integrator."""
-        return Instrument(self.measurement, self.deviations, longest, self.space.dof, self.space.inertia)
+    def instrument(self, spacing: float) -> Instrument:
+        """Return what a fit must know of measurements on samples so far apart."""
+        longest, space = self.stride * spacing, self.space
+        return Instrument(self.measurement, self.deviations, longest, space.dof, space.inertia)
 
     def measure(self, truth: Trajectories, part: int) -> Trajectories:
         """Return measurements (B, K, M) of true trajectories, with a seed for each part of the data."""

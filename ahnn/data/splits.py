@@ -85,7 +85,7 @@ class SplitData:
         return self._measured[split]
 
     def instrument(self) -> Instrument:
-        """Return what measures; an integrator steps as far as the samples of the truth lie apart."""
+        """Return what measures, and how far an integrator steps between: some samples of the truth."""
         assert self.sensor is not None
         spacing = sampling_interval(self["test"])
         return self.sensor.instrument(float(spacing.nanmedian()) if isinstance(spacing, Tensor) else spacing)

@@ -41,6 +41,10 @@ def test_positions_every_tenth_sample():
     assert torch.equal(seen.times, TRUTH.times[:, ::10])
 
 
+def test_a_stride_counts_the_samples_of_a_step():
+    assert sensor(every=4, stride=3).instrument(0.1).longest == pytest.approx(0.3, rel=1e-12)
+
+
 def test_gaps_take_whole_measurements_and_outliers_single_numbers():
     seen = sensor(gaps=0.3, outliers=0.05).measure(TRUTH, 0)
     missing = seen.states.isnan()
@@ -71,6 +75,7 @@ def test_what_a_station_does_not_see_is_missing():
         ({"measured": "velocity"}, "expected state, position or a model"),
         ({"measured": GnssRange([[1.0, 2.0, 3.0]])}, "locate"),
         ({"every": 0}, "every: expected"),
+        ({"stride": 0}, "stride: expected"),
         ({"gaps": 1.0}, "gaps: expected"),
         ({"outliers": -0.1}, "outliers: expected"),
     ],

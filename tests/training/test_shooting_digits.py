@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 
+import pytest
 import torch
 from helpers import generator
 from torch.nn.utils import parameters_to_vector
@@ -19,11 +20,11 @@ NETWORK = {"width": 6, "depth": 2, "activation": "tanh"}
 SD = 0.1  # km
 
 
-def satellite():
+def satellite(method="rk4", longest=60.0):
     """A point mass and a small network, over a day of a Molniya orbit, positions every five minutes."""
     torch.manual_seed(0)
     options = {"hamiltonian": "central_body", "mu": None, "inputs": "isotropic", "scaling": "block"}
-    options |= {"network": NETWORK, "integrator": {"name": "rk4"}, "inertia": 1.0}
+    options |= {"network": NETWORK, "integrator": {"name": method}, "inertia": 1.0}
     dynamics = make_dynamics("hamiltonian", dof=3, **options).double()
     potential = dynamics.field.potential
     potential.log_mu.data.fill_(398600.0).log_()
@@ -31,12 +32,12 @@ def satellite():
     potential.remainder.inputs.middle.fill_(10.0)
     start = torch.tensor([[3500.0, 2000.0, -5600.0, -5.0, 8.6, 0.0]], dtype=torch.float64)
     times = 300.0 * torch.arange(289, dtype=torch.float64).unsqueeze(0)
-    steps = steps_between(times, 60.0)
+    steps = steps_between(times, longest)
     with torch.no_grad():
         places = path(dynamics.increment, start, steps.lengths)[:, steps.ends, :3]
     noise = SD * torch.randn(places.shape, generator=generator(0), dtype=torch.float64)
     deviations = torch.full((3,), SD, dtype=torch.float64)
-    return dynamics, Segment(places + noise, times, Instrument(Position(3), deviations, 60.0, 3, 1.0))
+    return dynamics, Segment(places + noise, times, Instrument(Position(3), deviations, longest, 3, 1.0))
 
 
 @torch.no_grad()
@@ -57,3 +58,19 @@ def test_normal_equations_are_right_where_parameters_are_hard_to_see():
     found = ((block.matrix @ directions) * directions).sum(0)
     assert int(seen.sum()) >= 4
     assert float((found / values - 1)[seen].abs().max()) < 5e-5  # float32 would leave 6e-4
+
+
+@torch.no_grad()
+def test_a_step_of_dopri8_between_measurements_five_minutes_apart_is_short_enough():
+    found = []
+    for longest in (300.0, 30.0):
+        dynamics, batch = satellite("dopri8", longest)
+        theta = parameters_to_vector(dynamics.parameters())
+        problem = WideProblem(dynamics, batch, ROBUST["none"])
+        found.append(problem.equations(theta, [p.numel() for p in dynamics.parameters()]))
+    (loss, _, (long,)), (same, _, (short,)) = found
+    assert float(loss / same - 1) == pytest.approx(0, abs=1e-3)
+    values, directions = torch.linalg.eigh(short.matrix)
+    seen = directions[:, values > 1e-6 * values[-1]]
+    ratios = torch.linalg.eigvals(torch.linalg.solve(seen.T @ short.matrix @ seen, seen.T @ long.matrix @ seen))
+    assert float((ratios.real - 1).abs().max()) < 1e-2  # twice what the trapezoids are off by in a day
