@@ -50,11 +50,14 @@ class Prior(NamedTuple):
 def posterior_factor(matrix: Tensor, prior: Prior) -> Tensor:
     """Return L, shape (P, P), with L L^T the inverse of J^T J + diag(alpha).
 
+    What rounding leaves unknown of J^T J counts as known, so that its factor exists.
+
     Args:
         matrix: J^T J, shape (P, P), float64: products in float32 have no digits left for what is badly known.
         prior: of the parameters.
     """
-    lower = torch.linalg.cholesky(matrix + torch.diag(prior.precision))
+    rounding = len(matrix) * torch.finfo(matrix.dtype).eps * matrix.diagonal()
+    lower = torch.linalg.cholesky(matrix + torch.diag(prior.precision + rounding))
     one = torch.eye(len(matrix)).to(matrix)
     return torch.linalg.solve_triangular(lower, one, upper=False).mT
 

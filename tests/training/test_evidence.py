@@ -91,3 +91,16 @@ def test_a_group_that_no_data_or_no_size_speaks_of_keeps_its_strength():
     prior = by_evidence(matrix, torch.tensor([1.0, 2.0, 3.0, 0.0], **DOUBLE), (2, 1, 1))
     assert prior.strengths[1:].tolist() == [BEGIN, BEGIN]
     assert float(prior.strengths[0]) == pytest.approx(2 / 5, rel=0.02)
+
+
+def test_what_rounding_makes_of_a_matrix_has_a_factor():
+    """One direction that data know, a sum that is off by 4 units in the last place, and a weak prior."""
+    count, size = 60, 1e16
+    matrix = torch.full((count, count), size, **DOUBLE)
+    matrix[0, 1] = matrix[1, 0] = size * (1 + 4 * torch.finfo(torch.float64).eps)
+    assert float(torch.linalg.eigvalsh(matrix)[0]) < -5
+    prior = Prior(torch.full((1,), 1e-3, **DOUBLE), [count])
+    factor = posterior_factor(matrix, prior)
+    known = torch.ones(count, **DOUBLE)
+    assert float((known @ factor).square().sum()) == pytest.approx(1 / size, rel=1e-9)
+    assert bool(by_evidence(matrix, known, [count]).strengths.isfinite())
