@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ahnn.uncertainty.bands import rollout_covariances, sampled_rollouts
 from ahnn.uncertainty.domain import BEYOND, Domain, domain_of, find_domain, growth
+from ahnn.uncertainty.force import force_deviation
 from ahnn.uncertainty.posterior import Uncertainty, load_uncertainty, save_uncertainty
 
 __all__ = [
@@ -12,6 +13,7 @@ __all__ = [
     "Uncertainty",
     "domain_of",
     "find_domain",
+    "force_deviation",
     "growth",
     "load_uncertainty",
     "rollout_covariances",

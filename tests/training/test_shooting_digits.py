@@ -72,5 +72,7 @@ def test_a_step_of_dopri8_between_measurements_five_minutes_apart_is_short_enoug
     assert float(loss / same - 1) == pytest.approx(0, abs=1e-3)
     values, directions = torch.linalg.eigh(short.matrix)
     seen = directions[:, values > 1e-6 * values[-1]]
-    ratios = torch.linalg.eigvals(torch.linalg.solve(seen.T @ short.matrix @ seen, seen.T @ long.matrix @ seen))
+    ratios = torch.linalg.eigvals(
+        torch.linalg.solve(seen.T @ short.matrix @ seen, seen.T @ long.matrix @ seen)
+    )
     assert float((ratios.real - 1).abs().max()) < 1e-2  # twice what the trapezoids are off by in a day

@@ -59,7 +59,7 @@ def fitted_force_error(
         growth: factor on the error at a state; None is 1 everywhere.
     """
     dt = float(Statistics.of(trajectories).dt)
-    errors = force_errors(chosen.flow, trajectories, dt)
+    errors = force_errors(chosen.flow, trajectories, dt, growth)
     seen = float(errors[errors.isfinite()].square().mean().nan_to_num()) ** 0.5
     memory = memory_of(errors, dt) if memory is None else memory
     error = ForceError(seen if size is None else size, memory, inertia, growth)
@@ -71,13 +71,17 @@ def fitted_force_error(
 
 
 @torch.no_grad()
-def force_errors(flow: Flow, trajectories: Trajectories, dt: float) -> Tensor:
-    """Return the relative force errors e (B, T - 1, n) of a flow on each step, NaN where there is none."""
+def force_errors(
+    flow: Flow, trajectories: Trajectories, dt: float, growth: Callable[[Tensor], Tensor] | None = None
+) -> Tensor:
+    """Return the errors e (B, T - 1, n) of a flow on each step, over growth; NaN where there is none."""
     before, after = trajectories.states[:, :-1], trajectories.states[:, 1:]
     dof = before.shape[-1] // 2
     predicted = flow(before.flatten(0, 1), dt).unflatten(0, before.shape[:2])
     impulse = (predicted - before)[..., dof:].norm(dim=-1, keepdim=True)
     errors = (after - predicted)[..., dof:] / impulse
+    if growth is not None:
+        errors = errors / growth(before).unsqueeze(-1)
     return torch.where(errors.isfinite(), errors, torch.nan)
 
 

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from ahnn.arguments import Positive, Within, check_arguments, checked
 from ahnn.errors import UserError
 from ahnn.estimation.scenario import Problem, Setting
 from ahnn.evaluation import Case
 from ahnn.types import Space
-from ahnn.uncertainty import growth
+from ahnn.uncertainty import force_deviation, growth
 from ahnn_plugins.ukf.assimilation import Filter
 from ahnn_plugins.ukf.force_error import ForceError
 from ahnn_plugins.ukf.force_error_fit import fitted_force_error
@@ -22,6 +23,8 @@ from ahnn_plugins.ukf.process_noise import fitted_process_noise
 
 FITTED_ON, FORCE_FITTED_ON = 20, 100
 """Validation trajectories on which the scale of Q, and that of a force error, is chosen."""
+EXAMPLES = 500
+"""Training states at which the directions of the parameters are weighed."""
 
 Deviation = Annotated[float, Within(0)]
 
@@ -32,24 +35,30 @@ class ForceOptions:
     """A relative force error with memory; what is None is fitted to validation data.
 
     Attributes:
-        size: standard deviation, as a fraction of the force.
+        size: standard deviation, in units of the shape.
         memory: time constant, in the unit of the system.
+        shape: what the error is a multiple of: the force, or the standard deviation that the covariance of
+            the learned parameters gives the force at each state.
     """
 
     size: Positive | None = None
     memory: Positive | None = None
+    shape: Literal["force", "parameters"] = "force"
 
 
 NoiseOption = Literal["fitted"] | tuple[Deviation, Deviation] | ForceOptions
+GivenNoise = (
+    Literal["fitted", "force_error", "parameter_error"] | tuple[Deviation, Deviation] | dict[str, Any]
+)
 
 
-def noise_option(
-    given: Literal["fitted", "force_error"] | tuple[Deviation, Deviation] | dict[str, Any],
-) -> NoiseOption:
+def noise_option(given: GivenNoise) -> NoiseOption:
     """Return the option as its own type; raises UserError for unknown or wrong keys of a force error."""
     if isinstance(given, dict):
         check_arguments("process_noise", ForceOptions, given)
         return ForceOptions(**given)
+    if given == "parameter_error":
+        return ForceOptions(shape="parameters")
     return ForceOptions() if given == "force_error" else given
 
 
@@ -59,7 +68,7 @@ def given_noise(
     """Return Q of one step and the force error where an option says all of them; None where data must."""
     nothing = torch.zeros(2 * space.dof, 2 * space.dof, dtype=torch.float64)
     if isinstance(option, ForceOptions):
-        if option.size is None or option.memory is None:
+        if option.size is None or option.memory is None or option.shape == "parameters":
             return None
         return nothing, ForceError(option.size, option.memory, space.inertia, growth)
     return None if isinstance(option, str) else (given_covariance(option, space), None)
@@ -91,14 +100,16 @@ def with_process_noise(
         rate: by which a force error grows with each unit of novelty beyond 1; None lets it not.
 
     Raises:
-        UserError: the model does not say where its training data were.
+        UserError: the model does not say where its training data were, or has no covariance.
     """
     if isinstance(option, ForceOptions):
-        given = {"size": option.size, "memory": option.memory, "growth": grown(case.novelty, rate)}
+        shapes = [grown(case.novelty, rate), uncertain(case) if option.shape == "parameters" else None]
+        given = {"size": option.size, "memory": option.memory, "growth": product(shapes)}
         tried, inertia = arcs(FORCE_FITTED_ON), case.space.inertia
         fit = fitted_force_error(plain, setting, tried, case.validation, inertia, **given)
         told = {"size": float(fit.error.size), "memory": float(fit.error.memory)}
-        about = {"from": "force_error", **told, "scale": fit.scale, "nees_of_scales": list(fit.nees)}
+        name = "parameter_error" if option.shape == "parameters" else "force_error"
+        about = {"from": name, **told, "scale": fit.scale, "nees_of_scales": list(fit.nees)}
         about["novelty"] = rate
         # A variance of zero would end every member.
         return plain._replace(force_error=fit.error if told["size"] > 0.0 else None), about
@@ -122,3 +133,22 @@ def grown(
         message = "novelty: expected weights that say where they were trained; received others"
         raise UserError(message)
     return lambda x: growth(novelty(x), rate)
+
+
+def uncertain(case: Case) -> Callable[[Tensor], Tensor]:
+    """Return the deviation of a learned force at a state; raises UserError for weights without covariance."""
+    if case.uncertainty is None:
+        message = (
+            "process_noise: expected weights with a covariance, as trainings on measurements leave it, for "
+            "parameter_error; received weights without. Use process_noise=force_error"
+        )
+        raise UserError(message)
+    states = case.train.states[case.train.present]
+    apart = max(1, len(states) // EXAMPLES)
+    return force_deviation(cast(nn.Module, case.flow), case.uncertainty.spread, states[::apart])
+
+
+def product(factors: Sequence[Callable[[Tensor], Tensor] | None]) -> Callable[[Tensor], Tensor] | None:
+    """Return the product of those factors at a state that there are; None if there are none."""
+    present = [factor for factor in factors if factor is not None]
+    return (lambda x: math.prod(factor(x) for factor in present)) if present else None

@@ -27,8 +27,8 @@ from ahnn_plugins.ukf.estimator import UnscentedKalmanFilter
 from ahnn_plugins.ukf.figures import ukf_figures
 from ahnn_plugins.ukf.force_error import ForceError
 from ahnn_plugins.ukf.noise_options import (
-    Deviation,
     ForceOptions,
+    GivenNoise,
     NoiseOption,
     given_noise,
     grown,
@@ -64,10 +64,11 @@ class UKFEvaluation:
         start_sd: standard deviations of the initial error [position, velocity], for P0; None takes the
             system's own, those that perturbed starts are drawn with.
         process_noise: `fitted` to validation data; standard deviations [position, velocity] of the error
-            of one step; or `force_error`, relative and with memory, `{size: ..., memory: ...}` where one of
-            them is given.
+            of one step; `force_error`, relative and with memory, `{size: ..., memory: ...}` where one of
+            them is given; or `parameter_error`, the same in units of what the covariance of the learned
+            parameters says of the force at each state.
         novelty: rate by which the force error grows with each unit of novelty beyond 1, such as 500; None
-            lets it not. It needs `force_error`.
+            lets it not. It needs `force_error` or `parameter_error`.
         alpha, beta, kappa: parameters of the sigma points.
         form: how covariances are carried.
         gate: probability beyond which a measurement is refused as an outlier; None takes all.
@@ -89,7 +90,7 @@ class UKFEvaluation:
         measurement: Measurement | dict[str, Any] | Literal["position", "state"],
         measurement_sd: Positive | list[Positive] | None,
         start_sd: tuple[Positive, Positive] | None,
-        process_noise: Literal["fitted", "force_error"] | tuple[Deviation, Deviation] | dict[str, Any],
+        process_noise: GivenNoise,
         novelty: Annotated[float, Within(0)] | None = None,
         alpha: Finite,
         beta: Finite,
