@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Annotated, Any, Literal, cast
 
 import torch
@@ -151,4 +151,4 @@ def uncertain(case: Case) -> Callable[[Tensor], Tensor]:
 def product(factors: Sequence[Callable[[Tensor], Tensor] | None]) -> Callable[[Tensor], Tensor] | None:
     """Return the product of those factors at a state that there are; None if there are none."""
     present = [factor for factor in factors if factor is not None]
-    return (lambda x: math.prod(factor(x) for factor in present)) if present else None
+    return (lambda x: reduce(torch.mul, [factor(x) for factor in present])) if present else None
