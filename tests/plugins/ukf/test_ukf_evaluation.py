@@ -12,11 +12,9 @@ import pytest
 import torch
 from hydra import compose, initialize_config_dir
 from scipy.stats import chi2
-from torch import Tensor, nn
 
 from ahnn.cli.build import build_all
 from ahnn.data.generate import generate
-from ahnn.dynamics import Dynamics
 from ahnn.errors import UserError
 from ahnn.estimation import Setting, simulated
 from ahnn.evaluation import Case, Findings, Who
@@ -27,8 +25,7 @@ from ahnn.integrators import INTEGRATORS
 from ahnn.measurements import Position
 from ahnn.paths import conf_dir
 from ahnn.systems import MassSpring, Molniya, System
-from ahnn.types import Flow, TimeStep
-from ahnn.uncertainty import Uncertainty
+from ahnn.types import Flow
 
 drawn = cache(generate)
 RK4 = INTEGRATORS["rk4"]
@@ -125,49 +122,6 @@ def test_a_force_error_is_fitted_or_given(spring: Case) -> None:
     given = run(spring, "process_noise={size:0.01,memory:3.0}").numbers["process_noise"]
     told = {"size": 0.01, "memory": 3.0, "scale": 1.0, "nees_of_scales": [], "novelty": None}
     assert given == {"from": "force_error", **told}
-
-
-class Stiff(Dynamics):
-    """A spring whose stiffness was learned."""
-
-    def __init__(self, stiffness: float) -> None:
-        super().__init__()
-        self.field = Hooke(stiffness)
-
-    def fit(self, statistics: object) -> None:
-        """Nothing to set."""
-
-    def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
-        """Return the increment of RK4."""
-        return RK4.increment(self.field, x, dt)
-
-
-class Hooke(nn.Module):
-    """dq/dt = p / m, dp/dt = -k q."""
-
-    def __init__(self, stiffness: float) -> None:
-        super().__init__()
-        self.stiffness = nn.Parameter(torch.tensor([stiffness], dtype=torch.float64))
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Return the field."""
-        q, p = x.chunk(2, dim=-1)
-        return torch.cat((p / SPRING.mass, -self.stiffness * q), dim=-1)
-
-
-def test_a_parameter_error_is_in_units_of_what_the_covariance_says(make_case: Callable[..., Case]) -> None:
-    deviation = 0.01  # of a stiffness that is off by 0.02
-    known = Uncertainty(torch.tensor([[deviation]], dtype=torch.float64), torch.zeros(1).double(), 1.0, {})
-    case = dataclasses.replace(make_case(SPRING, Stiff(STIFFER.stiffness)), uncertainty=known)
-    findings = run(case, group="ukf_parameter_error")
-    noise = findings.numbers["process_noise"]
-    assert noise["from"] == "parameter_error"
-    assert noise["size"] / noise["scale"] ** 0.5 == pytest.approx(2.0, rel=0.02)
-    assert findings.numbers["filters"]["ukf"]["model"]["perturbed"]["status"]["OK"] == 6
-    relative = run(case, "process_noise=force_error").numbers["process_noise"]
-    assert noise["size"] * deviation / STIFFER.stiffness == pytest.approx(relative["size"], rel=0.01)
-    with pytest.raises(UserError, match="expected weights with a covariance"):
-        run(dataclasses.replace(case, uncertainty=None), group="ukf_parameter_error")
 
 
 def test_same_measurements_for_every_model(spring: Case, make_case: Callable) -> None:
