@@ -58,9 +58,8 @@ def build_data(cfg: DictConfig, source: Source) -> WindowDataModule:
 def build_sensor(cfg: DictConfig, source: Source) -> Sensor | None:
     """Build what training sees of trajectories, drawn or in files; None where it sees their states."""
     data = plain_config(cfg.data)
-    options: dict[str, Any] = {
-        name: data.get(name, value) for name, value in SENSOR.items()
-    }  # old runs lack some
+    # Runs of older versions lack some of the keys.
+    options: dict[str, Any] = {name: data.get(name, value) for name, value in SENSOR.items()}
     if isinstance(source, Files):
         return build_recorded(options, source)
     if options["noise"] is None:

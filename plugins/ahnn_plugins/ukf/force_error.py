@@ -9,7 +9,8 @@ process (Tapley, Schutz & Born 2004, section 4.9) that is held over a step:
 with w ~ N(0, size² (1 - exp(-2 dt / memory))), which keeps the variance of e at size². The impulse of the
 step, F_p(x) - p, stands for the force: any flow has one. The error is largest where the force is, at perigee,
 where noise of one size for all states is too small; and its memory carries it through many steps. Where a
-state is far from the training data e counts `growth` times: a learned force is off by more there.
+state is far from the training data, or the parameters leave the force open, e counts `growth` times: a
+learned force is off by more there.
 """
 
 from __future__ import annotations
