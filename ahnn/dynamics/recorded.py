@@ -10,7 +10,8 @@ from __future__ import annotations
 import copy
 import warnings
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
@@ -62,16 +63,21 @@ class _Recorded:
 
 
 class Increments:
-    """Increments of dynamics for any parameters, without gradients; recorded once that pays.
+    """Increments of dynamics for any parameters, without gradients; recorded where that pays.
+
+    A recording serves all problems of the same dynamics: only parameters differ from one to the next.
 
     Args:
         dynamics: float64; they stay as they are.
+        calls: how many are expected, from which it follows whether they are recorded: what numbers come out
+            depends on the problem alone, and not on those before it.
     """
 
-    def __init__(self, dynamics: Dynamics) -> None:
+    def __init__(self, dynamics: Dynamics, calls: int) -> None:
         self.dynamics = copy.deepcopy(dynamics).requires_grad_(False)
+        self._original = dynamics
+        self._wanted = calls > WORTH and self._gains()
         self._recorded: Callable[..., Tensor] | None = None
-        self._gain, self._calls = self._gains(), 0
         self._theta: Tensor | None = None
 
     def _gains(self) -> bool:
@@ -81,15 +87,46 @@ class Increments:
 
     def __call__(self, theta: Tensor, x: Tensor, dt: Tensor) -> Tensor:
         """Return x(t + dt) - x(t), (B, D), for the parameters theta, (P,), states x, (B, D), and dt, (B,)."""
-        if self._recorded is not None:
+        if self._wanted:
+            if self._recorded is None:
+                self._recorded = _recording(self._original, theta, x, dt)
             return self._recorded(theta, x, dt)
-        self._calls += 1
-        if self._gain and self._calls > WORTH:
-            self._recorded = _record(of_parameters(copy.deepcopy(self.dynamics)), theta, x, dt)
         if theta is not self._theta:
             vector_to_parameters(theta, self.dynamics.parameters())
             self._theta = theta
         return self.dynamics.increment(x, dt)
+
+
+class _Known(NamedTuple):
+    """A recording, and what of the dynamics it holds for good: all but the parameters."""
+
+    integrator: Any
+    buffers: list[Tensor]
+    recording: Callable[..., Tensor]
+
+    def fits(self, dynamics: Dynamics) -> bool:
+        """Return whether the dynamics are still those of the recording."""
+        now = list(dynamics.buffers())
+        if len(now) != len(self.buffers) or self.integrator is not getattr(dynamics, "integrator", None):
+            return False
+        pairs = zip(now, self.buffers, strict=True)
+        return all(a.dtype == b.dtype and torch.equal(a, b) for a, b in pairs)
+
+
+_KNOWN: WeakKeyDictionary[Dynamics, _Known] = WeakKeyDictionary()
+
+
+def _recording(dynamics: Dynamics, *example: Tensor) -> Callable[..., Tensor]:
+    """Return the recorded increment of parameters, states and steps; made once for the same dynamics."""
+    known = _KNOWN.get(dynamics)
+    if known is None or not known.fits(dynamics):
+        copied = copy.deepcopy(dynamics).requires_grad_(False)
+        buffers = [buffer.clone() for buffer in dynamics.buffers()]
+        known = _Known(
+            getattr(dynamics, "integrator", None), buffers, _record(of_parameters(copied), *example)
+        )
+        _KNOWN[dynamics] = known
+    return known.recording
 
 
 def of_parameters(dynamics: Dynamics) -> Callable[[Tensor, Tensor, Tensor], Tensor]:

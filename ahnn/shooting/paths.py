@@ -13,6 +13,8 @@ import torch
 from torch import Tensor
 from torch.func import vjp, vmap
 
+from ahnn.cores import each, slices
+
 Increment = Callable[[Tensor, Tensor], Tensor]
 """(x (B, D), dt (B,)) -> x(t + dt) - x(t), shape (B, D)."""
 
@@ -64,9 +66,11 @@ def path(increment: Increment, start: Tensor, lengths: Tensor) -> Tensor:
 def step_jacobians(increment: Increment, states: Tensor, lengths: Tensor) -> Tensor:
     """Return dx(t + dt)/dx(t) of each step, shape (B, N, D, D), at the states (B, N, D) where they begin."""
     x, dt = states.flatten(0, 1), lengths.flatten()
-    parts = zip(x.split(TOGETHER), dt.split(TOGETHER), strict=True)
-    rows = [pointwise_jacobian(lambda z, dt=dt: z + increment(z, dt), x) for x, dt in parts]
-    return torch.cat(rows).unflatten(0, lengths.shape)
+
+    def rows(part: slice) -> Tensor:
+        return pointwise_jacobian(lambda z: z + increment(z, dt[part]), x[part])
+
+    return torch.cat(each(rows, slices(len(x), TOGETHER), x.device)).unflatten(0, lengths.shape)
 
 
 def pointwise_jacobian(function: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:

@@ -44,6 +44,8 @@ NUMBERS = 50
 """Held for each component of a state while its pull on the field is followed back."""
 UNMET = 1e4
 """Mean squared residual of a whole trajectory that a validation gives up, since telling more takes long."""
+PATHS = 20
+"""Paths of a problem, about, over which the flow is recorded where that pays."""
 TIMES_TYPICAL = 5.0
 """A segment whose chi-square is so many times the median counts with the logarithm of what is beyond."""
 
@@ -124,10 +126,11 @@ class ShootingProblem:
             )
             raise UserError(message)
         self.robust, self.forcing = robust, field_jacobian(dynamics)
-        self._exact, narrow = Increments(dynamics), copy.deepcopy(dynamics).requires_grad_(False)
+        steps = steps_between(batch.times, batch.instrument.longest)
+        self._exact = Increments(dynamics, PATHS * steps.lengths.shape[1])
+        narrow = copy.deepcopy(dynamics).requires_grad_(False)
         self._rough = parametrised(narrow, narrow.increment, torch.float32)
         trial = self.trial(parameters_to_vector(dynamics.parameters()).detach())
-        steps = steps_between(batch.times, batch.instrument.longest)
         self.fitted = fit_starts(trial, guess(batch), batch, steps, hopeless)
         kept = near(self.fitted.sums, freedom(batch), hopeless)
         self.steps, self.batch, self.starts = steps.rows(kept), batch.rows(kept), self.fitted.starts[kept]
@@ -186,7 +189,7 @@ class ShootingProblem:
 
         Nearly all that parameters do to a path a start undoes: float32 would round away the rest.
         """
-        steps, limit = self.steps.rows(part), self.limit.rows(part)
+        now, steps, limit = now.condensed(), self.steps.rows(part), self.limit.rows(part)
         forcing = self.forcing(theta, here.states).to(theta)
         of_theta = (now.of_state @ sensitivities(now.jacobians.to(theta), forcing, steps)).flatten(1, 2)
         basis = torch.linalg.qr(now.of_start.flatten(1, 2)).Q
