@@ -30,7 +30,10 @@ from ahnn.training.posterior import WideProblem, with_prior
 from ahnn.uncertainty import Uncertainty
 
 ARRIVED = 0.05
-"""Squared length of the step that is left, as a share of what noise alone gives, that is not worth a step."""
+"""Squared length of the step that is left, or decrease by the last one, that is not worth another step.
+
+As a share of what noise alone gives: 1 for each parameter that the data determine.
+"""
 DAMPING = 1e-6
 """Of the first step: a training in float32 has left what is seen a millionth as well as the rest."""
 HARDER = 10.0
@@ -91,11 +94,11 @@ def conclude(
     sizes = [p.numel() for p in parameters]
     problem = WideProblem(dynamics, train, ROBUST[robust])
     here = place(problem, parameters_to_vector(parameters), sizes)
-    damping = DAMPING
+    damping, decrease = DAMPING, torch.inf
     for _ in range(steps):
-        if here is None or here.remaining <= ARRIVED * here.determined:
+        if here is None or min(here.remaining, decrease) <= ARRIVED * here.determined:
             break
-        theta, damping = lower(problem, here, damping)
+        theta, damping, decrease = lower(problem, here, damping)
         if theta is None:
             break
         vector_to_parameters(theta, parameters)
@@ -124,8 +127,8 @@ def place(problem: WideProblem, theta: Tensor, sizes: Sequence[int]) -> Place | 
     return Place(theta, loss, degrees, block, prior, factor, count, -factor @ pull, float(pull @ pull))
 
 
-def lower(problem: WideProblem, here: Place, damping: float) -> tuple[Tensor | None, float]:
-    """Return parameters (P,) after a step that lowers residuals and prior, if one does; and a damping."""
+def lower(problem: WideProblem, here: Place, damping: float) -> tuple[Tensor | None, float, float]:
+    """Return parameters (P,) after a step that lowers residuals and prior, if any; a damping; the decrease."""
     block = with_prior(here.block, here.prior, here.theta)
     before = here.loss + here.prior.penalty(here.theta)
     for _ in range(ATTEMPTS):
@@ -135,13 +138,13 @@ def lower(problem: WideProblem, here: Place, damping: float) -> tuple[Tensor | N
             damping = min(damping * HARDER, LARGEST)
             continue
         theta = here.theta + move
-        decrease = before - problem.loss(theta) - here.prior.penalty(theta)
-        gain = float(decrease / promised_decrease([block], straight))
+        decrease = float(before - problem.loss(theta) - here.prior.penalty(theta))
+        gain = decrease / float(promised_decrease([block], straight))
         accepted = gain > SUFFICIENT
         damping = adapted(damping, gain, 0.0, accepted)
         if accepted:
-            return theta, damping
-    return None, damping
+            return theta, damping, decrease
+    return None, damping, 0.0
 
 
 def uncertainty(here: Place, held_out: Equations, strengths: dict[str, float]) -> Uncertainty:

@@ -10,7 +10,7 @@ from torch.nn.utils import parameters_to_vector
 
 from ahnn.measurements import Position
 from ahnn.shooting.robust import ROBUST
-from ahnn.training import LevenbergMarquardt
+from ahnn.training import LevenbergMarquardt, laplace
 from ahnn.training.evidence import by_evidence
 from ahnn.training.laplace import conclude, held_out_scale
 from ahnn.training.normal_equations import Block, Equations
@@ -77,6 +77,20 @@ def test_the_last_steps_end_in_the_optimum():
     assert found.about["remaining"] < 0.05 * found.about["determined"]
     gap = torch.linalg.solve(found.factor, flat(model) - optimum)  # in standard deviations
     assert float(gap.square().sum()) < 0.2
+
+
+@pytest.mark.parametrize(("decrease", "steps"), [(1e-3, 1), (10.0, 4)])
+def test_no_step_follows_one_that_gained_nothing(decrease, steps, monkeypatch):
+    taken = []
+
+    def lower(problem, here, damping):
+        del problem
+        taken.append(damping)
+        return here.theta + 0.0, damping, decrease
+
+    monkeypatch.setattr(laplace, "lower", lower)
+    conclude(Swing(2.01, 0.49), batch_of(0), batch_of(1, rows=10), 4)
+    assert len(taken) == steps
 
 
 def test_nothing_is_said_where_nothing_is_explained():
