@@ -128,7 +128,10 @@ def place(problem: WideProblem, theta: Tensor, sizes: Sequence[int]) -> Place | 
 
 
 def lower(problem: WideProblem, here: Place, damping: float) -> tuple[Tensor | None, float, float]:
-    """Return parameters (P,) after a step that lowers residuals and prior, if any; a damping; the decrease."""
+    """Return parameters (P,) after a step that lowers residuals and prior; a damping; the decrease.
+
+    None for the parameters where no step lowers them.
+    """
     block = with_prior(here.block, here.prior, here.theta)
     before = here.loss + here.prior.penalty(here.theta)
     for _ in range(ATTEMPTS):
