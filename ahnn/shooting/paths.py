@@ -6,7 +6,7 @@ Jacobians of all steps are formed at once and multiplied afterwards.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import NamedTuple
 
 import torch
@@ -80,11 +80,15 @@ def pointwise_jacobian(function: Callable[[Tensor], Tensor], x: Tensor) -> Tenso
     return vmap(lambda row: back(row.expand_as(value))[0], out_dims=-2)(unit)
 
 
-def transitions(jacobians: Tensor) -> Tensor:
-    """Return dx_k/dx_0 of each state of a path, shape (B, N + 1, D, D), from the Jacobians of its steps."""
-    products = [torch.eye(jacobians.shape[-1]).to(jacobians).expand_as(jacobians[:, 0])]
-    for step in jacobians.unbind(1):
-        products.append(step @ products[-1])
+def transitions(jacobians: Tensor, anew: Collection[int] = ()) -> Tensor:
+    """Return dx_k/dx_0 of each state of a path, shape (B, N + 1, D, D), from the Jacobians of its steps.
+
+    With `anew`, states: dx_k/dx_j, with j the last of them up to k.
+    """
+    one = torch.eye(jacobians.shape[-1]).to(jacobians).expand_as(jacobians[:, 0])
+    products = [one]
+    for k, step in enumerate(jacobians.unbind(1), start=1):
+        products.append(one if k in anew else step @ products[-1])
     return torch.stack(products, dim=1)
 
 
@@ -104,7 +108,8 @@ def sensitivities(jacobians: Tensor, forcing: Tensor, steps: Steps, first: Tenso
     rows, size = jacobians.shape[0], jacobians.shape[-1]
     driven = slice(size - forcing.shape[2], None)
     current = forcing.new_zeros(rows, size, forcing.shape[-1]) if first is None else first
-    measured, wanted = set(steps.ends.tolist()), [current]
+    measured = set(steps.ends.tolist())
+    wanted = [current] if 0 in measured else []
     for k, dt in enumerate(steps.lengths.to(forcing).unbind(1)):
         half = dt[:, None, None] / 2
         kicked = current.clone()

@@ -70,20 +70,6 @@ class Linearised(NamedTuple):
         """Return some of the segments."""
         return Linearised(*(values[part] for values in self))
 
-    def condensed(self) -> Linearised:
-        """Return residuals with the same normal equations, at a time no more than components that they see.
-
-        Five stations that measure three numbers each see three components: 15 rows become 3.
-        """
-        seen = self.of_state.flatten(0, -2).any(0)
-        if seen.sum() >= self.of_state.shape[-2]:
-            return self
-        basis, triangle = torch.linalg.qr(self.of_state[..., seen])
-        of_state = self.of_state.new_zeros(*triangle.shape[:-1], len(seen))
-        of_state[..., seen] = triangle
-        residuals = (basis.mT @ self.residuals.unsqueeze(-1)).squeeze(-1)
-        return Linearised(self.jacobians, residuals, of_state, basis.mT @ self.of_start)
-
 
 class Fitted(NamedTuple):
     """Segments from the starts that fit them best.

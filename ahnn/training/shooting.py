@@ -25,6 +25,7 @@ from ahnn.errors import UserError
 from ahnn.measurements import Segment
 from ahnn.measurements.smoothing import guess
 from ahnn.shooting.paths import adjoints, path, sensitivities, steps_between
+from ahnn.shooting.points import normal_points
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
 from ahnn.shooting.starts import (
     HOPELESS,
@@ -189,7 +190,8 @@ class ShootingProblem:
 
         Nearly all that parameters do to a path a start undoes: float32 would round away the rest.
         """
-        now, steps, limit = now.condensed(), self.steps.rows(part), self.limit.rows(part)
+        now, ends = normal_points(now, self.steps.ends)
+        steps, limit = self.steps.rows(part)._replace(ends=ends), self.limit.rows(part)
         forcing = self.forcing(theta, here.states).to(theta)
         of_theta = (now.of_state @ sensitivities(now.jacobians.to(theta), forcing, steps)).flatten(1, 2)
         basis = torch.linalg.qr(now.of_start.flatten(1, 2)).Q
