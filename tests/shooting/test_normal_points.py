@@ -17,7 +17,8 @@ def linear(times, seen, rows=ROWS, every=1):
     """Return residuals at many times that depend on some components of a state, and these states."""
     draw = generator(3)
     steps = every * (times - 1)
-    jacobians = torch.linalg.matrix_exp(0.3 * torch.randn(SEGMENTS, steps, SIZE, SIZE, generator=draw, dtype=F64))
+    jacobians = 0.3 * torch.randn(SEGMENTS, steps, SIZE, SIZE, generator=draw, dtype=F64)
+    jacobians = torch.linalg.matrix_exp(jacobians)
     jacobians = jacobians / torch.linalg.det(jacobians).abs()[..., None, None] ** (1 / SIZE)
     ends = torch.arange(times) * every
     of_state = torch.randn(SEGMENTS, times, rows, SIZE, generator=draw, dtype=F64)
@@ -46,7 +47,8 @@ def kicks(now, at):
 def test_many_sensors_of_a_time_become_the_components_that_they_see():
     plain, ends = linear(5, seen=3)
     few, same = normal_points(plain, ends)
-    assert few.residuals.shape == (SEGMENTS, 5, 3) and same.equal(ends)
+    assert few.residuals.shape == (SEGMENTS, 5, 3)
+    assert same.equal(ends)
     forcing = kicks(plain, [0, 1, 2, 3, 4])
     for mine, exact in zip(equations(few, same, forcing), equations(plain, ends, forcing), strict=True):
         close(mine, exact, 1e-12)
