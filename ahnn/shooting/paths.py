@@ -18,8 +18,8 @@ from ahnn.cores import each, slices
 Increment = Callable[[Tensor, Tensor], Tensor]
 """(x (B, D), dt (B,)) -> x(t + dt) - x(t), shape (B, D)."""
 
-TOGETHER = 8_000
-"""States whose Jacobians are formed at once: what they take stays in the cache."""
+TOGETHER = 12_000
+"""Numbers in states whose Jacobians are formed at once: what they take stays in the cache."""
 
 
 class Steps(NamedTuple):
@@ -70,7 +70,7 @@ def step_jacobians(increment: Increment, states: Tensor, lengths: Tensor) -> Ten
     def rows(part: slice) -> Tensor:
         return pointwise_jacobian(lambda z: z + increment(z, dt[part]), x[part])
 
-    return torch.cat(each(rows, slices(len(x), TOGETHER), x.device)).unflatten(0, lengths.shape)
+    return torch.cat(each(rows, slices(len(x), TOGETHER // x.shape[1]), x.device)).unflatten(0, lengths.shape)
 
 
 def pointwise_jacobian(function: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:

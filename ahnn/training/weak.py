@@ -21,6 +21,7 @@ from torch import Tensor
 from torch.func import vjp
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
+from ahnn.cores import each
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import parametrised
 from ahnn.measurements import Segment
@@ -125,7 +126,8 @@ class WeakProblem:
 
     def _rates(self, field: Function) -> Tensor:
         """Return the derivatives of the field at the samples, in deviations, (B, K + 1, D, D)."""
-        rows = [pointwise_jacobian(field, x) for x in self.values.split(1 + TOGETHER // self.values.shape[1])]
+        parts = self.values.split(1 + TOGETHER // self.values[0].numel())
+        rows = each(lambda x: pointwise_jacobian(field, x), parts, self.values.device)
         deviations = self.batch.instrument.deviations.to(self.values)
         return torch.cat(rows) * deviations / deviations.unsqueeze(-1)
 
