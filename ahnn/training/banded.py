@@ -38,6 +38,11 @@ class Factor(NamedTuple):
             factors.append(torch.linalg.cholesky(own - below[-1] @ below[-1].mT))
         return cls(torch.stack(factors, 1), torch.stack(below, 1))
 
+    @classmethod
+    def joined(cls, parts: Sequence[Factor]) -> Factor:
+        """Return the factors of several batches as one."""
+        return cls(*(torch.cat(blocks) for blocks in zip(*parts, strict=True)))
+
     def whiten(self, sums: Tensor) -> Tensor:
         """Return L^-1 s of sums (B, J, D, M) whose covariance is L L^T, in their precision."""
         blocks, rows = self.diagonal.shape[1:3]

@@ -21,7 +21,7 @@ from torch import Tensor
 from torch.func import vjp
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
-from ahnn.cores import each
+from ahnn.cores import each, slices
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import parametrised
 from ahnn.measurements import Segment
@@ -37,8 +37,10 @@ Function = Callable[[Tensor], Tensor]
 WIDTHS = {1: 3, 2: 2}
 """In half a span, by the order of the equation, of widths over which the motion is a cubic: a bump is small
 but in its middle third. Where samples are missing it is one, since each ends all spans that it is in."""
-CELLS = 5e7
+CELLS = 1.4e7
 """Numbers in the largest tensor of sensitivities; longer batches are cut into parts of segments."""
+SEGMENTS = 16
+"""Whose covariances are factored at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,16 +104,23 @@ class WeakProblem:
     @torch.no_grad()
     def _factor(self) -> Factor:
         """Return the factor of the covariances of the sums' noise, and of what the field misses."""
-        there = self.tests.there.unsqueeze(-1)
         field = self.motion.right(cast(HasField, self._exact).field)
-        # A field that is still wrong does not say how noise moves it.
-        rates = None if self.relative else self._rates(field)
-        nearest, *further = self.tests.covariances(self.values.shape[-1], rates)
-        nearest = nearest + torch.diag_embed((~there).expand(-1, -1, nearest.shape[-1]).to(nearest))
-        if self.relative:
+        if self.relative:  # a field that is still wrong does not say how noise moves it
+            nearest, *further = self._bands(slice(None), None)
             missed = self._missed(field, nearest.diagonal(dim1=-2, dim2=-1))
-            nearest = nearest + torch.diag_embed(missed * there)
-        return Factor.of([nearest, *further])
+            return Factor.of([nearest + torch.diag_embed(missed * self.tests.there.unsqueeze(-1)), *further])
+        parts = slices(len(self.values), SEGMENTS)
+        of_parts = each(
+            lambda part: Factor.of(self._bands(part, self._rates(field, part))), parts, self.values.device
+        )
+        return Factor.joined(of_parts)
+
+    def _bands(self, part: slice, rates: Tensor | None) -> list[Tensor]:
+        """Return the covariances of some segments, as `Factor.of` takes them; 1 where a sum is not there."""
+        tests, size = self.tests.rows(part), self.values.shape[-1]
+        nearest, *further = tests.covariances(size, rates)
+        missing = (~tests.there).unsqueeze(-1).expand(-1, -1, size)
+        return [nearest + torch.diag_embed(missing.to(nearest)), *further]
 
     def _missed(self, field: Function, noise: Tensor) -> Tensor:
         """Return e^2 g^2, (B, J, D), of what the field misses; each kind of quantity has an e of its own."""
@@ -124,11 +133,11 @@ class WeakProblem:
             missed.append(share(residual, square, variance, self.tests.there) ** 2 * square)
         return torch.cat(missed, -1)
 
-    def _rates(self, field: Function) -> Tensor:
-        """Return the derivatives of the field at the samples, in deviations, (B, K + 1, D, D)."""
-        parts = self.values.split(1 + TOGETHER // self.values[0].numel())
-        rows = each(lambda x: pointwise_jacobian(field, x), parts, self.values.device)
-        deviations = self.batch.instrument.deviations.to(self.values)
+    def _rates(self, field: Function, part: slice) -> Tensor:
+        """Return the derivatives of the field at some samples, in deviations, (B, K + 1, D, D)."""
+        x = self.values[part]
+        rows = [pointwise_jacobian(field, few) for few in x.split(1 + TOGETHER // x[0].numel())]
+        deviations = self.batch.instrument.deviations.to(x)
         return torch.cat(rows) * deviations / deviations.unsqueeze(-1)
 
     def _sums(self, field: Function | None, part: slice) -> Tensor:
