@@ -40,7 +40,7 @@ but in its middle third. Where samples are missing it is one, since each ends al
 CELLS = 1.4e7
 """Numbers in the largest tensor of sensitivities; longer batches are cut into parts of segments."""
 SEGMENTS = 16
-"""Whose covariances are factored at once."""
+"""Segments whose covariances are factored at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,11 +109,11 @@ class WeakProblem:
             nearest, *further = self._bands(slice(None), None)
             missed = self._missed(field, nearest.diagonal(dim1=-2, dim2=-1))
             return Factor.of([nearest + torch.diag_embed(missed * self.tests.there.unsqueeze(-1)), *further])
-        parts = slices(len(self.values), SEGMENTS)
-        of_parts = each(
-            lambda part: Factor.of(self._bands(part, self._rates(field, part))), parts, self.values.device
-        )
-        return Factor.joined(of_parts)
+
+        def of(part: slice) -> Factor:
+            return Factor.of(self._bands(part, self._rates(field, part)))
+
+        return Factor.joined(each(of, slices(len(self.values), SEGMENTS), self.values.device))
 
     def _bands(self, part: slice, rates: Tensor | None) -> list[Tensor]:
         """Return the covariances of some segments, as `Factor.of` takes them; 1 where a sum is not there."""

@@ -35,3 +35,5 @@ def test_blocks_whiten_as_the_whole_factor_does(count, band, size):
     close(factor.whiten(colored), white, 1e-9)
     close(factor.whiten(colored.float()).double(), white, 1e-3)
     close(factor.rows(slice(1, 2)).whiten(colored[1:2]), white[1:2], 1e-9)
+    parts = [Factor.of([band[some] for band in bands]) for some in (slice(2), slice(2, 3))]
+    close(Factor.joined(parts).whiten(colored), white, 1e-9)

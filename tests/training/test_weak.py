@@ -241,15 +241,26 @@ def test_parts_of_a_problem_have_the_same_bits_on_two_cores(two, stage):
     two.setattr(weak, "CELLS", 1.5e3)
     two.setattr(shooting, "CELLS", 1.5e3)
     model, batch = Swing(2.1, 0.4), states(rows=40, samples=101)
-    problem = objective_of(stage, "none").problem(model, batch)
     theta = parameters_to_vector(model.parameters()).detach()
+    problem = objective_of(stage, "none").problem(model, batch)
     assert len([*problem._parts(2)]) > 8
     loss, _, (block,) = problem.equations(theta, [2])
     two.setenv("OMP_NUM_THREADS", "1")
-    alone, _, (single,) = problem.equations(theta, [2])
+    alone, _, (single,) = objective_of(stage, "none").problem(model, batch).equations(theta, [2])
     assert torch.equal(block.matrix, single.matrix)
     assert torch.equal(block.gradient, single.gradient)
     assert torch.equal(loss, alone)
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("irregular", [False, True])
+def test_what_noise_does_to_a_trajectory_does_not_depend_on_others(irregular):
+    """Of a field whose rates differ from sample to sample; more trajectories than are factored at once."""
+    model, batch = Bent(2.0, 0.7), states(rows=2 * weak.SEGMENTS + 3, samples=101, irregular=irregular)
+    together, _ = residuals(batch, model)
+    for k in (0, weak.SEGMENTS - 1, weak.SEGMENTS, 2 * weak.SEGMENTS + 2):
+        one = batch._replace(values=batch.values[k : k + 1], times=batch.times[k : k + 1])
+        close(together[k : k + 1], residuals(one, model)[0], 1e-10)
 
 
 @pytest.mark.parametrize("samples", [21, 24, 30])
