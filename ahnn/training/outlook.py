@@ -10,9 +10,14 @@ from statistics import median
 from typing import Any
 
 import torch
+from torch.nn.utils import parameters_to_vector
 
 from ahnn.data.datamodule import WindowDataModule
+from ahnn.data.segments import Segments
+from ahnn.shooting.robust import ROBUST
 from ahnn.training.objectives import Objective
+from ahnn.training.posterior import WideProblem
+from ahnn.training.shooting import Shooting
 
 TRIALS = 3
 """Steps that are timed, at most."""
@@ -20,6 +25,8 @@ ENOUGH = 0.25
 """Seconds of steps that are typical enough: of those that take longer one is timed."""
 REFITTED = 0.5
 """Of its time, what a step takes that begins with starts that were fitted before."""
+STRETCHES, STRETCH = 300, 64
+"""How many stretches last steps are timed on, at most, and their measurement intervals."""
 
 
 def expected_seconds(
@@ -52,11 +59,28 @@ def _on_measurements(model: Any, data: WindowDataModule, per_epoch: int, epochs:
 
     Over long stretches the paths of untrained dynamics are given up early: the first stage is timed.
     """
-    objective = model.curriculum.at(0, epochs.stop)
+    objective, closing = model.curriculum.at(0, epochs.stop), model.curriculum.closing
     each = step_seconds(model, data, objective) / next(iter(data.train_dataloader())).times.numel()
-    passes = 1 + REFITTED * model.curriculum.closing
-    total = passes * data.trajectories("train").times.numel()
-    return each * (total + sum(amounts(data, per_epoch, epochs)))
+    last = each * (1 + REFITTED * closing)
+    if not isinstance(objective, Shooting):  # trained in the weak form, dynamics fit starts soon
+        last = _shooting_seconds(model, data) * REFITTED * (1 + closing)
+    return last * data.trajectories("train").times.numel() + each * sum(amounts(data, per_epoch, epochs))
+
+
+def _shooting_seconds(model: Any, data: WindowDataModule) -> float:
+    """Return the time of fits and equations of shooting for each measured time.
+
+    They are timed on the beginnings of trajectories: untrained dynamics do not follow them far.
+    """
+    dynamics = copy.deepcopy(model.dynamics).double()
+    whole = Segments(data.trajectories("train"), None, data.instrument)
+    batch = whole.gather(torch.arange(min(len(whole), STRETCHES)))
+    batch = batch._replace(values=batch.values[:, : STRETCH + 1], times=batch.times[:, : STRETCH + 1])
+    parameters = list(dynamics.parameters())
+    theta, sizes = parameters_to_vector(parameters).detach(), [p.numel() for p in parameters]
+    equations = lambda: WideProblem(dynamics, batch, ROBUST["none"]).equations(theta, sizes)  # noqa: E731
+    with torch.no_grad():
+        return _median(equations) / batch.times.numel()
 
 
 def amounts(data: WindowDataModule, per_epoch: int, epochs: range) -> list[int]:

@@ -8,6 +8,8 @@ import pytest
 import torch
 
 from ahnn.training import outlook
+from ahnn.training.shooting import Shooting
+from ahnn.training.weak import Weak
 
 
 class Batches:
@@ -38,14 +40,18 @@ class Data:
         return SimpleNamespace(times=torch.zeros(1000))
 
 
-@pytest.mark.parametrize(("closing", "whole"), [(0, 1), (3, 2.5)])
-def test_last_steps_and_the_covariance_count_by_all_measurements(closing, whole, monkeypatch):
-    """A step of 10 takes 1 s; a pass over all follows, and half of one where starts are known."""
+@pytest.mark.parametrize(
+    ("first", "closing", "last"),
+    [(Shooting(4), 0, 100), (Shooting(4), 3, 250), (Weak(), 0, 350), (Weak(), 3, 1400)],
+)
+def test_last_steps_and_the_covariance_count_by_all_measurements(first, closing, last, monkeypatch):
+    """A step of 10 takes 1 s; a pass of shooting over all follows, and half of one where starts fit soon."""
     monkeypatch.setattr(outlook, "step_seconds", lambda *_: 1.0)
-    curriculum = SimpleNamespace(at=lambda *_: None, closing=closing)
+    monkeypatch.setattr(outlook, "_shooting_seconds", lambda *_: 0.7)
+    curriculum = SimpleNamespace(at=lambda *_: first, closing=closing)
     model, trainer = SimpleNamespace(curriculum=curriculum), SimpleNamespace(callbacks=[])
     seconds = outlook.expected_seconds(trainer, Data(), model, 3, range(2))  # pyright: ignore
-    assert seconds == pytest.approx(3 + 12 + 2 * 20 + whole * 100)
+    assert seconds == pytest.approx(3 + 12 + 2 * 20 + last)
 
 
 def test_epochs_count_by_what_they_work_through():
