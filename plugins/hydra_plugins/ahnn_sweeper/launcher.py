@@ -1,9 +1,9 @@
 """The launcher of `hydra/launcher=ahnn_process`: each job in a process of its own.
 
 Hydra's basic launcher runs the jobs inside the sweep, so that a job killed for memory takes the sweep along;
-joblib stops all jobs when one of its workers dies. Here a job is the user's own command as a single run: a
-killed job is one failed job, and Lightning's DDP, which starts its other processes by repeating the command,
-repeats the right one.
+joblib stops all jobs when one of its workers dies. Here a job is the user's own command as a single run, in a
+fork of a process that has imported what all jobs need: a killed job is one failed job, and Lightning's DDP,
+which starts its other processes by repeating the command, repeats the right one.
 
 Hydra executes this module outside `sys.modules`: no postponed annotations together with dataclasses.
 """
@@ -11,11 +11,11 @@ Hydra executes this module outside `sys.modules`: no postponed annotations toget
 import logging
 import os
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
@@ -23,6 +23,8 @@ from hydra.core.utils import JobReturn, JobStatus, filter_overrides, setup_globa
 from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf, open_dict
+
+from hydra_plugins.ahnn_sweeper import _forked
 
 logger = logging.getLogger(__name__)
 _CONFIG_FLAGS = ("config_path", "config_name", "config_dir")
@@ -36,13 +38,15 @@ class ProcessLauncher(Launcher):
 
     Args:
         n_jobs: jobs that run at the same time.
+        imports: modules that are imported once for all jobs.
     """
 
-    def __init__(self, n_jobs: int) -> None:
+    def __init__(self, n_jobs: int, imports: Sequence[str] = ()) -> None:
         self.n_jobs = n_jobs
+        self.imports = [*imports]
         self.config: DictConfig | None = None
         self.hydra_context: HydraContext | None = None
-        self._running: set[subprocess.Popen[bytes]] = set()
+        self._running: set[ForkServerProcess] = set()
         self._ended = False
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:  # noqa: ARG002
@@ -53,6 +57,7 @@ class ProcessLauncher(Launcher):
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
         """Run the jobs and wait for all of them, whatever happens to one."""
         setup_globals()
+        _forked.serve(self.imports)
         numbers = range(initial_job_idx, initial_job_idx + len(job_overrides))
         folders = [self._folder(n, list(o)) for n, o in zip(numbers, job_overrides, strict=True)]
         pool = ThreadPoolExecutor(self.n_jobs)
@@ -91,15 +96,11 @@ class ProcessLauncher(Launcher):
         logger.info("\t#%d : %s", number, " ".join(filter_overrides(overrides)))
         begin = time.monotonic()
         log = folder / "console.log"
-        with log.open("wb") as output:
-            command = self._command(number, overrides, folder)
-            process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT
-            )
+        process = _forked.start(_program(), self._arguments(number, overrides, folder), log)
         self._running.add(process)
         if self._ended:  # by an interrupt while the process came up, when nobody knew it
             process.terminate()
-        code = process.wait()
+        code = _forked.exit_code(process)
         self._running.discard(process)
         job = JobReturn(overrides=list(overrides), working_dir=os.getcwd(), status=JobStatus.COMPLETED)
         if code != 0:
@@ -112,8 +113,8 @@ class ProcessLauncher(Launcher):
             logger.error("%s\n%s", reason, "\n".join(f"    {line}" for line in tail))
         return job
 
-    def _command(self, number: int, overrides: Sequence[str], folder: Path) -> list[str]:
-        """Return the command of this sweep as a single run of one job."""
+    def _arguments(self, number: int, overrides: Sequence[str], folder: Path) -> list[str]:
+        """Return the arguments of this sweep's command as a single run of one job."""
         assert self.config is not None
         flags = []
         args = _hydra_arguments()
@@ -130,17 +131,15 @@ class ProcessLauncher(Launcher):
             f"hydra.run.dir='{folder}'",
             f"hydra.job.num={number}",
         ]
-        return [*_program(), *flags, *map(str, kept), *overrides, *own]
+        return [*flags, *map(str, kept), *overrides, *own]
 
 
-def _program() -> list[str]:
-    """Return how this Python program was started, without its arguments."""
+def _program() -> str:
+    """Return the module or the script that this process runs."""
     import __main__
 
     spec = __main__.__spec__
-    if spec is None:
-        return [sys.executable, os.path.abspath(sys.argv[0])]
-    return [sys.executable, "-m", spec.name.removesuffix(".__main__")]
+    return os.path.abspath(sys.argv[0]) if spec is None else spec.name.removesuffix(".__main__")
 
 
 def _hydra_arguments():  # noqa: ANN202 - argparse.Namespace

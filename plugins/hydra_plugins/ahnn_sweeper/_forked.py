@@ -1,0 +1,70 @@
+"""A command as a fork of a process that has imported what all of them need, as if it had been started anew.
+
+The server is that of `multiprocessing`; it forks while it has one thread. It holds back the signals that a
+scheduler sends to everybody, so that it lives until its jobs have ended and their exit codes are known.
+"""
+
+from __future__ import annotations
+
+import atexit
+import multiprocessing
+import os
+import runpy
+import signal
+import sys
+import threading
+from collections.abc import Sequence
+from multiprocessing.connection import wait
+from multiprocessing.context import ForkServerProcess
+from pathlib import Path
+
+_context = multiprocessing.get_context("forkserver")
+_one_thread = threading.Lock()
+"""A start looks at all processes: it must not read the exit code that another thread waits for."""
+
+
+def serve(imports: Sequence[str]) -> None:
+    """Let the server, which starts with the first job, import some modules; a missing one is left out."""
+    _context.set_forkserver_preload(["hydra_plugins.ahnn_sweeper._held", *imports])
+
+
+def start(program: str, arguments: list[str], log: Path) -> ForkServerProcess:
+    """Start a command with its output in a file.
+
+    Args:
+        program: name of a module, as behind `python -m`, or path of a script.
+        arguments: what follows it.
+        log: file for standard output and standard error.
+    """
+    process = _context.Process(target=_run, args=(program, arguments, str(log)))
+    with _one_thread:
+        process.start()
+    return process
+
+
+def exit_code(process: ForkServerProcess) -> int:
+    """Wait for a command and return its exit code, or the number of the signal that killed it, negative."""
+    wait([process.sentinel])
+    with _one_thread:
+        process.join()
+    assert process.exitcode is not None
+    return process.exitcode
+
+
+def _run(program: str, arguments: list[str], log: str) -> None:
+    """Be the command, from its first line to what it does at its exit."""
+    from hydra_plugins.ahnn_sweeper._held import HANDLERS
+
+    for number, handler in HANDLERS.items():
+        signal.signal(number, handler)
+    with open(log, "wb") as output:
+        os.dup2(output.fileno(), 1)
+        os.dup2(output.fileno(), 2)
+    sys.argv = [program, *arguments]
+    try:
+        if os.path.isfile(program):
+            runpy.run_path(program, run_name="__main__")
+        else:
+            runpy.run_module(program, run_name="__main__", alter_sys=True)
+    finally:
+        atexit._run_exitfuncs()  # `multiprocessing` does so from Python 3.14 on
