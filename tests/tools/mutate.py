@@ -29,6 +29,8 @@ KERNELS = (
     "ahnn/integrators",
     "ahnn/dynamics",
     "ahnn/training",
+    "ahnn/shooting",
+    "ahnn/uncertainty",
     "ahnn/data",
     "ahnn/statistics.py",
     "ahnn/rollouts.py",
@@ -40,6 +42,7 @@ KERNELS = (
 )
 TESTS = (
     *(f"tests/{name}" for name in ("integrators", "dynamics", "models", "training", "data", "systems")),
+    *(f"tests/{name}" for name in ("shooting", "uncertainty")),
     *(f"tests/{name}" for name in ("measurements", "estimation", "plugins/ukf", "plugins/pfl")),
     *(f"tests/{name}" for name in ("test_metrics.py", "test_statistics.py", "test_rollouts.py")),
     "tests/evaluation/test_open_loop.py",
