@@ -52,7 +52,14 @@ def predict(
     state: FilterState, flow: Flow, dt: float, time: Tensor, chol_q: Tensor, weights: Weights, form: Form
 ) -> tuple[FilterState, Propagated]:
     """Return the state after a step of the flow that ends at `time`."""
-    points = _propagate(flow, draw(state.belief, weights), dt)
+    points = propagate(flow, draw(state.belief, weights), dt)
+    return predict_from(points, state, time, chol_q, weights, form)
+
+
+def predict_from(
+    points: Tensor, state: FilterState, time: Tensor, chol_q: Tensor, weights: Weights, form: Form
+) -> tuple[FilterState, Propagated]:
+    """Return the state at `time`, given the sigma points (B, S, D) of the state after the flow."""
     predicted, repaired, sound = form.predict(points, weights, chol_q)
     after = add_repairs(FilterState(predicted, time, state.steps + 1, *state[3:]), repaired)
     if not sound:
@@ -74,12 +81,12 @@ def update(
         updated = form.update(prior, images, y, _CheckedResidual(sensor.measurement), weights, sensor.chol_r)
     nothing_refuses = sensor.thresholds is None and weights.crowding is None
     if updated.sound and nothing_refuses and not bool(state.status.any()):
-        return _taken(state, updated), updated, torch.zeros_like(updated.singular)
+        return taken(state, updated), updated, torch.zeros_like(updated.singular)
     after, rejected = _decide(state, updated, ~torch.isnan(y), images, sensor, weights)
     return after, updated, rejected
 
 
-def _propagate(flow: Flow, points: Tensor, dt: float) -> Tensor:
+def propagate(flow: Flow, points: Tensor, dt: float) -> Tensor:
     """Return the points (B, S, D) after the flow, in one call on all of them."""
     flat = points.reshape(-1, points.shape[-1])
     propagated = flow(flat, dt)
@@ -139,7 +146,7 @@ def _checked_prediction(state: FilterState) -> FilterState:
     return fail(state, (variance == 0.0).any(-1), Status.COLLAPSED)
 
 
-def _taken(state: FilterState, updated: Updated) -> FilterState:
+def taken(state: FilterState, updated: Updated) -> FilterState:
     """Return the state after an update that every member takes: what `_decide` would return."""
     return state._replace(
         belief=updated.belief,

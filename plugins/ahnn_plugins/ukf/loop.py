@@ -16,6 +16,7 @@ from ahnn_plugins.ukf.records import Step, collected
 from ahnn_plugins.ukf.smoother import backward_kernel
 from ahnn_plugins.ukf.steps import Grid
 from ahnn_plugins.ukf.types import Backward, FilterResult, Form, Weights
+from ahnn_plugins.ukf.whole_steps import WholeSteps
 
 
 class StepModel(NamedTuple):
@@ -53,20 +54,39 @@ def run(
         form: of the covariances.
         smoothing: keep what `unscented_smoother` needs.
     """
-    is_measured = (~torch.isnan(rows)).any(-1).any(0).tolist()
-    after, steps = before, []
+    after, steps, whole = before, [], WholeSteps(rows, weights, form)
     for k, (length, time) in enumerate(zip(*grid, strict=True)):
         flow, chol_q, sensor = models(k)
-        earlier = after.belief
-        after, propagated = kernel.predict(after, flow, length, time, chol_q, weights, form)
-        backward = None
-        if smoothing:
-            after, backward = _backward(after, earlier, propagated, chol_q, weights)
-        predicted, updated, rejected = after.belief, None, None
-        if is_measured[k]:
-            after, updated, rejected = kernel.update(after, rows[:, k], sensor, weights, form)
-        steps.append(Step(predicted, after.belief, updated, rejected, backward))
+        points = kernel.propagate(flow, whole.points(after), length)
+        done = None if smoothing else whole.step(k, after, points, time, chol_q, sensor)
+        if done is None:
+            done = _step(rows[:, k], after, points, time, chol_q, sensor, weights, form, smoothing=smoothing)
+        after, step = done
+        steps.append(step)
     return collected(steps, before, after, rows)
+
+
+def _step(
+    row: Tensor,
+    state: FilterState,
+    points: Tensor,
+    time: Tensor,
+    chol_q: Tensor,
+    sensor: kernel.Sensor,
+    weights: Weights,
+    form: Form,
+    *,
+    smoothing: bool,
+) -> tuple[FilterState, Step]:
+    """Return the state after a step in which anything may happen to a member, and its record."""
+    after, propagated = kernel.predict_from(points, state, time, chol_q, weights, form)
+    backward = updated = rejected = None
+    if smoothing:
+        after, backward = _backward(after, state.belief, propagated, chol_q, weights)
+    predicted = after.belief
+    if not bool(torch.isnan(row).all()):
+        after, updated, rejected = kernel.update(after, row, sensor, weights, form)
+    return after, Step(predicted, after.belief, updated, rejected, backward)
 
 
 def _backward(
