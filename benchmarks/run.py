@@ -153,6 +153,7 @@ AdamW on random numbers and read neither a configuration nor data.""",
 
 def text(section: Section, repeats: int) -> str:
     """Measure a section, and return its text, which ends with what measured."""
+    os.environ["OMP_NUM_THREADS"] = "1"  # a section before may have left two
     absent, load = left_out(section.needs), os.getloadavg()[0]
     found = section.measure(repeats)
     print(found, flush=True)
