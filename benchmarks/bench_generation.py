@@ -12,18 +12,18 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from importlib.util import find_spec
 from statistics import median
 
 import numpy as np
 import torch
-from timing import in_turn, ratio, settle
+from timing import has, in_turn, left_out, markdown, ratio, settle, shown
 from torch import Tensor
 
 from ahnn.data.generate import generate
 from ahnn.systems import Molniya
 
 ORBITS, SEED, JUDGED, FEW = 2500, 1, 16, 5
+NEEDS = {"heyoka": ("heyoka",)}
 SYSTEM = Molniya(
     name="molniya",
     mass=1.0,
@@ -97,30 +97,41 @@ def start() -> Tensor:
     return SYSTEM.initial_states(ORBITS, torch.Generator().manual_seed(SEED))
 
 
-def main() -> None:
-    """Print the table."""
-    repeats = int(sys.argv[1]) if len(sys.argv) > 1 else 7
-    settle()
-    begin, exact = start().numpy(), None
+def contestants(begin: np.ndarray) -> dict[str, tuple[Callable[[], np.ndarray], float]]:
+    """Return who generates, and by what factor the work is less than the whole."""
     does: dict[str, tuple[Callable[[], np.ndarray], float]] = {
         "ahnn": (lambda: generate(SYSTEM, ORBITS, SEED).states.numpy(), 1.0)
     }
-    if find_spec("heyoka"):
-        exact = heyoka_orbits(1e-18)(begin[:JUDGED])
+    if has(NEEDS["heyoka"]):
         series = heyoka_orbits(1e-14)
         does["heyoka, 1e-14"] = (lambda: series(begin)), 1.0
-    if find_spec("scipy"):
-        method = scipy_orbits(1e-13)
-        does["SciPy DOP853, 1e-13"] = (lambda: method(begin[:FEW])), ORBITS / FEW
+    method = scipy_orbits(1e-13)
+    does["SciPy DOP853, 1e-13"] = (lambda: method(begin[:FEW])), ORBITS / FEW
+    return does
+
+
+def generation(repeats: int) -> str:
+    """Return the table of times, and of errors where heyoka is there to judge them."""
+    begin = start().numpy()
+    does = contestants(begin)
+    exact = heyoka_orbits(1e-18)(begin[:JUDGED]) if has(NEEDS["heyoka"]) else None
     row = in_turn("generation", {who: work for who, (work, _) in does.items()}, repeats)
-    print("| a day of 2,500 orbits | CPU s | ahnn / it | largest error [km] |\n|---|--:|--:|--:|")
+    lines = []
     for who, (work, factor) in does.items():
-        times = [factor * t for t in row.times[who]]
-        error = ""
+        times, error = [factor * t for t in row.times[who]], ""
         if exact is not None:
             found = work()[:JUDGED, :, :3]
             error = f"{np.linalg.norm(found - exact[: len(found), :, :3], axis=-1).max():.1e}"
-        print(f"| {who} | {median(times):.3g} | {ratio(row.times['ahnn'], times):.2g} | {error} |")
+        beside = "" if who == "ahnn" else shown(ratio(row.times["ahnn"], times))
+        lines.append([who, shown(median(times)), beside, error])
+    return markdown(("a day of 2,500 orbits", "CPU [s]", "ahnn / peer", "largest error [km]"), lines)
+
+
+def main() -> None:
+    """Print the table."""
+    settle()
+    left_out(NEEDS)
+    print(generation(int(sys.argv[1]) if len(sys.argv) > 1 else 7))
 
 
 if __name__ == "__main__":

@@ -13,11 +13,9 @@ from __future__ import annotations
 import os
 import sys
 import time
-from importlib.util import find_spec
-from statistics import median
 
 import torch
-from timing import Row, Work, in_turn, ratio, settle
+from timing import Row, Work, has, in_turn, left_out, settle, table
 
 import ahnn.dynamics.derivatives as derivatives
 from ahnn.dynamics import HamiltonianDynamics
@@ -26,6 +24,7 @@ from ahnn.types import Window
 
 TASKS = {"generic orbit, 2x40": (3, 40, 5000), "spring, 2x24": (1, 24, 7500)}
 """Degrees of freedom, width and batch of the recipes `eccentric` and `second_order_long`."""
+NEEDS = {"optimistix": ("jax", "equinox", "optax", "optimistix")}
 WARM = 6
 """Steps before the one that is measured."""
 DT, WINDOW, ORDER, STAGES = 0.05, 5, 12, 4
@@ -120,26 +119,24 @@ def measured(repeats: int, threads: int) -> list[Row]:
                 "ahnn": step(objective, dynamics(dof, width), batch, known=True),
                 "reverse mode": step(objective, dynamics(dof, width), batch, known=False),
             }
-            if threads == 1 and name == "derivatives" and find_spec("optimistix"):
+            if threads == 1 and name == "derivatives" and has(NEEDS["optimistix"]):
                 works["optimistix"] = by_optimistix(dof, width, oscillations(dof, size // 5))
             cores = "1 core" if threads == 1 else f"{threads} cores"
             rows.append(in_turn(f"{task}, {name}, {cores}", works, repeats, products, clock))
     return rows
 
 
+def steps(repeats: int) -> str:
+    """Return the table, on one core and on two."""
+    return table([row for threads in (1, 2) for row in measured(repeats, threads)], "one step [ms]")
+
+
 def main() -> None:
-    """Measure and print a table."""
+    """Measure and print the table."""
     repeats = int(sys.argv[1]) if len(sys.argv) > 1 else 7
     settle()
-    heads = ("one step [ms]", "ahnn", "floor", "ahnn / floor", "ahnn / reverse mode", "ahnn / optimistix")
-    print(f"| {' | '.join(heads)} |\n|---" + "|--:" * 5 + "|")
-    for threads in (1, 2):
-        for name, times, base in measured(repeats, threads):
-            own = times["ahnn"]
-            cells = [f"{1e3 * median(own):.4g}", f"{1e3 * median(base or []):.3g}"]
-            cells += [f"{ratio(own, base or []):.2f}", f"{ratio(own, times['reverse mode']):.2f}"]
-            cells.append(f"{ratio(own, times['optimistix']):.3f}" if "optimistix" in times else "")
-            print(f"| {name} | {' | '.join(cells)} |", flush=True)
+    left_out(NEEDS)
+    print(steps(repeats))
 
 
 if __name__ == "__main__":

@@ -2,10 +2,10 @@
 
     python benchmarks/bench_training_step.py [steps] [repeats]
 
-Both train the same model on the same windows with AdamW at batch 256; ratios are medians over repeats. The
-first bare loop has the library's optimiser, the fused AdamW of `conf/optimizer/adamw.yaml`; the second has
-`torch.optim.AdamW` with its defaults, as most people write it. The networks are the smallest of the paper's
-search, three hidden layers of 128.
+Both train the same model on the same windows with AdamW at batch 256, in CPU time; ratios are medians over
+repeats. The first bare loop has the library's optimiser, the fused AdamW of `conf/optimizer/adamw.yaml`; the
+second has `torch.optim.AdamW` with its defaults, as most people write it. The networks are the smallest of
+the paper's search, three hidden layers of 128.
 """
 
 from __future__ import annotations
@@ -14,11 +14,13 @@ import copy
 import sys
 import tempfile
 import time
-from statistics import median
+from collections.abc import Iterator
 
 import torch
 from hydra import compose, initialize_config_dir
 from lightning import Callback
+from omegaconf import DictConfig
+from timing import Row, settle, table
 
 from ahnn.cli.before import quiet
 from ahnn.cli.build import OmegaConf  # registers the resolvers of conf/
@@ -29,7 +31,7 @@ MODELS = ("mlp", "node", "hnn", "ahnn", "hnn_derivative")
 
 
 class Stopwatch(Callback):
-    """Time between the first and the last training batch of a fit."""
+    """CPU time between the first and the last training batch of a fit."""
 
     def __init__(self) -> None:
         self.began = self.ended = 0.0
@@ -37,8 +39,8 @@ class Stopwatch(Callback):
     def on_train_batch_end(self, *arguments) -> None:
         """Note the time."""
         if arguments[-1] == 0:
-            self.began = time.perf_counter()
-        self.ended = time.perf_counter()
+            self.began = time.process_time()
+        self.ended = time.process_time()
 
 
 def calibrated(cfg) -> tuple:
@@ -51,7 +53,7 @@ def calibrated(cfg) -> tuple:
 
 
 def through_library(cfg, steps: int) -> float:
-    """Return seconds per step of a fit with the default callbacks and TensorBoard."""
+    """Return CPU seconds per step of a fit with the default callbacks and TensorBoard."""
     data, model = calibrated(cfg)
     trainer = build_trainer(cfg)
     watch = Stopwatch()
@@ -61,7 +63,7 @@ def through_library(cfg, steps: int) -> float:
 
 
 def bare(cfg, steps: int, optimizer_class=None) -> float:
-    """Return seconds per step of a plain loop over the same batches."""
+    """Return CPU seconds per step of a plain loop over the same batches."""
     data, model = calibrated(cfg)
     model = copy.deepcopy(model)
     optimizer = (optimizer_class or model.optimisation.optimizer)(model.dynamics.parameters())
@@ -70,45 +72,41 @@ def bare(cfg, steps: int, optimizer_class=None) -> float:
         optimizer.zero_grad()
         model.loss(model.objective.residuals(model.dynamics, batch)).backward()
         optimizer.step()
-        begin = begin or time.perf_counter() if k == 0 else begin
-    return (time.perf_counter() - begin) / (steps - 1)
+        begin = begin or time.process_time() if k == 0 else begin
+    return (time.process_time() - begin) / (steps - 1)
+
+
+def configuration(overrides: list[str]) -> DictConfig:
+    """Return a configuration of one epoch of the recipe of first-order steps, in batches of 256."""
+    common = ["recipe=first_order", "trainer.max_epochs=1", "trainer.accelerator=cpu", "data.precision=32"]
+    common += ["plugins=none", "data.batch_size=256", "data.val_windows=256"]
+    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
+        cfg = compose("train", [*common, *overrides])
+    OmegaConf.resolve(cfg)
+    return cfg
+
+
+def measured(steps: int, repeats: int) -> Iterator[Row]:
+    """Yield a row for each model, seconds of a step."""
+    for name in MODELS:
+        row = Row(name, {who: [] for who in ("ahnn", "bare loop", "plain AdamW")}, None)
+        for _ in range(repeats):
+            with tempfile.TemporaryDirectory() as folder:
+                overrides = [f"model={name}", "model.network.width=128", "model.network.depth=3"]
+                overrides += [f"data.windows_per_epoch={256 * steps}", f"folder={folder}"]
+                cfg = configuration(overrides)
+                row.times["plain AdamW"].append(bare(cfg, steps, torch.optim.AdamW))
+                row.times["ahnn"].append(through_library(cfg, steps))
+                row.times["bare loop"].append(bare(cfg, steps))
+        yield row
 
 
 def main() -> None:
-    """Print one line for each model."""
+    """Print the table."""
     steps, repeats = (int(a) for a in (*sys.argv[1:], "300", "5")[:2])
     quiet()
-    torch.set_num_threads(1)
-    print(f"ms per step, batch 256, {steps} steps, medians of {repeats}; ratios are library / bare loop")
-    print(f"{'model':15s} {'library':>8s} {'bare':>8s} {'ratio':>6s} {'plain':>8s} {'ratio':>6s}")
-    for name in MODELS:
-        times = []
-        for _ in range(repeats):
-            with (
-                tempfile.TemporaryDirectory() as folder,
-                initialize_config_dir(str(conf_dir()), version_base="1.3"),
-            ):
-                overrides = [
-                    f"model={name}",
-                    "recipe=first_order",
-                    "trainer.max_epochs=1",
-                    "data.precision=32",
-                    "model.network.width=128",
-                    "model.network.depth=3",
-                    "plugins=none",
-                    "data.batch_size=256",
-                    f"data.windows_per_epoch={256 * steps}",
-                    "data.val_windows=256",
-                    f"folder={folder}",
-                ]
-                cfg = compose("train", overrides)
-                OmegaConf.resolve(cfg)
-                plain = bare(cfg, steps, torch.optim.AdamW)
-                times.append((through_library(cfg, steps), bare(cfg, steps), plain))
-        ours, same, default = (median(column) * 1e3 for column in zip(*times, strict=True))
-        ratios = [median(row[0] / row[k] for row in times) for k in (1, 2)]
-        row = f"{name:15s} {ours:8.3f} {same:8.3f} {ratios[0]:6.2f} {default:8.3f} {ratios[1]:6.2f}"
-        print(row, flush=True)
+    settle()
+    print(table([*measured(steps, repeats)], "one step [ms]"))
 
 
 if __name__ == "__main__":

@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from torch import Tensor
 
 from ahnn.estimation import initial_belief
@@ -128,6 +127,8 @@ def batched_filter(flow: Callable, start: Tensor, dt: float, steps: int, form: F
 
 def filterpy_filter(flow: Callable, start: np.ndarray, dt: float, steps: int) -> Callable[[], None]:
     """Return work: filterpy on one member."""
+    from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
+
     points = MerweScaledSigmaPoints(SIZE, alpha=1.0, beta=2.0, kappa=0.0)
 
     def work() -> None:

@@ -10,12 +10,11 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from importlib.util import find_spec
 from statistics import median
 
 import torch
 from bench_ukf_kernel import j2_flow, j2_flow_numpy
-from timing import Row, Work, in_turn, ratio, settle
+from timing import Row, Work, has, in_turn, left_out, ratio, settle
 from torch import Tensor
 
 from ahnn.estimation import initial_belief
@@ -23,18 +22,9 @@ from ahnn.measurements import Position
 from ahnn_plugins.ukf import unscented_filter
 
 SIZE, DT, START, Q, R = 6, 60.0, 1e-4, 1e-8, 1e-2
-NEEDS = {"dynamax": ("jax", "dynamax"), "filterpy": ("filterpy",)}
+NEEDS = {"dynamax": ("jax", "dynamax"), "cuthbert": ("jax", "cuthbertlib"), "filterpy": ("filterpy",)}
 AMOUNTS = ((1, 60), (125, 60), (10_000, 4))
 """Members and steps of each row."""
-
-
-def missing() -> list[str]:
-    """Return the peers that are left out, each with what is not installed."""
-    return [
-        f"{peer} ({', '.join(absent)})"
-        for peer, parts in NEEDS.items()
-        if (absent := [part for part in parts if find_spec(part) is None])
-    ]
 
 
 def problem(members: int, steps: int) -> tuple[Tensor, Tensor]:
@@ -93,18 +83,19 @@ def filterpy_filter(start: Tensor, rows: Tensor) -> Work:
 
 def filters(repeats: int) -> Iterator[Row]:
     """Yield a row for each number of members, times of one step of one member."""
-    absent = {text.partition(" ")[0] for text in missing()}
     compiled = torch.compile(j2_flow, dynamic=True)
     for members, steps in AMOUNTS:
         start, rows = problem(members, steps)
         works = {"ahnn": own_filter(j2_flow, start, rows), "compiled": own_filter(compiled, start, rows)}
         counts = dict.fromkeys(works, members * steps)
-        if "dynamax" not in absent:
-            from jax_filter import dynamax_filter
+        for peer in ("dynamax", "cuthbert"):
+            if has(NEEDS[peer]):
+                import jax_filter
 
-            works["dynamax"] = dynamax_filter(start.numpy(), rows.numpy(), (START, Q, R), DT)
-            counts["dynamax"] = members * steps
-        if "filterpy" not in absent:
+                make = getattr(jax_filter, f"{peer}_filter")
+                works[peer] = make(start.numpy(), rows.numpy(), (START, Q, R), DT)
+                counts[peer] = members * steps
+        if has(NEEDS["filterpy"]):
             works["filterpy"], counts["filterpy"] = filterpy_filter(start, rows), steps
         row = in_turn(f"{members:,} members", works, repeats, flow_alone(compiled, start, steps))
         times = {who: [t / counts[who] for t in found] for who, found in row.times.items()}
@@ -128,8 +119,7 @@ def table(rows: list[Row]) -> str:
 def main() -> None:
     """Print the table."""
     settle()
-    for name in missing():
-        print(f"benchmarks: left out {name}, not installed; pip install brings it")
+    left_out(NEEDS)
     print(table(list(filters(int(sys.argv[1]) if len(sys.argv) > 1 else 9))))
 
 

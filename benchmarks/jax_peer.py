@@ -83,6 +83,36 @@ def rollout(net: eqx.Module, start: np.ndarray, dt: float, steps: int) -> Work:
     return lambda: jax.block_until_ready(run(net, x))
 
 
+def diffrax_rollout(net: eqx.Module, start: np.ndarray, dt: float, steps: int) -> Work:
+    """Return work: the rollout by diffrax in steps of one size, its solver with the classical tableau."""
+    import diffrax
+
+    class RK4(diffrax.AbstractERK):
+        tableau = diffrax.ButcherTableau(
+            c=np.array((0.5, 0.5, 1.0)),
+            a_lower=(np.array((0.5,)), np.array((0.0, 0.5)), np.array((0.0, 0.0, 1.0))),
+            b_sol=np.array((1.0, 2.0, 2.0, 1.0)) / 6,
+            b_error=np.zeros(4),
+        )
+        interpolation_cls = diffrax.ThirdOrderHermitePolynomialInterpolation.from_k
+
+        def order(self, terms: object) -> int:  # noqa: ARG002
+            return 4
+
+    def field(_: jax.Array, x: jax.Array, energy: eqx.Module) -> jax.Array:
+        dq, dp = jnp.split(jax.vmap(jax.grad(energy))(x), 2, axis=-1)
+        return jnp.concatenate((dp, -dq), axis=-1)
+
+    @eqx.filter_jit
+    def run(net: eqx.Module, x: jax.Array) -> jax.Array:
+        saves, term = diffrax.SaveAt(steps=True), diffrax.ODETerm(field)
+        span = 0.0, steps * dt, dt
+        return diffrax.diffeqsolve(term, RK4(), *span, x, net, saveat=saves, max_steps=steps).ys
+
+    x = jnp.asarray(start)
+    return lambda: jax.block_until_ready(run(net, x))
+
+
 def second_order(net: eqx.Module, start: np.ndarray, slopes: np.ndarray) -> Work:
     """Return work: one step of optimistix's Levenberg-Marquardt on the field less its targets."""
     import optimistix as optx

@@ -1,129 +1,190 @@
-"""Training steps and rollouts by ahnn and its peers, in turn; writes docs/benchmarks.md and its picture.
+"""All works by ahnn and its peers, in turn; writes docs/benchmarks.md and its picture.
 
-    python benchmarks/run.py [repeats]
+    python benchmarks/run.py [--only filter,rollouts] [--repeats 3]
 
-Peers come with the extra `bench`; one that is not installed is left out by name.
+Peers come with the extra `bench`; one that is not installed is left out by name. With `--only`, other
+sections of the page stay as they are. Each section is of a script that can also be run by itself.
 """
 
 from __future__ import annotations
 
+import argparse
 import os
-import platform
-import sys
-from pathlib import Path
-from statistics import median
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
+import bench_epoch
+import bench_generation
+import bench_second_order
+import bench_startup
+import bench_time_to_accuracy
+import bench_training_step
 import filter_works
-import torch
-from timing import Row, ratio, settle
-from works import missing, rollouts, training
+import page
+import works
+from timing import left_out, settle, table
 
-from ahnn.files import write_atomically
+from ahnn.cli.before import quiet
 
-DOCS = Path(__file__).parent.parent / "docs"
-PEERS = ("autograd.grad", "torchdiffeq", "JAX")
-FILTER = """## The filter
-
-Two bodies with J2, a position after every step, float64: microseconds for one step of one member. The
-filter's own library is compiled once for a machine; `compiled` is ahnn with the flow through `torch.compile`
-besides, as dynamax has it jitted. The floor is the compiled flow alone on all sigma points.
-"""
+CAP = 8.0
+"""Times our time after which the plain way to an accuracy is stopped."""
+STEPS, WINDOWS = 150, 51200
+"""Steps of a fit through Lightning, and windows of an epoch."""
 OPENING = """# Benchmarks
 
 `make bench` measures ahnn and its peers on the same work, in turn (A B A B), on one thread, and writes this
-page. Times are CPU milliseconds, medians; ratios are medians of the ratios of each repeat, below 1 where
-ahnn is faster. The floor is the time that the multiply-adds of the network take as plain matrix products.
+page; `python benchmarks/run.py --only filter,rollouts --repeats 3` measures some of its sections again and
+leaves the others. Times are CPU time, medians, unless said otherwise; ratios are medians of the ratios of
+each repeat, below 1 where ahnn is faster. Peers that are not installed are left out by name.
 
-- **autograd.grad**: plain PyTorch, the field as `autograd.grad` of the energy with its graph.
-- **torchdiffeq**: the same field through `odeint(method="rk4")`, its 3/8 rule.
-- **JAX**: Equinox and Optax, a whole step or a whole rollout jitted; compilation is not counted.
-
-All follow a generic Hamiltonian network of three degrees of freedom by Runge-Kutta steps of order four. A
-training step is the Huber loss of the recursive predictions over a window, its gradient and AdamW, in
-float32, without Lightning; the optimiser of ahnn is fused, as `recipe=first_order` has it, that of the
-peers in PyTorch is the default one. Steps of ahnn and their reverse are in C where there is a compiler, as
-in any training, and its rollouts, as `run.rollout` has them. Compiled is the same step with `compile=true`,
-by torch and its compiler alone, whose time is not counted either. The floor is of torch's own products,
-which do not use all that some processors have: it can be undercut.
+![Time of ahnn over that of each peer](benchmarks.png)
 """
 
 
-def cpu() -> str:
-    """Return the name of the processor."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor() or platform.machine()
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.machine()
+class Section(NamedTuple):
+    """A section of the page: its heading, what it says before its table, and how it is measured."""
+
+    title: str
+    about: str
+    measure: Callable[[int], str]
+    repeats: int
+    needs: Mapping[str, Sequence[str]]
 
 
-def table(rows: list[Row], what: str) -> str:
-    """Return rows as a Markdown table."""
-    heads = [f"{what} [ms]", "ahnn", "floor", "ahnn / floor", *(f"ahnn / {peer}" for peer in PEERS)]
-    compiled = any("compiled" in row.times for row in rows)
-    heads += ["compiled", "compiled / JAX"] if compiled else []
-    lines = ["| " + " | ".join(heads) + " |", "|---" + "|--:" * (len(heads) - 1) + "|"]
-    for row in rows:
-        own, floor = row.times["ahnn"], row.floor
-        assert floor is not None
-        times = (f"{1e3 * median(own):.4g}", f"{1e3 * median(floor):.3g}")
-        cells = [row.name, *times, f"{ratio(own, floor):.1f}"]
-        cells += [f"{ratio(own, row.times[peer]):.2f}" if peer in row.times else "" for peer in PEERS]
-        if compiled:
-            made, jax = row.times["compiled"], row.times.get("JAX")
-            cells += [f"{1e3 * median(made):.4g}", f"{ratio(made, jax):.2f}" if jax else ""]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+SECTIONS = {
+    "training": Section(
+        "Training steps",
+        """All follow a generic Hamiltonian network of three degrees of freedom by Runge-Kutta steps of
+order four. A step is the Huber loss of the recursive predictions over a window, its gradient and AdamW,
+in float32, without Lightning. The floor is the time that the multiply-adds of the network take as plain
+matrix products of torch, which do not use all that some processors have: it can be undercut.
+
+- **autograd.grad**: plain PyTorch, the field as `autograd.grad` of the energy with its graph.
+- **torchdiffeq**: the same field through `odeint(method="rk4")`, its 3/8 rule.
+- **JAX**: Equinox and Optax, the whole step jitted; compilation is not counted.
+
+The optimiser of ahnn is fused, as `recipe=first_order` has it, that of the peers in PyTorch is the
+default one. Steps of ahnn and their reverse are in C where there is a compiler, as in any training.
+Compiled is the same step with `compile=true`, by torch and its compiler alone, whose time is not counted
+either.""",
+        lambda repeats: table([*works.training(repeats)], "one step [ms]"),
+        15,
+        {peer: works.NEEDS[peer] for peer in ("torchdiffeq", "JAX")},
+    ),
+    "rollouts": Section(
+        "Rollouts",
+        """The same network through the same steps, all states kept, as `run.rollout` has them; in JAX a
+whole rollout is jitted. diffrax takes steps of one size with the classical tableau as its solver.""",
+        lambda repeats: table([*works.rollouts(repeats)], "1,440 steps [ms]"),
+        7,
+        works.NEEDS,
+    ),
+    "filter": Section(
+        "The filter",
+        """Two bodies with J2, a position after every step, float64: microseconds for one step of one
+member. The filter's own library is compiled once for a machine; `compiled` is ahnn with the flow through
+`torch.compile` besides, as dynamax and cuthbert have it jitted. The floor is the compiled flow alone on
+all sigma points. cuthbert's filter is put together from its quadrature and its update by roots; filterpy
+knows one member.""",
+        lambda repeats: filter_works.table([*filter_works.filters(repeats)]),
+        7,
+        filter_works.NEEDS,
+    ),
+    "generation": Section(
+        "Generation",
+        """A day of 2,500 Molniya orbits about an oblate planet, a state a minute, in CPU seconds. heyoka
+integrates by Taylor series, a vector of orbits at a time, its compilation not counted; DOP853 does five
+orbits, and its time is that of as many as the others. Errors are of positions, beside heyoka at tolerance
+1e-18.""",
+        bench_generation.generation,
+        5,
+        bench_generation.NEEDS,
+    ),
+    "second_order": Section(
+        "Levenberg-Marquardt",
+        """A step in float64 beside its matrix products alone (the floor), beside the same step with its
+Jacobian by reverse mode, and beside a jitted step of optimistix on as many residuals of the same network.
+With one core times are CPU time, with two those of a clock, which mean something on a machine that does
+nothing else.""",
+        bench_second_order.steps,
+        3,
+        bench_second_order.NEEDS,
+    ),
+    "lightning": Section(
+        "Through Lightning",
+        f"""Steps of a fit of {STEPS} with the default callbacks and TensorBoard, networks of three layers
+of 128, batches of 256. The bare loop has the same batches and the optimiser of ahnn, plain AdamW that of
+torch with its defaults.""",
+        lambda repeats: table([*bench_training_step.measured(STEPS, repeats)], "one step [ms]"),
+        3,
+        {},
+    ),
+    "epoch": Section(
+        "One epoch end to end",
+        f"""{WINDOWS:,} windows of the spring in batches of 256, trajectories in memory. ahnn is the whole
+fit: Lightning, a validation of 256 windows, logger and checkpoint. The plain loop has none of these: a
+DataLoader takes one window after another from a dataset, the field is `autograd.grad` of the same network
+with its graph, the optimiser AdamW with its defaults.""",
+        lambda repeats: table([*bench_epoch.measured(WINDOWS, repeats)], "one epoch [s]", 1.0),
+        3,
+        {},
+    ),
+    "accuracy": Section(
+        "Time to a given accuracy",
+        f"""Wall clock until rollouts of 25 validation trajectories are as good as the paper's AHNN5: the
+default recipe, and the plain way (one-step loss, AdamW at batch 256 from a per-sample DataLoader,
+gradient by autograd), which is stopped at {CAP:g} times our time. Both learn the same structure from the
+same trajectories, once.""",
+        lambda _: bench_time_to_accuracy.race(CAP),
+        1,
+        {},
+    ),
+    "startup": Section(
+        "Start-up",
+        """Whole processes with all that they start. The first optimiser step is that of the defaults,
+with trajectories and compiled parts in their caches; the process ends after it. Peers take one step of
+AdamW on random numbers and read neither a configuration nor data.""",
+        bench_startup.startup,
+        5,
+        bench_startup.NEEDS,
+    ),
+}
 
 
-def picture(rows: list[Row], path: Path) -> None:
-    """Draw the time of each in units of the floor."""
-    import matplotlib
+def text(section: Section, repeats: int) -> str:
+    """Measure a section, and return its text, which ends with what measured."""
+    os.environ["OMP_NUM_THREADS"] = "1"  # a section before may have left two
+    absent, load = left_out(section.needs), os.getloadavg()[0]
+    found = section.measure(repeats)
+    print(found, flush=True)
+    times = "once" if repeats == 1 or section is SECTIONS["accuracy"] else f"{repeats} repeats"
+    end = f"Measured by {page.machine(load)}; {times}."
+    end += f" Left out, since not installed: {', '.join(absent)}." if absent else ""
+    return f"{section.about}\n\n{found}\n{end}"
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
 
-    figure, axes = plt.subplots(figsize=(8, 0.75 * len(rows) + 1.2), layout="constrained")
-    names = ("ahnn", *(who for who in ("compiled", *PEERS) if any(who in row.times for row in rows)))
-    for k, who in enumerate(names):
-        places = [i + 0.18 * k for i, row in enumerate(rows) if who in row.times]
-        lengths = [ratio(row.times[who], row.floor or []) for row in rows if who in row.times]
-        axes.barh(places, lengths, height=0.16, label=who)
-    axes.axvline(1.0, color="black", linewidth=1, linestyle="--", label="floor: matrix products alone")
-    axes.set_yticks([i + 0.09 * (len(names) - 1) for i in range(len(rows))], [row.name for row in rows])
-    axes.invert_yaxis()
-    axes.set_xlabel("CPU time / floor")
-    figure.legend(loc="outside lower center", ncols=3)
-    figure.savefig(path, dpi=120)
+def chosen() -> argparse.Namespace:
+    """Return what the command line asks for."""
+    parser = argparse.ArgumentParser(description="Measure ahnn and its peers; write docs/benchmarks.md.")
+    parser.add_argument("--only", default=",".join(SECTIONS), help="sections, by comma: %(default)s")
+    parser.add_argument("--repeats", type=int, help="of each section; by default what suits it")
+    arguments = parser.parse_args()
+    arguments.only = arguments.only.split(",")
+    if unknown := {*arguments.only} - SECTIONS.keys():
+        parser.error(f"--only: expected some of {', '.join(SECTIONS)}; received {', '.join(sorted(unknown))}")
+    return arguments
 
 
 def main() -> None:
-    """Measure, and write the page."""
-    repeats = int(sys.argv[1]) if len(sys.argv) > 1 else 15
+    """Measure, and write the page after each section."""
+    arguments = chosen()
+    quiet()
     settle()
-    left_out, load = [*missing(), *filter_works.missing()], os.getloadavg()[0]
-    for name in left_out:
-        print(f"benchmarks: left out {name}, not installed; pip install -e '.[bench]' brings it")
-    steps, rolls = [], []
-    for kept, found in ((steps, training(repeats)), (rolls, rollouts(max(3, repeats // 2)))):
-        for row in found:
-            kept.append(row)
-            print(row.name, {who: f"{1e3 * median(t):.3g} ms" for who, t in row.times.items()}, flush=True)
-    picture([*steps, *rolls], DOCS / "benchmarks.png")
-    shared = f"mean load at the start {load:.1f}: others shared it" if load > 0.5 else "idle before"
-    machine = f"Machine: {cpu()}, {os.cpu_count()} cores, PyTorch {torch.__version__}; {shared}.\n"
-    absent = f"\nLeft out, since not installed: {', '.join(left_out)}.\n" if left_out else ""
-    parts = [OPENING, machine + absent, "## Training steps\n", table(steps, "one step")]
-    judged = list(filter_works.filters(max(3, repeats // 2)))
-    parts += [
-        FILTER,
-        filter_works.table(judged),
-        "## Rollouts\n",
-        table(rolls, "1,440 steps"),
-        "![Time in units of the floor](benchmarks.png)\n",
-    ]
-    write_atomically(DOCS / "benchmarks.md", "\n".join(parts).encode())
+    for key, section in SECTIONS.items():
+        if key in arguments.only:
+            print(f"## {section.title}", flush=True)
+            found = {section.title: text(section, arguments.repeats or section.repeats)}
+            page.write(OPENING, [one.title for one in SECTIONS.values()], found)
 
 
 if __name__ == "__main__":

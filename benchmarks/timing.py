@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from importlib.util import find_spec
 from statistics import median
 from typing import NamedTuple
 
@@ -46,6 +47,57 @@ def in_turn(
 def ratio(above: list[float], below: list[float]) -> float:
     """Return the median of the ratios of each repeat."""
     return median(a / b for a, b in zip(above, below, strict=True))
+
+
+def has(parts: Sequence[str]) -> bool:
+    """Return whether all packages that a peer is made of are installed."""
+    return all(find_spec(part) for part in parts)
+
+
+def left_out(needs: Mapping[str, Sequence[str]]) -> list[str]:
+    """Say and return which peers are left out, each with what is not installed."""
+    found = [
+        f"{peer} ({', '.join(part for part in parts if find_spec(part) is None)})"
+        for peer, parts in needs.items()
+        if not has(parts)
+    ]
+    for name in found:
+        print(f"benchmarks: left out {name}, not installed; pip install -e '.[bench]' brings it", flush=True)
+    return found
+
+
+def shown(value: float) -> str:
+    """Return a number as tables have it, about three digits of it."""
+    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
+def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a Markdown table, numbers to the right."""
+    lines = ["| " + " | ".join(heads) + " |", "|---" + "|--:" * (len(heads) - 1) + "|"]
+    return "\n".join([*lines, *("| " + " | ".join(cells) + " |" for cells in rows)]) + "\n"
+
+
+def table(rows: Sequence[Row], what: str, unit: float = 1e3) -> str:
+    """Return rows as a table: ahnn in a unit, the floor, and ahnn over each of the others.
+
+    `compiled`, which is ahnn too, gets a column of its own and stands beside JAX.
+    """
+    others = [*dict.fromkeys(who for row in rows for who in row.times if who not in ("ahnn", "compiled"))]
+    floor, compiled = rows[0].floor is not None, any("compiled" in row.times for row in rows)
+    heads = [what, "ahnn", *(("floor", "ahnn / floor") if floor else ())]
+    heads += [f"ahnn / {who}" for who in others]
+    heads += ["compiled", "compiled / JAX"] if compiled else []
+    lines = []
+    for name, times, base in rows:
+        own = times["ahnn"]
+        cells = [name, shown(unit * median(own))]
+        cells += [shown(unit * median(base)), shown(ratio(own, base))] if base else []
+        cells += [shown(ratio(own, times[who])) if who in times else "" for who in others]
+        if compiled:
+            made, jax = times["compiled"], times.get("JAX")
+            cells += [shown(unit * median(made)), shown(ratio(made, jax)) if jax else ""]
+        lines.append(cells)
+    return markdown(heads, lines)
 
 
 def products(batch: int, width: int, multiply_adds: float, dtype: torch.dtype) -> Work:

@@ -49,6 +49,17 @@ def torchdiffeq_increment(energy: nn.Module, x: Tensor, dt: float) -> Tensor:
     return found[1] - x
 
 
+def loss(net: nn.Module, follow: Increment, start: Tensor, targets: Tensor, dt: float) -> Tensor:
+    """Return the Huber loss of W recursive predictions beside W increments (B, W, D)."""
+    x, residual, residuals = start, torch.zeros_like(start), []
+    for target in targets.unbind(1):
+        predicted = follow(net, x, dt)
+        x, residual = x + predicted, residual + predicted - target
+        residuals.append(residual)
+    found = torch.stack(residuals, 1)
+    return nn.functional.huber_loss(found, torch.zeros_like(found))
+
+
 def training_step(
     net: nn.Module, follow: Increment, start: Tensor, targets: Tensor, dt: float, steps: int
 ) -> Work:
@@ -57,14 +68,8 @@ def training_step(
 
     def work() -> None:
         for _ in range(steps):
-            x, residual, residuals = start, torch.zeros_like(start), []
-            for target in targets.unbind(1):
-                predicted = follow(net, x, dt)
-                x, residual = x + predicted, residual + predicted - target
-                residuals.append(residual)
-            found = torch.stack(residuals, 1)
             optimizer.zero_grad()
-            nn.functional.huber_loss(found, torch.zeros_like(found)).backward()
+            loss(net, follow, start, targets, dt).backward()
             optimizer.step()
 
     return work

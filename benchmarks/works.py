@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from importlib.util import find_spec
 from pathlib import Path
 
 import torch
 import torch_peer
-from timing import Row, Work, in_turn, products
+from timing import Row, Work, has, in_turn, products
 from torch import Tensor
 
 from ahnn.dynamics import HamiltonianDynamics
@@ -22,7 +21,11 @@ from ahnn.types import Window
 
 SIZE, DT, STAGES = 6, 0.05, 4
 CACHE = Path(os.environ.get("AHNN_CACHE", "~/.cache/ahnn"))
-NEEDS = {"torchdiffeq": ("torchdiffeq",), "JAX": ("jax", "equinox", "optax")}
+NEEDS = {
+    "torchdiffeq": ("torchdiffeq",),
+    "JAX": ("jax", "equinox", "optax"),
+    "diffrax": ("jax", "equinox", "optax", "diffrax"),
+}
 """Packages that a peer is made of."""
 TRAINING = (
     ("2x64 gelu, window 1, batch 256", 64, 2, "gelu", 1, 256),
@@ -31,20 +34,6 @@ TRAINING = (
     ("3x128 gelu, window 1, batch 1024", 128, 3, "gelu", 1, 1024),
 )
 ROLLOUTS = (("125 orbits, 2x40 gelu, float64", 40, 2), ("125 orbits, 3x128 gelu, float64", 128, 3))
-
-
-def missing() -> list[str]:
-    """Return the peers that are left out, each with what is not installed."""
-    return [
-        f"{peer} ({', '.join(absent)})"
-        for peer, parts in NEEDS.items()
-        if (absent := [part for part in parts if find_spec(part) is None])
-    ]
-
-
-def has(peer: str) -> bool:
-    """Return whether all that a peer needs is installed."""
-    return all(find_spec(part) for part in NEEDS[peer])
 
 
 def dynamics(width: int, depth: int, activation: str) -> HamiltonianDynamics:
@@ -91,7 +80,7 @@ def training(repeats: int) -> Iterator[Row]:
         for peer, follow in torch_peers():
             net = torch_peer.network(width, depth, activation, SIZE)
             works[peer] = torch_peer.training_step(net, follow, start, targets, DT, steps)
-        if has("JAX"):
+        if has(NEEDS["JAX"]):
             import jax_peer
 
             net = jax_peer.network(width, depth, activation, SIZE, jax_peer.jnp.float32)
@@ -112,11 +101,13 @@ def rollouts(repeats: int, steps: int = 60) -> Iterator[Row]:
         for peer, follow in torch_peers():
             net = torch_peer.network(width, depth, "gelu", SIZE).double()
             works[peer] = torch_peer.rollout(net, follow, start, DT, steps)
-        if has("JAX"):
+        if has(NEEDS["JAX"]):
             import jax_peer
 
             net = jax_peer.network(width, depth, "gelu", SIZE, jax_peer.jnp.float64)
             works["JAX"] = jax_peer.rollout(net, start.numpy(), DT, steps)
+            if has(NEEDS["diffrax"]):
+                works["diffrax"] = jax_peer.diffrax_rollout(net, start.numpy(), DT, steps)
         count = 2 * len(start) * (SIZE * width + (depth - 1) * width**2) * STAGES * steps
         row = in_turn(name, works, repeats, products(len(start), width, count, torch.float64))
         yield per(row, steps / 1440)
@@ -125,7 +116,7 @@ def rollouts(repeats: int, steps: int = 60) -> Iterator[Row]:
 def torch_peers() -> Iterator[tuple[str, Callable[[torch.nn.Module, Tensor, float], Tensor]]]:
     """Yield the peers in PyTorch with their Runge-Kutta steps."""
     yield "autograd.grad", torch_peer.increment
-    if has("torchdiffeq"):
+    if has(NEEDS["torchdiffeq"]):
         yield "torchdiffeq", torch_peer.torchdiffeq_increment
 
 

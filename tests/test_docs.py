@@ -62,6 +62,7 @@ NOT_RUN = {
     "runs/reproduce/mass_spring_laptop": "needs the thirty runs of the two commands before it",
     "bench_time_to_accuracy": "twenty minutes: the plain way is given twelve times as long",
     "sweep=quick trainer=ddp": "forty trials of two processes each, over ten minutes on two cores",
+    "benchmarks/run.py": "minutes, and it writes docs/benchmarks.md anew",
     "mutate.py": "hours: the suite runs once for each change",
 }
 """Commands that the slow suite leaves out, by a part of them, and why."""
