@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from entry import call
 
 from ahnn.data.doctor import examine
+from ahnn.data.doctor.samples import constant, noise
 from ahnn.data.doctor.velocities import compared, misfit, velocity_findings
 from ahnn.data.files import Ephemeris, instant, write_oem
 from ahnn.data.files.content import Content
@@ -117,3 +119,45 @@ def test_a_column_of_a_message_has_no_row(tmp_path):
     write_oem(tmp_path / "a.oem", [given])
     faults = [one for one in examine([tmp_path / "a.oem"], Reading()).faults if one.column.startswith("v")]
     assert [(one.row, one.column) for one in faults] == [(0, "vx"), (0, "vy"), (0, "vz")]
+
+
+def irregular(factor):
+    """A table of a spring whose step is once so many times longer than the others, which lie on no grid."""
+    steps = np.random.default_rng(0).uniform(0.8, 1.2, 60)
+    steps[30] = factor * np.median(steps)
+    t = 0.05 * np.cumsum(steps)
+    return "t,q,v\n" + "".join(f"{s:.17g},{np.cos(s):.17g},{-np.sin(s):.17g}\n" for s in t)
+
+
+@pytest.mark.parametrize(
+    ("factor", "option", "count"), [(12, [], 1), (9, [], 0), (9, ["gap=8"], 1), (12, ["gap=13"], 0)]
+)
+def test_the_command_takes_ten_usual_steps_for_a_gap_unless_told(tmp_path, capsys, factor, option, count):
+    (tmp_path / "a.csv").write_text(irregular(factor))
+    assert call("ahnn.data.__main__", "check", str(tmp_path / "a.csv"), *option) == 0
+    shown = capsys.readouterr().out
+    assert f"0 faults, {count} warning" in shown
+    assert ("a gap: " in shown) == bool(count)
+
+
+@pytest.mark.parametrize("momenta", [False, True])
+def test_noise_has_the_unit_of_its_column_and_that_of_momenta_is_not_told(momenta):
+    draw = np.random.default_rng(1)
+    track = swing(count=400)
+    track.values[:] += [0.01, 0.03] * draw.standard_normal(track.values.shape)
+    content = Content(("q",), ("v",), momenta, UNITS, "", (track,), head=1)
+    position, rate = noise(content, ("q", "v"), 10.0)
+    assert [one.level for one in (position, rate)] == ["note", "note"]
+    assert float(position.what.split()[3]) == pytest.approx(0.01, rel=0.15)
+    assert float(rate.what.split()[3]) == pytest.approx(0.03, rel=0.15)
+    assert position.what.endswith(" m")
+    assert rate.what.endswith(" m/s") != momenta
+
+
+def test_columns_that_never_change_take_three_samples_to_be_seen():
+    for count in (2, 3):
+        track = swing(count=count)
+        track.values[:, 1] = 0.25
+        content = Content(("q",), ("v",), False, UNITS, "", (track,), head=1)
+        found = [(one.level, one.column, one.what) for one in constant(content, ("q", "v"))]
+        assert found == ([("warning", "v", "always 0.25")] if count == 3 else [])

@@ -87,5 +87,5 @@ def test_the_epoch_of_an_element_set_has_two_digits_of_its_year(text, expected):
 
 
 def test_an_epoch_of_no_numbers_is_a_fault_of_its_column():
-    with pytest.raises(Fault, match="a.tle, row 3, column epoch: expected year and day"):
+    with pytest.raises(Fault, match=r"a.tle, row 3, column epoch: expected year and day"):
         elements.epoch(elements.Elements(Place("a.tle", 3), ("1 00005U 58002B   00x79.78495062", "")))

@@ -58,7 +58,9 @@ def test_two_samples_have_no_step_that_is_usual():
     assert filled(track([0, 1, 2, 4]), 2.0).times.tolist() == [0, 1, 2, 3, 4]
 
 
-@pytest.mark.parametrize(("samples", "sizes"), [(None, [10]), (4, [5, 5]), (3, [4, 3, 3]), (99, [10]), (7, [10])])
+@pytest.mark.parametrize(
+    ("samples", "sizes"), [(None, [10]), (4, [5, 5]), (3, [4, 3, 3]), (99, [10]), (7, [10])]
+)
 def test_stretches_are_about_as_long_as_asked_for(samples, sizes):
     parts = cut(track(range(10)), samples)
     assert [len(part.times) for part in parts] == sizes

@@ -38,7 +38,10 @@ def test_what_a_unit_stands_for(text, size, dimension):
     [
         ((1, 0, 0, 0), {"kg": 1.0, "g": constants.gram, "t": constants.metric_ton}),
         ((0, 1, 0, 0), {"m": 1.0, "km": constants.kilo, "cm": constants.centi, "mm": constants.milli}),
-        ((0, 1, 0, 0), {"um": constants.micron, "nm": constants.nano, "au": constants.au, "AU": constants.au}),
+        (
+            (0, 1, 0, 0),
+            {"um": constants.micron, "nm": constants.nano, "au": constants.au, "AU": constants.au},
+        ),
         ((0, 0, 1, 0), {"s": 1.0, "ms": constants.milli, "us": constants.micro, "ns": constants.nano}),
         ((0, 0, 1, 0), {"min": constants.minute, "h": constants.hour}),
         ((0, 0, 1, 0), {"d": constants.day, "day": constants.day}),

@@ -82,7 +82,10 @@ def all_of(smoothed, b):
 def given():
     """Two pendulums from a wide start, seen at every third step, and what the filter says of them."""
     draw = torch.Generator().manual_seed(2)
-    mean, cov = torch.tensor([[0.6, 0.2], [-0.5, 0.4]], dtype=F64), torch.diag(torch.tensor([0.2, 0.1])).double()
+    mean, cov = (
+        torch.tensor([[0.6, 0.2], [-0.5, 0.4]], dtype=F64),
+        torch.diag(torch.tensor([0.2, 0.1])).double(),
+    )
     x = mean + torch.randn(2, 2, generator=draw, dtype=F64) @ cov.sqrt()
     rows = torch.full((2, STEPS, 1), torch.nan, dtype=F64)
     for k in range(STEPS):
