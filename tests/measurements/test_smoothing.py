@@ -90,3 +90,13 @@ def test_neighbours_reach_from_the_first_sample_to_the_last():
     close(local.value, cubic(t[:1, 2]).unsqueeze(-1), 1e-9)  # the others have four samples
     wide = around(instrument, values, t, chosen, 3)
     close(wide.rate.flatten(), -2 + t[0, [2, 1, 3]] + 0.75 * t[0, [2, 1, 3]] ** 2, 1e-7)
+
+
+def test_a_seventh_sample_has_no_part_in_a_guess():
+    t = 0.3 * torch.arange(9.0, **DOUBLE).unsqueeze(0)
+    values = cubic(t).unsqueeze(-1)
+    instrument = Instrument(Position(1), torch.ones(1, **DOUBLE), 0.3, 1, 1.0)
+    values[:, 6:] = 1e6
+    close(guess(Segment(values, t, instrument)), torch.tensor([[1.0, -2.0]]), 1e-9)
+    values[:, 5] = 1e6
+    assert float(guess(Segment(values, t, instrument)).abs().max()) > 100

@@ -14,23 +14,20 @@ from ahnn.types import Units
 DAY, AU = 86400.0, 149597870.7
 
 
-@pytest.mark.parametrize(
-    ("body", "axis", "period"),
-    [
+def test_the_attraction_of_a_body_is_that_of_its_satellites():
+    for body, axis, period in (
         ("EARTH", 42164.17, 86164.0905),  # a geostationary satellite
         ("SUN", AU, 365.25636 * DAY),
         ("MARS", 9376.0, 0.31891 * DAY),  # Phobos
         ("JUPITER", 421800.0, 1.769138 * DAY),  # Io
         ("SATURN", 1221870.0, 15.945421 * DAY),  # Titan
-    ],
-)
-def test_the_attraction_of_a_body_is_that_of_its_satellites(body, axis, period):
-    assert MU[body] == pytest.approx(4 * np.pi**2 * axis**3 / period**2, rel=2e-3)
+    ):
+        assert MU[body] == pytest.approx(4 * np.pi**2 * axis**3 / period**2, rel=2e-3)
 
 
-@pytest.mark.parametrize(("body", "radius", "gravity"), [("MOON", 1737.4, 1.625), ("VENUS", 6051.8, 8.87)])
-def test_the_attraction_of_a_body_is_that_on_its_ground(body, radius, gravity):
-    assert MU[body] == pytest.approx(gravity / 1000 * radius**2, rel=3e-3)
+def test_the_attraction_of_a_body_is_that_on_its_ground():
+    for body, radius, gravity in (("MOON", 1737.4, 1.625), ("VENUS", 6051.8, 8.87)):
+        assert MU[body] == pytest.approx(gravity / 1000 * radius**2, rel=3e-3)
 
 
 def circle(radius=7000.0, mu=MU["EARTH"], count=80, tilt=0.6):
@@ -41,23 +38,24 @@ def circle(radius=7000.0, mu=MU["EARTH"], count=80, tilt=0.6):
     return t, radius * np.stack((c, s * np.cos(tilt), s * np.sin(tilt)), axis=1)
 
 
-@pytest.mark.parametrize(
-    ("clock", "length", "said"),
-    [
-        (1.0, 1000.0, "positions are 1000 times too large (m as km?)"),
-        (1.0, 0.001, "positions are 1000 times too small (km as m?)"),
-        (1 / 60, 1.0, "times are 60 times too small (min as s?)"),
-        (1 / 3600, 1.0, "times are 3600 times too small (h as s?)"),
-        (60.0, 1.0, "times are 60 times too large (s as min?)"),
-        (3600.0, 1.0, "times are 3600 times too large (s as h?)"),
-        (60.0, 1000.0, "positions are 1000 times too large (m as km?) and times are 60 times too large"),
-    ],
-)
-def test_the_mistake_is_named_that_makes_an_orbit_of_it(clock, length, said):
-    t, q = circle(42164.17 if clock == 3600.0 else 7000.0)
-    assert hypothesis(t, q, "EARTH", turning=False) == ""
-    assert hypothesis(clock * t, length * q, "EARTH", turning=False).startswith(said)
-    assert hypothesis(clock * t, length * q, None, turning=False).startswith(said)
+MISTAKES = [
+    (1.0, 1000.0, "positions are 1000 times too large (m as km?)"),
+    (1.0, 0.001, "positions are 1000 times too small (km as m?)"),
+    (1 / 60, 1.0, "times are 60 times too small (min as s?)"),
+    (1 / 3600, 1.0, "times are 3600 times too small (h as s?)"),
+    (60.0, 1.0, "times are 60 times too large (s as min?)"),
+    (3600.0, 1.0, "times are 3600 times too large (s as h?)"),
+    (60.0, 1000.0, "positions are 1000 times too large (m as km?) and times are 60 times too large"),
+]
+"""Factors on times and positions, and what is said of them."""
+
+
+def test_the_mistake_is_named_that_makes_an_orbit_of_it():
+    for clock, length, said in MISTAKES:
+        t, q = circle(42164.17 if clock == 3600.0 else 7000.0)
+        assert hypothesis(t, q, "EARTH", turning=False) == ""
+        assert hypothesis(clock * t, length * q, "EARTH", turning=False).startswith(said)
+        assert hypothesis(clock * t, length * q, None, turning=False).startswith(said)
 
 
 @pytest.mark.parametrize("share", [0.5, 0.99, 1.01, 1.3])

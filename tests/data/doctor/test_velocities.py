@@ -30,22 +30,22 @@ def found(*tracks, momenta=False, mass=1.0):
     return velocity_findings(content, list(tracks), mass)
 
 
-@pytest.mark.parametrize(
-    ("factor", "said"),
-    [
-        (1000.0, "metres under a name in km"),
-        (60.0, "minutes under a name in s"),
-        (3600.0, "hours under a name in s"),
-        (180 / np.pi, "degrees under a name in rad"),
-        (100.0, "centimetres under a name in m"),
-        (86400.0, "days under a name in s"),
-    ],
-)
-def test_a_factor_between_units_is_named_whichever_is_the_larger(factor, said):
-    for ratio in (factor, 1 / factor):
-        (one,) = found(swing(factor=ratio))
-        assert (one.level, one.what) == ("fault", f"v is {ratio:.4g} times the change of q per s")
-        assert one.remedy.startswith(f"Correct the unit: {said}")
+UNITS_TAKEN = [
+    (1000.0, "metres under a name in km"),
+    (60.0, "minutes under a name in s"),
+    (3600.0, "hours under a name in s"),
+    (180 / np.pi, "degrees under a name in rad"),
+    (100.0, "centimetres under a name in m"),
+    (86400.0, "days under a name in s"),
+]
+
+
+def test_a_factor_between_units_is_named_whichever_is_the_larger():
+    for factor, said in UNITS_TAKEN:
+        for ratio in (factor, 1 / factor):
+            (one,) = found(swing(factor=ratio))
+            assert (one.level, one.what) == ("fault", f"v is {ratio:.4g} times the change of q per s")
+            assert one.remedy.startswith(f"Correct the unit: {said}")
 
 
 def test_other_factors_and_those_of_the_wrong_sign_are_no_unit():

@@ -13,7 +13,7 @@ from ahnn.estimation import initial_belief
 from ahnn.measurements import Position
 from ahnn_plugins.ukf import SQUARE_ROOT, STANDARD, unscented_filter
 from ahnn_plugins.ukf.force_error import ForceError
-from ahnn_plugins.ukf.likelihood import learned_noise
+from ahnn_plugins.ukf.likelihood import _deviations, learned_noise
 
 F64 = torch.float64
 A = torch.tensor([[1.0, 0.3], [-0.3, 0.9]], dtype=F64)
@@ -144,3 +144,11 @@ def test_rows_that_are_missing_say_nothing_of_the_likelihood(rows, gradients, fo
             gain = cov[:, 0] / s
             mean, cov = mean + gain * e, cov - s * np.outer(gain, gain)
         assert float(found[b]) == pytest.approx(total, rel=1e-10)
+
+
+def test_deviations_are_the_roots_of_the_diagonal_of_the_inverse_hessian():
+    root = torch.tensor([[2.0, 0.5, 0.1], [0.0, 1.0, -0.7], [0.0, 0.0, 3.0]], dtype=F64)
+    best = torch.tensor([1.0, -2.0, 0.3], dtype=F64)
+    found = _deviations(lambda x: 0.5 * (root @ (x - best)).square().sum(), best, 1e-3)
+    expected = torch.linalg.inv(root.mT @ root).diagonal().sqrt()
+    assert found.tolist() == pytest.approx(expected.tolist(), rel=1e-9)
