@@ -82,3 +82,11 @@ def test_noise_is_remarked_upon_where_it_matters(stated, said):
 def test_a_loss_that_takes_noisy_samples_as_exact_is_warned_of():
     assert "recipe=measurements" in (remark_on(noisy(0.1), NAMES, None) or "")
     assert remark_on(ORBITS, NAMES, None) is None
+
+
+@pytest.mark.parametrize(("count", "told"), [(10, False), (11, True)])
+def test_a_difference_of_tenth_order_takes_eleven_samples(count, told):
+    draw = torch.randn(400, count, 2, generator=generator(4), dtype=torch.float64)
+    found = noise_floor(Trajectories(draw, torch.arange(count, dtype=torch.float64).expand(400, -1)))
+    assert bool(found.isfinite().all()) == told
+    assert not told or float((found - 1).abs().max()) < 0.15

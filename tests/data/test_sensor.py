@@ -83,3 +83,20 @@ def test_what_a_station_does_not_see_is_missing():
 def test_what_makes_no_sensor_is_refused(options, said):
     with pytest.raises(UserError, match=said):
         sensor(**options)
+
+
+def test_an_outlier_is_off_by_fifty_deviations_of_its_own_component_to_either_side():
+    sizes = torch.tensor([0.01, 0.5])
+    seen = sensor(noise=[0.01, 0.5], outliers=0.1).measure(TRUTH, 0)
+    off = (seen.states - TRUTH.states) / sizes
+    far = off.abs() > 10
+    assert far.double().mean((0, 1)).tolist() == pytest.approx([0.1, 0.1], abs=0.01)
+    assert float((off[far].abs() - 50).abs().max()) < 6  # the noise is still there
+    assert float((off[far] > 0).double().mean()) == pytest.approx(0.5, abs=0.03)
+
+
+def test_a_number_for_positions_and_one_for_momenta():
+    found = Sensor(MOLNIYA.space, measured="state", noise=[0.1, 2e-4]).deviations
+    assert found.tolist() == [0.1] * 3 + [2e-4] * 3
+    single = Sensor(MOLNIYA.space, measured="state", noise=[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]).deviations
+    assert single.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]

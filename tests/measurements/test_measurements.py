@@ -198,6 +198,13 @@ def test_a_model_without_a_view_observes_every_state():
     assert observe(Position(3), x, 0.0).tolist() == [0.0, 1.0, 2.0]
 
 
+def test_a_station_that_looks_down_to_its_nadir_sees_everything():
+    beneath = torch.tensor([[-7000.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [7000.0, 0.0, 0.0]], dtype=F64)
+    for least, seen in ((-90.0, [True, True, True]), (-89.9, [False, False, True])):
+        station = GroundStation(0.0, 0.0, flattening=0.0, min_elevation=least)
+        assert station.in_view(beneath, 0.0)[:, 0].tolist() == seen
+
+
 NUMBERS = ("height", "earth_angle", "rotation_rate", "radius", "flattening", "mass", "min_elevation")
 
 

@@ -6,7 +6,7 @@ import torch
 from helpers import close, generator
 
 from ahnn.measurements import Instrument, Position, Segment, State
-from ahnn.measurements.smoothing import guess, local_polynomials, smoothed
+from ahnn.measurements.smoothing import around, guess, local_polynomials, smoothed
 
 DOUBLE = {"dtype": torch.float64}
 COEFFICIENTS = torch.tensor([1.0, -2.0, 0.5, 0.25], **DOUBLE)
@@ -77,3 +77,26 @@ def test_a_sample_without_neighbours_says_nothing_of_rates():
     assert len(local.value) == 10 * 1001
     assert bool(local.curvature.isfinite().all())
     close(local.rate.square().mean().sqrt(), torch.tensor(2**0.5), 0.05)
+
+
+def test_neighbours_reach_from_the_first_sample_to_the_last():
+    """Five samples hold a cubic and one more, which tells nothing of another width."""
+    t = torch.arange(5.0, **DOUBLE).expand(2, -1) * 0.3
+    values = cubic(t).unsqueeze(-1)
+    values[1, 0] = torch.nan
+    instrument = Instrument(Position(1), torch.ones(1, **DOUBLE), 0.3, 1, 1.0)
+    chosen = torch.tensor([[0, 2], [1, 2], [0, 1], [0, 3]])
+    local = around(instrument, values, t, chosen, 2)
+    close(local.value, cubic(t[:1, 2]).unsqueeze(-1), 1e-9)  # the others have four samples
+    wide = around(instrument, values, t, chosen, 3)
+    close(wide.rate.flatten(), -2 + t[0, [2, 1, 3]] + 0.75 * t[0, [2, 1, 3]] ** 2, 1e-7)
+
+
+def test_a_seventh_sample_has_no_part_in_a_guess():
+    t = 0.3 * torch.arange(9.0, **DOUBLE).unsqueeze(0)
+    values = cubic(t).unsqueeze(-1)
+    instrument = Instrument(Position(1), torch.ones(1, **DOUBLE), 0.3, 1, 1.0)
+    values[:, 6:] = 1e6
+    close(guess(Segment(values, t, instrument)), torch.tensor([[1.0, -2.0]]), 1e-9)
+    values[:, 5] = 1e6
+    assert float(guess(Segment(values, t, instrument)).abs().max()) > 100

@@ -43,7 +43,10 @@ KERNELS = (
 TESTS = (
     *(f"tests/{name}" for name in ("integrators", "dynamics", "models", "training", "data", "systems")),
     *(f"tests/{name}" for name in ("shooting", "uncertainty")),
-    *(f"tests/{name}" for name in ("measurements", "estimation", "plugins/ukf", "plugins/pfl")),
+    *(
+        f"tests/{name}"
+        for name in ("measurements", "estimation", "assimilation", "plugins/ukf", "plugins/pfl")
+    ),
     *(f"tests/{name}" for name in ("test_metrics.py", "test_statistics.py", "test_rollouts.py")),
     "tests/evaluation/test_open_loop.py",
 )

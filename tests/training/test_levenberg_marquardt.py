@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -12,6 +13,7 @@ from torch import nn
 from ahnn.dynamics.networks import Perceptron
 from ahnn.errors import UserError
 from ahnn.training import LevenbergMarquardt, pointwise_problem
+from ahnn.training.normal_equations import Equations
 
 
 class Rosenbrock(nn.Module):
@@ -123,3 +125,10 @@ def test_a_problem_of_a_whole_module_leaves_its_parameters_in_place():
     assert all(
         p is q and p.is_leaf and p.requires_grad for p, q in zip(line.parameters(), before, strict=True)
     )
+
+
+def test_where_nothing_depends_on_the_parameters_the_mean_square_is_returned():
+    theta = nn.Parameter(torch.ones(2, dtype=torch.float64))
+    problem = SimpleNamespace(equations=lambda *_: Equations(torch.tensor(6.0), 3, []))
+    assert float(LevenbergMarquardt([theta]).step(lambda: (problem, None))) == 2.0
+    assert theta.tolist() == [1.0, 1.0]

@@ -66,3 +66,16 @@ def test_steps_that_take_long_are_timed_once(each, calls, monkeypatch):
     monkeypatch.setattr(outlook.time, "perf_counter", lambda: each * len(done))
     assert outlook._median(lambda: done.append(0), 3) == pytest.approx(each)
     assert len(done) == calls
+
+
+def test_each_epoch_counts_its_steps_its_validation_and_the_callbacks_that_say_so(monkeypatch):
+    """Epochs 2 to 4 of 5: steps of 0.5 s up to the third, of 2 s after it, and validations of 3 s."""
+    one, other = object(), object()
+    monkeypatch.setattr(outlook, "step_seconds", lambda *given: {one: 0.5, other: 2.0}[given[-1]])
+    monkeypatch.setattr(outlook, "_validation_seconds", lambda *_: 3.0)
+    curriculum = SimpleNamespace(at=lambda epoch, epochs: one if epoch < 3 < epochs else other)
+    slow = SimpleNamespace(seconds=lambda epoch, *_: 100.0 * epoch)
+    trainer = SimpleNamespace(callbacks=[SimpleNamespace(), slow])
+    model, data = SimpleNamespace(curriculum=curriculum), SimpleNamespace(stages=None)
+    seconds = outlook.expected_seconds(trainer, data, model, 7, range(2, 5))  # pyright: ignore
+    assert seconds == pytest.approx(3.5 + 14 + 14 + 3 * 3 + 100 * (2 + 3 + 4))

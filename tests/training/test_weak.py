@@ -269,3 +269,16 @@ def test_short_trajectories_have_a_few_spans(samples):
     integrals, problem = residuals(states(rows=300, samples=samples, dt=0.1))
     assert problem.count == integrals.numel() > 0
     close(integrals.square().mean(), torch.tensor(1.0, **DOUBLE), 0.3)
+
+
+@torch.no_grad()
+def test_sums_with_a_missing_sample_count_for_nothing_beside_what_a_field_misses():
+    batch = states()
+    values = batch.values.clone()
+    values[:, 150] = torch.nan
+    found, problem = residuals(batch._replace(values=values), Swing(2.2, 0.4), relative=True)
+    there = problem.tests.there
+    assert 0 < int(there.sum()) < there.numel()
+    assert bool(found.isfinite().all())
+    assert float(found[~there].abs().max()) == 0
+    assert float(found[there].abs().min(-1).values.max()) > 0

@@ -146,7 +146,12 @@ def test_a_point_of_the_earth_moves_with_it_and_itrf_is_what_erfa_says(tmp_path)
     utc = (2460370.5, 0.5)
     tt = erfa.taitt(*erfa.utctai(*utc))
     assert np.abs(got[0, :3].numpy() - erfa.c2t06a(*tt, *utc, 0.0, 0.0).T @ place[:3]).max() < 1e-6
-    for clock, reading in {"TAI": "12:00:37", "GPS": "12:00:18", "TT": "12:01:09.184"}.items():
+    for clock, reading in {
+        "TAI": "12:00:37",
+        "GPS": "12:00:18",
+        "TT": "12:01:09.184",
+        "TDB": "12:01:09.184",
+    }.items():
         start = instant(f"2024-03-01T{reading}", utc=False)
         write_oem(tmp_path / "b.oem", [Ephemeris("1", "S", "EARTH", "ITRF", clock, start, times, states)])
         same = Files("ground", str(tmp_path / "b.oem"), frame="GCRF").read().states[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -207,3 +208,16 @@ def test_every_second_beside_a_leap_second_has_a_name_of_its_own(day, offset):
     assert (":60." in spelled(moment, utc=True)) == (offset == -1)
     with pytest.raises(ValueError, match="a time of day"):
         instant("2024-02-01T23:59:60", utc=True)
+
+
+@pytest.mark.parametrize("notation", [oem, oem_xml])
+def test_what_a_message_says_of_itself(notation):
+    given = read_oem(HERE)[0]
+    text = notation.written([given], "ME", "2024-03-01T12:00:00")
+    said = dict(re.findall(r"<(\w+)>([^<]*)</" if notation is oem_xml else r"(\w+) = (.*)", text))
+    assert (said["ORIGINATOR"], said["CREATION_DATE"]) == ("ME", "2024-03-01T12:00:00")
+    assert (said["OBJECT_NAME"], said["OBJECT_ID"]) == ("MOLNIYA", "1994-081A")
+    assert (said["START_TIME"], said["STOP_TIME"]) == (given.epoch(0.0), given.epoch(121.5))
+    assert said["START_TIME"] == "2016-12-31T23:59:00.000"
+    assert said["STOP_TIME"] == "2017-01-01T00:01:00.500"
+    assert 'CCSDS_OEM_VERS" version="2.0"' in text or text.startswith("CCSDS_OEM_VERS = 2.0\n")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+
 import numpy as np
 import pytest
 import torch
@@ -139,3 +141,15 @@ def test_a_long_step_among_irregular_ones_is_a_gap(tmp_path):
     whole = read(tmp_path, table("t,q,v", rows), gap=50.0).read()
     assert whole.present.all()
     assert sorted(filled.times[filled.present].tolist()) == whole.times[0].tolist()
+
+
+def test_a_user_is_told_what_was_read(tmp_path, caplog):
+    caplog.set_level(logging.INFO)
+    rows = "".join(f"{name},{k},{k},1\n" for name, count in (("a", 3), ("b", 5)) for k in range(count))
+    read(tmp_path, "id,t [s],x [km],vx [km/s]\n" + rows)
+    expected = "2 trajectories of 3 to 5 samples, time in s, positions x in km, velocities vx"
+    assert expected in caplog.text
+    read(tmp_path, "t [s],x [km],px [kg km/s]\n0,1,2\n1,2,3\n", mass=1.0)
+    assert "1 trajectory of 2 samples, time in s, positions x in km, momenta px" in caplog.text
+    read(tmp_path, "t [s],x [km]\n0,1\n1,2\n")
+    assert "1 trajectory of 2 samples, time in s, positions x in km alone" in caplog.text

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 import pytest
+from scipy import constants
 
-from ahnn.data.files.units import unit
+from ahnn.data.files.units import BASE, unit
 
 
 @pytest.mark.parametrize(
@@ -30,6 +31,26 @@ def test_what_a_unit_stands_for(text, size, dimension):
     found = unit(text)
     assert found.size == pytest.approx(size, rel=1e-15)
     assert found.dimension == dimension
+
+
+def test_each_name_has_the_size_that_scipy_gives_it():
+    for dimension, sizes in (
+        ((1, 0, 0, 0), {"kg": 1.0, "g": constants.gram, "t": constants.metric_ton}),
+        ((0, 1, 0, 0), {"m": 1.0, "km": constants.kilo, "cm": constants.centi, "mm": constants.milli}),
+        (
+            (0, 1, 0, 0),
+            {"um": constants.micron, "nm": constants.nano, "au": constants.au, "AU": constants.au},
+        ),
+        ((0, 0, 1, 0), {"s": 1.0, "ms": constants.milli, "us": constants.micro, "ns": constants.nano}),
+        ((0, 0, 1, 0), {"min": constants.minute, "h": constants.hour}),
+        ((0, 0, 1, 0), {"d": constants.day, "day": constants.day}),
+        ((0, 0, 0, 1), {"rad": 1.0, "deg": constants.degree, "°": constants.degree}),
+    ):
+        for name, size in sizes.items():
+            assert unit(name).size == pytest.approx(size, rel=1e-12)
+            assert unit(name).dimension == dimension
+            assert unit(f"{name}^-2").size == pytest.approx(size**-2, rel=1e-12)
+        assert sizes.keys() <= BASE.keys()
 
 
 @pytest.mark.parametrize("text", ["furlong", "k m", "m^x", "m^1.5", "m+s", "2 m", "KM"])

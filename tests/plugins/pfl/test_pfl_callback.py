@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import lightning as L
 import optuna
@@ -12,6 +13,7 @@ import torch
 from optuna.trial import TrialState, create_trial
 from torch.utils.data import DataLoader, TensorDataset
 
+from ahnn.errors import UserError
 from ahnn_plugins.pfl import PFLCallback, PFLPruner, replay
 
 pytestmark = [
@@ -131,3 +133,19 @@ def test_losses_travel_with_the_checkpoint(tmp_path: Path):
     assert second.state_dict() == {"losses": []}  # they count from the next fit on
     fit(second, [1.0] * EPOCHS)
     assert second.state_dict()["losses"] == [1.0] * (2 * EPOCHS)
+
+
+def test_a_single_epoch_is_enough_and_none_is_refused(tmp_path: Path):
+    callback, epochs = PFLCallback(run_dir=str(tmp_path), **SHORT), SimpleNamespace(is_global_zero=True)
+    for wrong in (None, 0, -1):
+        epochs.max_epochs = wrong
+        with pytest.raises(UserError, match=f"expected max_epochs >= 1 of the trainer; received {wrong}"):
+            callback.on_fit_start(epochs, None)  # pyright: ignore[reportArgumentType]
+    epochs.max_epochs = 1
+    callback.on_fit_start(epochs, None)  # pyright: ignore[reportArgumentType]
+
+
+def test_a_run_without_a_trial_is_the_first_of_its_seeds(tmp_path: Path):
+    fit(PFLCallback(run_dir=str(tmp_path), **SHORT), [0.5**epoch for epoch in range(EPOCHS)])
+    rows = [json.loads(line) for line in (tmp_path / "pfl.jsonl").read_text().splitlines()[1:]]
+    assert [(row["seed_index"], row["epoch"]) for row in rows] == [(0, epoch) for epoch in range(EPOCHS)]

@@ -15,7 +15,7 @@ from ahnn.estimation.scenario import Problem
 from ahnn.measurements import Position
 from ahnn.types import Trajectories
 from ahnn.uncertainty import growth
-from ahnn_plugins.ukf import UnscentedParameters
+from ahnn_plugins.ukf import UnscentedParameters, force_error_fit
 from ahnn_plugins.ukf.assimilation import Filter, assimilate
 from ahnn_plugins.ukf.force_error import ForceError
 from ahnn_plugins.ukf.force_error_fit import fitted_force_error
@@ -126,3 +126,17 @@ def test_what_cannot_grow_is_refused():
     with pytest.raises(UserError, match=r"novelty: expected weights that say where they were trained"):
         of_rate(None, 500.0)
     assert of_rate(None, None) is None
+
+
+def test_a_scale_is_one_of_the_variance(monkeypatch):
+    chosen = Filter("f", learned, torch.zeros(2, 2, dtype=F64), torch.tensor([[1e-4]], dtype=F64),
+                    UnscentedParameters(1.0, 2.0, 0.0))  # fmt: skip
+    monkeypatch.setattr(force_error_fit, "mean_nees", lambda *_: [1.0])
+    monkeypatch.setattr(force_error_fit, "crossing", lambda *_: 9.0)
+    given = problem(SETTING, 1.1)
+    times = DT * torch.arange(STEPS + 1, dtype=F64).expand(20, -1)
+    truth = Trajectories(given.truth, times)
+    seen = float(force_error_fit.force_errors(learned, truth, DT).square().mean()) ** 0.5
+    fit = fitted_force_error(chosen, SETTING, given, truth, 1.0)
+    assert fit.error.size == pytest.approx(3 * seen, rel=1e-9)
+    assert fit.scale == 9.0

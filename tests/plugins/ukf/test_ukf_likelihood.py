@@ -11,9 +11,9 @@ import torch
 from ahnn.errors import UserError
 from ahnn.estimation import initial_belief
 from ahnn.measurements import Position
-from ahnn_plugins.ukf import unscented_filter
+from ahnn_plugins.ukf import SQUARE_ROOT, STANDARD, unscented_filter
 from ahnn_plugins.ukf.force_error import ForceError
-from ahnn_plugins.ukf.likelihood import learned_noise
+from ahnn_plugins.ukf.likelihood import _deviations, learned_noise
 
 F64 = torch.float64
 A = torch.tensor([[1.0, 0.3], [-0.3, 0.9]], dtype=F64)
@@ -121,3 +121,33 @@ def test_what_the_measurements_do_not_determine_has_no_deviation(rows):
     run = filtered(rows)
     found = learned_noise(lambda theta: run(theta[:2] + 0.0 * theta[2]), torch.zeros(3))
     assert bool(found.deviations.isnan().all())
+
+
+@pytest.mark.parametrize("gradients", [False, True])
+@pytest.mark.parametrize("form", [SQUARE_ROOT, STANDARD], ids=lambda form: form.name)
+def test_rows_that_are_missing_say_nothing_of_the_likelihood(rows, gradients, form):
+    some = rows[:4, :20].clone()
+    some[:2, 1::2], some[2:, ::3] = torch.nan, torch.nan  # never all of the members at once
+    belief, eye = initial_belief(torch.zeros(4, 2), P0**2 * torch.eye(2)), torch.eye(2, dtype=F64)
+    noise = Q**2 * eye, R**2 * eye[:1, :1]
+    arguments = (flow, belief, some, Position(1), *noise, 1.0)
+    found = unscented_filter(*arguments, form=form, gradients=gradients).log_likelihood
+    for b in range(4):
+        mean, cov, total = np.zeros(2), P0**2 * np.eye(2), 0.0
+        for y in some[b, :, 0].tolist():
+            mean, cov = A.numpy() @ mean, A.numpy() @ cov @ A.numpy().T + Q**2 * np.eye(2)
+            if math.isnan(y):
+                continue
+            s, e = cov[0, 0] + R**2, y - mean[0]
+            total -= 0.5 * (math.log(2 * math.pi * s) + e**2 / s)
+            gain = cov[:, 0] / s
+            mean, cov = mean + gain * e, cov - s * np.outer(gain, gain)
+        assert float(found[b]) == pytest.approx(total, rel=1e-10)
+
+
+def test_deviations_are_the_roots_of_the_diagonal_of_the_inverse_hessian():
+    root = torch.tensor([[2.0, 0.5, 0.1], [0.0, 1.0, -0.7], [0.0, 0.0, 3.0]], dtype=F64)
+    best = torch.tensor([1.0, -2.0, 0.3], dtype=F64)
+    found = _deviations(lambda x: 0.5 * (root @ (x - best)).square().sum(), best, 1e-3)
+    expected = torch.linalg.inv(root.mT @ root).diagonal().sqrt()
+    assert found.tolist() == pytest.approx(expected.tolist(), rel=1e-9)

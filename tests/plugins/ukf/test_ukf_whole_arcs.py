@@ -54,6 +54,7 @@ def test_least_squares_solves_the_normal_equations_of_a_linear_system(make_linea
     fit = batch_least_squares(problem.flow, belief, rows, model, problem.r, 1.0)
     assert fit.settled.tolist() == [True] * 4
     assert fit.status.tolist() == [0] * 4
+    assert torch.equal(fit.measured, rows.isfinite().sum(-1))
     for b in range(4):
         # What is missing has no row, and the noise of the others is the block that is left.
         information = torch.linalg.inv(problem.p0)

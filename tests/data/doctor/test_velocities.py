@@ -1,0 +1,163 @@
+"""Velocities held against the change of their positions: which unit is wrong, and whose velocity it is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from entry import call
+
+from ahnn.data.doctor import examine
+from ahnn.data.doctor.samples import constant, noise
+from ahnn.data.doctor.velocities import compared, misfit, velocity_findings
+from ahnn.data.files import Ephemeris, instant, write_oem
+from ahnn.data.files.content import Content
+from ahnn.data.files.reading import Reading
+from ahnn.data.files.samples import Track
+from ahnn.types import Units
+
+UNITS = Units("s", "m", "m/s", "m²/s²")
+
+
+def swing(name="a", factor=1.0, count=60, first=2):
+    """An oscillator whose velocity is stated so many times too large."""
+    t = 0.05 * np.arange(count)
+    values = np.stack((np.cos(2 * t + 0.3), -2 * factor * np.sin(2 * t + 0.3)), axis=1)
+    return Track(name, "a.csv", first + np.arange(count), t, values)
+
+
+def found(*tracks, momenta=False, mass=1.0):
+    content = Content(("q",), ("v",), momenta, UNITS, "", tracks, head=1)
+    return velocity_findings(content, list(tracks), mass)
+
+
+UNITS_TAKEN = [
+    (1000.0, "metres under a name in km"),
+    (60.0, "minutes under a name in s"),
+    (3600.0, "hours under a name in s"),
+    (180 / np.pi, "degrees under a name in rad"),
+    (100.0, "centimetres under a name in m"),
+    (86400.0, "days under a name in s"),
+]
+
+
+def test_a_factor_between_units_is_named_whichever_is_the_larger():
+    for factor, said in UNITS_TAKEN:
+        for ratio in (factor, 1 / factor):
+            (one,) = found(swing(factor=ratio))
+            assert (one.level, one.what) == ("fault", f"v is {ratio:.4g} times the change of q per s")
+            assert one.remedy.startswith(f"Correct the unit: {said}")
+
+
+def test_other_factors_and_those_of_the_wrong_sign_are_no_unit():
+    for ratio in (-1000.0, -0.001, 1100.0, 930.0, 2.0, 0.5):
+        (one,) = found(swing(factor=ratio))
+        assert one.what == f"v is {ratio:.4g} times the change of q per s"
+        assert one.remedy.startswith("A momentum?")
+
+
+def test_what_is_not_even_proportional_is_told_apart():
+    track = swing()
+    track.values[:, 1] = np.cos(7 * track.times)
+    (one,) = found(track)
+    assert one.what == "v is not the change of q per s: they are not even proportional"
+
+
+def test_two_percent_need_no_explanation_and_four_do():
+    assert found(swing(factor=1.02)) == found(swing(factor=0.98)) == []
+    assert len(found(swing(factor=1.04))) == len(found(swing(factor=0.96))) == 1
+
+
+def test_momenta_are_over_the_mass_and_a_doubt_about_them_is_a_warning():
+    assert found(swing(factor=4.0), momenta=True, mass=4.0) == []
+    (one,) = found(swing(factor=8.0), momenta=True, mass=4.0)
+    assert (one.level, one.what) == ("warning", "v over the mass is 2 times the change of q per s")
+    assert len(found(swing(factor=8.0), mass=8.0)) == 1  # of a velocity the mass does not count
+
+
+@pytest.mark.parametrize(("wrong", "rows"), [(19, [1]), (17, [200 * k for k in range(17)])])
+def test_where_nearly_all_are_wrong_it_is_the_column_and_else_each_trajectory(wrong, rows):
+    tracks = [swing(str(k), 100.0 if k < wrong else 1.0, first=200 * k) for k in range(20)]
+    assert [one.row for one in found(*tracks)] == rows
+
+
+def test_short_trajectories_are_judged_together():
+    short = [swing(str(k), 60.0 if k == 2 else 1.0, count=9) for k in range(6)]
+    assert found(*short) == []
+    (one,) = found(*[swing(str(k), 60.0, count=9) for k in range(6)])
+    assert one.what == "v is 60 times the change of q per s"
+    longer = [swing(str(k), 60.0 if k == 2 else 1.0, count=16, first=100 * k) for k in range(6)]
+    assert [one.row for one in found(*longer)] == [200]
+
+
+def test_nothing_is_said_of_what_nobody_can_tell():
+    assert found(swing(factor=60.0, count=6)) == []
+    rest = swing()
+    assert found(rest._replace(values=0.0 * rest.values)) == []
+    rough = swing(factor=60.0)
+    rough.values[:, 1] *= np.random.default_rng(0).standard_normal(60)
+    assert found(rough) == []
+
+
+def test_missing_numbers_are_left_out_of_the_comparison():
+    track = swing()
+    track.values[20, 0] = track.values[40, 1] = np.nan
+    pairs = compared(track, 1, 1.0)
+    assert pairs is not None
+    assert len(pairs.stated) < 56
+    assert all(np.isfinite(part).all() for part in pairs)
+    assert misfit(pairs, 0) == 1
+    assert found(track) == []
+
+
+def test_a_column_of_a_message_has_no_row(tmp_path):
+    t = 60.0 * np.arange(40)
+    rate = np.sqrt(398600.4418 / 7000.0**3)
+    q = 7000.0 * np.stack((np.cos(rate * t), np.sin(rate * t), 0.1 * np.cos(rate * t)), axis=1)
+    v = 7.0e6 * rate * np.stack((-np.sin(rate * t), np.cos(rate * t), -0.1 * np.sin(rate * t)), axis=1)
+    start = instant("2024-03-01T12:00:00", utc=True)
+    given = Ephemeris("1", "S", "EARTH", "EME2000", "UTC", start, t, np.hstack((q, v)))
+    write_oem(tmp_path / "a.oem", [given])
+    faults = [one for one in examine([tmp_path / "a.oem"], Reading()).faults if one.column.startswith("v")]
+    assert [(one.row, one.column) for one in faults] == [(0, "vx"), (0, "vy"), (0, "vz")]
+
+
+def irregular(factor):
+    """A table of a spring whose step is once so many times longer than the others, which lie on no grid."""
+    steps = np.random.default_rng(0).uniform(0.8, 1.2, 60)
+    steps[30] = factor * np.median(steps)
+    t = 0.05 * np.cumsum(steps)
+    return "t,q,v\n" + "".join(f"{s:.17g},{np.cos(s):.17g},{-np.sin(s):.17g}\n" for s in t)
+
+
+@pytest.mark.parametrize(
+    ("factor", "option", "count"), [(12, [], 1), (9, [], 0), (9, ["gap=8"], 1), (12, ["gap=13"], 0)]
+)
+def test_the_command_takes_ten_usual_steps_for_a_gap_unless_told(tmp_path, capsys, factor, option, count):
+    (tmp_path / "a.csv").write_text(irregular(factor))
+    assert call("ahnn.data.__main__", "check", str(tmp_path / "a.csv"), *option) == 0
+    shown = capsys.readouterr().out
+    assert f"0 faults, {count} warning" in shown
+    assert ("a gap: " in shown) == bool(count)
+
+
+@pytest.mark.parametrize("momenta", [False, True])
+def test_noise_has_the_unit_of_its_column_and_that_of_momenta_is_not_told(momenta):
+    draw = np.random.default_rng(1)
+    track = swing(count=400)
+    track.values[:] += [0.01, 0.03] * draw.standard_normal(track.values.shape)
+    content = Content(("q",), ("v",), momenta, UNITS, "", (track,), head=1)
+    position, rate = noise(content, ("q", "v"), 10.0)
+    assert [one.level for one in (position, rate)] == ["note", "note"]
+    assert float(position.what.split()[3]) == pytest.approx(0.01, rel=0.15)
+    assert float(rate.what.split()[3]) == pytest.approx(0.03, rel=0.15)
+    assert position.what.endswith(" m")
+    assert rate.what.endswith(" m/s") != momenta
+
+
+def test_columns_that_never_change_take_three_samples_to_be_seen():
+    for count in (2, 3):
+        track = swing(count=count)
+        track.values[:, 1] = 0.25
+        content = Content(("q",), ("v",), False, UNITS, "", (track,), head=1)
+        found = [(one.level, one.column, one.what) for one in constant(content, ("q", "v"))]
+        assert found == ([("warning", "v", "always 0.25")] if count == 3 else [])

@@ -1,0 +1,86 @@
+"""Lines of element sets: which make a set, and when its samples are."""
+
+from __future__ import annotations
+
+import pytest
+
+from ahnn.data.files import elements
+from ahnn.data.files.table import Place
+
+ONE = "1 00005U 58002B   00179.78495062  .00000023  00000-0  28098-4 0  475"
+TWO = "2 00005  34.2682 348.7242 1859667 331.7664  19.3264 10.8241915741366"
+
+
+def signed(line):
+    """A line with its checksum: digits add up, a minus counts as one, and nothing else counts."""
+    digits = [int(sign) for sign in line if sign in "0123456789"]
+    return f"{line}{(sum(digits) + line.count('-')) % 10}"
+
+
+FIRST, SECOND = signed(ONE), signed(TWO)
+OTHER = [signed(line.replace("00005", "00006")) for line in (ONE, TWO)]
+
+
+def sets(*lines):
+    faults = []
+    found = elements.sets_of("\n".join(lines), "a.tle", faults.append)
+    return [one.place.row for one in found], [(fault.place.row, fault.expected) for fault in faults]
+
+
+def test_the_published_checksums_are_right():
+    assert (FIRST[-1], SECOND[-1]) == ("3", "7")
+    assert elements.fault_of(FIRST, Place("a.tle", 1)) is None
+    for k in range(10):
+        assert (elements.fault_of(FIRST[:-1] + str(k), Place("a.tle", 1)) is None) == (k == 3)
+
+
+def test_names_and_remarks_are_no_lines_of_a_set():
+    assert sets("# 1 remark", "VANGUARD 1", FIRST, SECOND, "", "OTHER", *OTHER, "1 2 3") == ([3, 7], [])
+
+
+def test_signs_behind_the_checksum_are_no_part_of_a_set():
+    (one,) = elements.sets_of(f"{FIRST}  x\n{SECOND} y 12", "a.tle", pytest.fail)
+    assert one.lines == (FIRST, SECOND)
+
+
+def test_lines_without_their_other_one_are_faults_and_the_next_set_is_read():
+    alone = "a line 2 behind it"
+    assert sets(FIRST, FIRST, SECOND) == ([2], [(1, alone)])
+    assert sets(FIRST, SECOND, FIRST) == ([1], [(3, alone)])
+    assert sets(SECOND, FIRST, SECOND) == ([2], [(1, "a line 1 of '00005' before it")])
+    assert sets(FIRST, OTHER[1], *OTHER) == ([3], [(2, "a line 1 of '00006' before it")])
+    assert sets(FIRST, SECOND, SECOND) == ([1], [(3, "a line 1 of '00005' before it")])
+
+
+def test_a_damaged_line_takes_its_set_with_it_and_no_other():
+    assert sets(FIRST[:-1] + "4", SECOND, *OTHER) == ([3], [(1, "3")])
+    assert sets(FIRST, SECOND[:-1] + "1", *OTHER) == ([3], [(2, "7")])
+    assert sets(FIRST[:-3], SECOND, *OTHER) == ([3], [(1, "69 signs")])
+
+
+@pytest.mark.parametrize(
+    ("step", "duration", "count"), [(60.0, 600.0, 11), (60.0, 659.0, 11), (0.1, 0.3, 4), (5.0, 5.0, 2)]
+)
+def test_samples_reach_to_the_end_of_the_duration(step, duration, count):
+    pytest.importorskip("sgp4")
+    found = elements.content(f"{FIRST}\n{SECOND}", "a.tle", step, duration, weighed=False)
+    (track,) = found.tracks
+    assert track.times.tolist() == pytest.approx([step * k for k in range(count)], rel=1e-12)
+    assert track.name == "00005"
+    assert set(track.rows) == {1}
+
+
+def test_sets_of_other_epochs_begin_later():
+    pytest.importorskip("sgp4")
+    later = signed(ONE.replace("00005", "00006").replace("179.78495062", "181.28495062"))
+    text = "\n".join((later, OTHER[1], FIRST, SECOND))
+    found = elements.content(text, "a.tle", 60.0, 600.0, weighed=False)
+    assert [track.times[0] for track in found.tracks] == [129600.0, 0.0]
+    assert found.epoch == elements.epoch(elements.Elements(Place("a.tle", 1), (FIRST, SECOND)))
+
+
+def test_what_decides_that_a_text_holds_element_sets():
+    assert elements.are_elements(f"# remark\n\nNAME\n{FIRST}\n{SECOND}", ".txt")
+    assert elements.are_elements(f"{FIRST}\n{SECOND}", ".csv")
+    assert not elements.are_elements(f"t,x\n0,1\n{FIRST}", ".csv")
+    assert elements.are_elements("t,x", ".tle")
