@@ -6,7 +6,8 @@ eliminated, and the prior (Laplace's approximation). Three things that no truth 
 
 - chi-square of the training per degree of freedom, where it exceeds 1: the noise is larger than was said, or
   the model does not reach the data;
-- the step to the optimum that is left, -H^-1 g: a training that ended early is off by that much, too;
+- the step to the optimum that is left, -H^-1 g: a training that ended early is off by that much, too. Where a
+  step gained next to nothing of what such a step promised, the valley bends, and its gain says what is left;
 - held-out measurements: if the model leaves more of them unexplained than both account for, by that ratio.
 """
 
@@ -70,6 +71,11 @@ class Place(NamedTuple):
         """Squared residuals per degree of freedom."""
         return float(self.loss) / max(self.degrees - self.determined, 1.0)
 
+    def arrived(self, gained: float) -> Place:
+        """Return the place with a step to the optimum that promises no more than the last step gained."""
+        part = min(gained / self.remaining, 1.0) if self.remaining > 0 else 0.0
+        return self._replace(offset=part**0.5 * self.offset, remaining=part * self.remaining)
+
 
 @torch.no_grad()
 def conclude(
@@ -94,13 +100,14 @@ def conclude(
     sizes = [p.numel() for p in parameters]
     problem = WideProblem(dynamics, train, ROBUST[robust])
     here = place(problem, parameters_to_vector(parameters), sizes)
-    damping, decrease = DAMPING, torch.inf
+    damping, gained = DAMPING, torch.inf
     for _ in range(steps):
-        if here is None or min(here.remaining, decrease) <= ARRIVED * here.determined:
+        if here is None or min(here.remaining, gained) <= ARRIVED * here.determined:
             break
         theta, damping, decrease = lower(problem, here, damping)
         if theta is None:
             break
+        gained = decrease
         vector_to_parameters(theta, parameters)
         if problem.lost:  # what did not converge before may do so now
             problem = WideProblem(dynamics, train, ROBUST[robust])
@@ -109,6 +116,8 @@ def conclude(
         here = place(problem, theta, sizes)
     if here is None:
         return None
+    if gained <= ARRIVED * here.determined:
+        here = here.arrived(gained)
     others = WideProblem(dynamics, held_out, ROBUST[robust]).equations(here.theta, sizes)
     names = [name for name, _ in dynamics.named_parameters()]
     return uncertainty(here, others, dict(zip(names, here.prior.strengths.tolist(), strict=True)))

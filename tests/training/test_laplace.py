@@ -93,6 +93,20 @@ def test_no_step_follows_one_that_gained_nothing(decrease, steps, monkeypatch):
     assert len(taken) == steps
 
 
+@pytest.mark.parametrize("gained", [1e-3, 10.0])
+def test_what_is_left_is_no_more_than_the_last_step_gained_where_that_was_next_to_nothing(
+    gained, monkeypatch
+):
+    promised = conclude(Swing(2.01, 0.49), batch_of(0), batch_of(1, rows=10), 0)
+    lower = lambda problem, here, damping: (here.theta + 0.0, damping, gained)  # noqa: ARG005, E731
+    monkeypatch.setattr(laplace, "lower", lower)
+    found = conclude(Swing(2.01, 0.49), batch_of(0), batch_of(1, rows=10), 1)
+    part = gained / promised.about["remaining"] if gained < 0.1 else 1.0
+    assert found.about["remaining"] == pytest.approx(part * promised.about["remaining"])
+    close(found.offset, part**0.5 * promised.offset, 1e-9)
+    assert torch.equal(found.factor, promised.factor)
+
+
 def test_nothing_is_said_where_nothing_is_explained():
     batch = batch_of(0)
     noise = 1e9 * torch.randn(batch.values.shape, generator=generator(5), **DOUBLE)
