@@ -102,9 +102,9 @@ def test_what_is_left_is_no_more_than_the_last_step_gained_where_that_was_next_t
     monkeypatch.setattr(laplace, "lower", lower)
     found = conclude(Swing(2.01, 0.49), batch_of(0), batch_of(1, rows=10), 1)
     part = gained / promised.about["remaining"] if gained < 0.1 else 1.0
-    assert found.about["remaining"] == pytest.approx(part * promised.about["remaining"])
-    close(found.offset, part**0.5 * promised.offset, 1e-9)
-    assert torch.equal(found.factor, promised.factor)
+    assert found.about["remaining"] == pytest.approx(part * promised.about["remaining"], rel=1e-6)
+    close(found.offset, part**0.5 * promised.offset, 1e-6)
+    close(found.factor, promised.factor, 1e-6)
 
 
 def test_nothing_is_said_where_nothing_is_explained():
