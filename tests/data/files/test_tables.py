@@ -153,3 +153,11 @@ def test_a_user_is_told_what_was_read(tmp_path, caplog):
     assert "1 trajectory of 2 samples, time in s, positions x in km, momenta px" in caplog.text
     read(tmp_path, "t [s],x [km]\n0,1\n1,2\n")
     assert "1 trajectory of 2 samples, time in s, positions x in km alone" in caplog.text
+
+
+@pytest.mark.parametrize(("factor", "gap"), [(9, False), (12, True)])
+def test_ten_usual_steps_are_a_gap_unless_told(tmp_path, factor, gap):
+    steps = np.random.default_rng(0).uniform(0.8, 1.2, 60)
+    steps[30] = factor * np.median(steps)
+    rows = [(float(t), 0.0, 0.0) for t in steps.cumsum()]
+    assert bool((~read(tmp_path, table("t,q,v", rows)).read().present).any()) == gap

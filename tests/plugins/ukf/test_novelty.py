@@ -140,3 +140,18 @@ def test_a_scale_is_one_of_the_variance(monkeypatch):
     fit = fitted_force_error(chosen, SETTING, given, truth, 1.0)
     assert fit.error.size == pytest.approx(3 * seen, rel=1e-9)
     assert fit.scale == 9.0
+
+
+def test_errors_of_a_force_are_over_the_growth_at_the_state_before():
+    states = torch.randn(3, 7, 4, generator=torch.Generator().manual_seed(0), dtype=F64)
+    given = Trajectories(states, DT * torch.arange(7, dtype=F64).expand(3, -1))
+    by = lambda x: 2 + x[..., 0].square()  # noqa: E731
+    plain = force_error_fit.force_errors(lambda x, dt: 0.5 * x + dt, given, DT)
+    close(
+        force_error_fit.force_errors(lambda x, dt: 0.5 * x + dt, given, DT, by),
+        plain / by(states[:, :-1])[..., None],
+        1e-12,
+    )
+    predicted = 0.5 * states[:, :-1] + DT
+    moved = (predicted - states[:, :-1])[..., 2:]
+    close(plain, (states[:, 1:] - predicted)[..., 2:] / moved.square().sum(-1, keepdim=True).sqrt(), 1e-12)

@@ -210,3 +210,24 @@ def test_a_failed_member_is_smoothed_up_to_its_failure():
     assert torch.equal(spoiled.means[0, :12], shorter.means[0])
     assert torch.equal(spoiled.initial.mean[0], shorter.initial.mean[0])
     assert bool(torch.isnan(spoiled.means[0, 12:]).all())
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-14])
+def test_what_has_no_inverse_does_not_depend_on_units(unit):
+    """Two states become one, and a third, of any unit, is seen as well as they are."""
+    sizes = torch.tensor([1.0, 1.0, unit], dtype=torch.float64)
+    result = unscented_filter(
+        lambda x, _: torch.stack((x[:, 0], x[:, 0], x[:, 2]), 1),
+        initial_belief(torch.zeros(1, 3), torch.diag(sizes**2)),
+        torch.ones(1, 5, 3) * sizes,
+        Position(3),
+        torch.zeros(3, 3, dtype=torch.float64),
+        torch.diag(sizes**2),
+        1.0,
+        smoothing=True,
+    )
+    smoothed = unscented_smoother(result)
+    expected = torch.tensor([1 / 11, 1.0, 1 / 6], dtype=torch.float64)  # ten, none and five measurements
+    found = torch.diagonal(smoothed.initial.covariance[0]) / sizes**2
+    assert torch.allclose(found, expected, rtol=1e-9)
+    assert torch.allclose(smoothed.initial.mean[0] / sizes, 1 - expected, rtol=1e-9)
