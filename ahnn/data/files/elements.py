@@ -153,7 +153,7 @@ def epoch(one: Elements) -> int:
     """Return the epoch of a set (`epochs.instant`); years from 57 on are of the last century."""
     text = one.lines[0][EPOCH]
     try:
-        year, day, fraction = int(text[:2]), int(text[2:5]), int(text[6:].ljust(8, "0"))
+        year, day, fraction = int(text[:2]), int(text[2:5]), int(text[6:].rstrip().ljust(8, "0"))
     except ValueError:
         one.place._replace(column="epoch").refuse("year and day", repr(text))
     year += 1900 if year >= 57 else 2000

@@ -75,8 +75,6 @@ def spelled(moment: int, *, utc: bool) -> str:
     """Return an epoch as a text that `instant` reads, with at least three decimals."""
     seconds, fraction = divmod(moment, SECOND)
     days = (seconds - leaps(seconds // DAY)) // DAY if utc else seconds // DAY
-    if utc and (days + 1) * DAY + leaps(days + 1) <= seconds:
-        days += 1
     of_day = seconds - days * DAY - (leaps(days) if utc else 0)
     extra = max(0, of_day - DAY + 1)  # 23:59:60
     hour, rest = divmod(of_day - extra, 3600)

@@ -75,6 +75,7 @@ def test_the_epoch_of_an_element_set_has_two_digits_of_its_year():
         ("99365.99999999", "1999-12-31T23:59:59.999136"),
         ("00179.78495062", "2000-06-27T18:50:19.733568"),
         ("17001.00000000", "2017-01-01T00:00:00"),
+        ("17001.5       ", "2017-01-01T12:00:00"),
     ):
         first = f"1 00005U 58002B   {text}  .00000023"
         found = elements.epoch(elements.Elements(Place("a.tle", 1), (first, "")))
