@@ -109,8 +109,9 @@ class ProcessLauncher(Launcher):
             )
             reason = f"job #{number} {how} after {time.monotonic() - begin:.1f} s; its output is in {log}"
             job.status, job._return_value = JobStatus.FAILED, RuntimeError(reason)
-            tail = log.read_text(errors="replace").splitlines()[-_TAIL:]
-            logger.error("%s\n%s", reason, "\n".join(f"    {line}" for line in tail))
+            if not self._ended:  # else it ends because the sweep does, which says so itself
+                tail = log.read_text(errors="replace").splitlines()[-_TAIL:]
+                logger.error("%s\n%s", reason, "\n".join(f"    {line}" for line in tail))
         return job
 
     def _arguments(self, number: int, overrides: Sequence[str], folder: Path) -> list[str]:

@@ -49,7 +49,8 @@ def test_a_command_is_as_if_it_had_been_started_anew_and_its_server_outlives_a_s
             "",
         )
         assert "goodbye" in rest
-        assert ("made to fail" in text) == (code == 1)
+        assert ("\nRuntimeError: made to fail\n" in text) == (code == 1)
+        assert "ForkServerProcess" not in text
         parents.add(parent)
     assert len(parents) == 1
     assert parents != {os.getpid()}
