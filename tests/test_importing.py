@@ -27,6 +27,26 @@ with importing():
 assert any(one is job for one in gc.get_objects())
 """
 
+SPARED = """
+import sys
+from ahnn.cli.importing import import_torchmetrics
+
+import_torchmetrics()
+import lightning.pytorch
+import torchmetrics
+assert "scipy.signal" not in sys.modules
+assert float(torchmetrics.MeanMetric()(2.0)) == 2.0
+import scipy.signal
+assert scipy.signal.hilbert([1.0, 0.0, -1.0, 0.0]).imag.round(9).tolist() == [0.0, 1.0, 0.0, -1.0]
+import_torchmetrics()
+assert "hilbert" in dir(sys.modules["scipy.signal"])
+"""
+
+
+def test_scipy_signal_is_not_imported_for_torchmetrics_and_is_whole_for_whoever_wants_it():
+    done = subprocess.run([sys.executable, "-c", SPARED], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
 
 def test_what_is_imported_first_is_left_alone_and_what_a_later_job_makes_is_not():
     done = subprocess.run([sys.executable, "-c", ONCE], capture_output=True, text=True, check=False)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from ahnn.cli.importing import importing
+from ahnn.cli.importing import import_torchmetrics, importing
 from ahnn.cli.settings import check_settings
 from ahnn.cli.stops import held
 from ahnn.errors import UserError
@@ -39,6 +39,7 @@ def begin(cfg: DictConfig) -> None:
 def quiet() -> None:
     """Silence Lightning's warnings about what is intended."""
     with held():
+        import_torchmetrics()
         from lightning.pytorch.utilities import rank_zero_only
 
     for name in ("lightning.pytorch", "lightning.fabric"):

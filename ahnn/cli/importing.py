@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import sys
 from collections.abc import Iterator
 from functools import cache
+from types import ModuleType
 
 from ahnn.cli.stops import held
 
@@ -26,6 +28,21 @@ def importing() -> Iterator[None]:
     finally:
         if collects:
             gc.enable()
+
+
+def import_torchmetrics() -> None:
+    """Import torchmetrics, which Lightning needs, without scipy.signal: that is a seventh of a short command.
+
+    It imports scipy.signal only to look for a name of older versions there, for another package's sake.
+    """
+    if not {"scipy.signal", "torchmetrics"} & sys.modules.keys():
+        stand_in = ModuleType("scipy.signal")
+        setattr(stand_in, "hamming", None)  # noqa: B010 - no attribute that a type checker knows
+        sys.modules["scipy.signal"] = stand_in
+        try:
+            import torchmetrics  # noqa: F401
+        finally:
+            del sys.modules["scipy.signal"]
 
 
 @cache  # once: of several jobs in one process, the later find garbage of the earlier, which must go

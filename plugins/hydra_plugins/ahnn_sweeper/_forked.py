@@ -66,9 +66,9 @@ def _run(program: str, arguments: list[str], log: str) -> None:
             runpy.run_path(program, run_name="__main__")
         else:
             runpy.run_module(program, run_name="__main__", alter_sys=True)
-    except Exception:  # said as Python does; `multiprocessing` would speak of a process of its own
+    except Exception as error:  # said as Python does; `multiprocessing` would speak of a process of its own
         sys.stdout.flush()
-        sys.excepthook(*sys.exc_info())
+        sys.excepthook(type(error), error, error.__traceback__)
         sys.exit(1)
     finally:
         atexit._run_exitfuncs()  # `multiprocessing` does so from Python 3.14 on
