@@ -32,7 +32,6 @@ import sys
 from ahnn.cli.importing import import_torchmetrics
 
 import_torchmetrics()
-import lightning.pytorch
 import torchmetrics
 assert "scipy.signal" not in sys.modules
 assert float(torchmetrics.MeanMetric()(2.0)) == 2.0
