@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-import torch
 from torch import Tensor
 
 from ahnn.estimation.belief import Belief
@@ -60,14 +59,15 @@ def run(
         points = kernel.propagate(flow, whole.points(after), length)
         done = None if smoothing else whole.step(k, after, points, time, chol_q, sensor)
         if done is None:
-            done = _step(rows[:, k], after, points, time, chol_q, sensor, weights, form, smoothing=smoothing)
+            row = None if whole.empty[k] else rows[:, k]
+            done = _step(row, after, points, time, chol_q, sensor, weights, form, smoothing=smoothing)
         after, step = done
         steps.append(step)
     return collected(steps, before, after, rows)
 
 
 def _step(
-    row: Tensor,
+    row: Tensor | None,
     state: FilterState,
     points: Tensor,
     time: Tensor,
@@ -84,7 +84,7 @@ def _step(
     if smoothing:
         after, backward = _backward(after, state.belief, propagated, chol_q, weights)
     predicted = after.belief
-    if not bool(torch.isnan(row).all()):
+    if row is not None:
         after, updated, rejected = kernel.update(after, row, sensor, weights, form)
     return after, Step(predicted, after.belief, updated, rejected, backward)
 

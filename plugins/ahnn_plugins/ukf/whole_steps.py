@@ -31,10 +31,10 @@ class WholeSteps:
     """
 
     def __init__(self, rows: Tensor, weights: Weights, form: Form) -> None:
-        missing = torch.isnan(rows).any(0)
-        self.whole, empty = (~missing.any(-1)).tolist(), torch.isnan(rows).all(0).all(-1).tolist()
+        missing = torch.isnan(rows).transpose(0, 1).flatten(1)
+        self.whole, self.empty = (~missing.any(1)).tolist(), missing.all(1).tolist()
         known = form.read is not None and weights.crowding is None
-        self.possible = [known and (a or b) for a, b in zip(self.whole, empty, strict=True)]
+        self.possible = [known and (a or b) for a, b in zip(self.whole, self.empty, strict=True)]
         self.rows, self.weights = rows, weights
         self.memory: members.Memory | None = None
         self.further: tuple[Belief, Tensor] | None = None
