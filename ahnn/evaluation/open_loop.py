@@ -12,8 +12,7 @@ from ahnn.evaluation.case import Case, Findings, Row, Start, Who
 from ahnn.evaluation.titles import MODEL, described
 from ahnn.integrators import INTEGRATORS, Integrator
 from ahnn.rollouts import rollout
-from ahnn.systems import System
-from ahnn.systems.truth import exact_flow
+from ahnn.systems import System, exact_flow
 from ahnn.types import Flow, TimeStep
 
 

@@ -12,6 +12,7 @@ from ahnn.systems.mass_spring import MassSpring
 from ahnn.systems.molniya import Molniya
 from ahnn.systems.molniya_gravity import MolniyaGravity
 from ahnn.systems.pendulum import Pendulum
+from ahnn.systems.truth import exact_flow
 
 __all__ = [
     "FilterNoise",
@@ -24,5 +25,6 @@ __all__ = [
     "Range",
     "System",
     "Units",
+    "exact_flow",
     "uniform",
 ]

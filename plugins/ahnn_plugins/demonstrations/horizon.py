@@ -17,8 +17,7 @@ from ahnn.rollouts import rollout
 from ahnn.shooting.paths import steps_between
 from ahnn.shooting.robust import ROBUST
 from ahnn.shooting.starts import Trial, fit_starts
-from ahnn.systems import Molniya, System
-from ahnn.systems.truth import exact_flow
+from ahnn.systems import Molniya, System, exact_flow
 from ahnn.types import Flow, Space
 from ahnn_plugins.demonstrations.two_body import kepler
 

@@ -19,8 +19,7 @@ from ahnn.evaluation.case import Start
 from ahnn.evaluation.titles import MODEL, described
 from ahnn.measurements import Measurement
 from ahnn.rollouts import rollout
-from ahnn.systems import System
-from ahnn.systems.truth import exact_flow
+from ahnn.systems import System, exact_flow
 from ahnn.types import Flow, Space
 from ahnn_plugins.ukf.assimilation import Filter, assimilate, assimilate_all, shown
 from ahnn_plugins.ukf.estimator import UnscentedKalmanFilter
