@@ -4,8 +4,9 @@
 
 Both train the same model on the same windows with AdamW at batch 256, in CPU time; ratios are medians over
 repeats. The first bare loop has the library's optimiser, the fused AdamW of `conf/optimizer/adamw.yaml`; the
-second has `torch.optim.AdamW` with its defaults, as most people write it. The networks are the smallest of
-the paper's search, three hidden layers of 128.
+second has `torch.optim.AdamW` with its defaults, as most people write it. `barebones` is Lightning's own
+trainer of that name, without callbacks, logger and checkpoints: what its loop costs alone. The networks are
+the smallest of the paper's search, three hidden layers of 128.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from collections.abc import Iterator
 
 import torch
 from hydra import compose, initialize_config_dir
-from lightning import Callback
+from lightning import Callback, Trainer
 from omegaconf import DictConfig
 from timing import Row, settle, table
 
@@ -54,8 +55,16 @@ def calibrated(cfg) -> tuple:
 
 def through_library(cfg, steps: int) -> float:
     """Return CPU seconds per step of a fit with the default callbacks and TensorBoard."""
+    return _fit(cfg, build_trainer(cfg), steps)
+
+
+def through_lightning(cfg, steps: int) -> float:
+    """Return CPU seconds per step of a fit with nothing but Lightning's loop."""
+    return _fit(cfg, Trainer(max_epochs=1, accelerator="cpu", barebones=True), steps)
+
+
+def _fit(cfg, trainer: Trainer, steps: int) -> float:
     data, model = calibrated(cfg)
-    trainer = build_trainer(cfg)
     watch = Stopwatch()
     trainer.callbacks.append(watch)
     trainer.fit(model, data)
@@ -89,7 +98,7 @@ def configuration(overrides: list[str]) -> DictConfig:
 def measured(steps: int, repeats: int) -> Iterator[Row]:
     """Yield a row for each model, seconds of a step."""
     for name in MODELS:
-        row = Row(name, {who: [] for who in ("ahnn", "bare loop", "plain AdamW")}, None)
+        row = Row(name, {who: [] for who in ("ahnn", "barebones", "bare loop", "plain AdamW")}, None)
         for _ in range(repeats):
             with tempfile.TemporaryDirectory() as folder:
                 overrides = [f"model={name}", "model.network.width=128", "model.network.depth=3"]
@@ -97,6 +106,7 @@ def measured(steps: int, repeats: int) -> Iterator[Row]:
                 cfg = configuration(overrides)
                 row.times["plain AdamW"].append(bare(cfg, steps, torch.optim.AdamW))
                 row.times["ahnn"].append(through_library(cfg, steps))
+                row.times["barebones"].append(through_lightning(cfg, steps))
                 row.times["bare loop"].append(bare(cfg, steps))
         yield row
 

@@ -114,8 +114,9 @@ nothing else.""",
     "lightning": Section(
         "Through Lightning",
         f"""Steps of a fit of {STEPS} with the default callbacks and TensorBoard, networks of three layers
-of 128, batches of 256. The bare loop has the same batches and the optimiser of ahnn, plain AdamW that of
-torch with its defaults.""",
+of 128, batches of 256. `barebones` is Lightning's own trainer of that name, without callbacks, logger and
+checkpoints: what its loop costs alone. The bare loop has the same batches and the optimiser of ahnn, plain
+AdamW that of torch with its defaults.""",
         lambda repeats: table([*bench_training_step.measured(STEPS, repeats)], "one step [ms]"),
         3,
         {},
