@@ -25,7 +25,6 @@ from ahnn.training import (
     stepper_of,
 )
 from ahnn.training.finite import require_finite_loss, require_finite_weights
-from ahnn.training.unheard import Unheard
 from ahnn.types import Flow, TimeStep, Window
 
 STAGED = ("val/loss", "val/lost")
@@ -39,7 +38,7 @@ class Optimisation(NamedTuple):
     scheduler: Callable[[Optimizer], LRScheduler] | None
 
 
-class AbstractModel(Unheard, LightningModule, ABC):
+class AbstractModel(LightningModule, ABC):
     """A training of dynamics.
 
     Final subclasses say in their constructor which dynamics and which objective; nothing else is overridden.
@@ -60,13 +59,6 @@ class AbstractModel(Unheard, LightningModule, ABC):
         self.optimisation: Optimisation | None = None
         self.compiled: Stepper | None = None  # in place of the stepper of optimisers that take gradients
         self.about: dict[str, Any] = {}
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        """Set an attribute; that of the running hook, forty times a step, is no parameter to look for."""
-        if name == "_current_fx_name":
-            object.__setattr__(self, name, value)
-        else:
-            super().__setattr__(name, value)
 
     @property
     def objective(self) -> Objective:
@@ -163,16 +155,6 @@ class AbstractModel(Unheard, LightningModule, ABC):
         mean = float(self._mean_of_devices(loss.detach()))
         require_finite_loss(mean, f"in epoch {self.current_epoch}, batch {batch_idx}")
         return loss
-
-    def configure_gradient_clipping(
-        self,
-        optimizer: Optimizer,
-        gradient_clip_val: float | None = None,
-        gradient_clip_algorithm: str | None = None,
-    ) -> None:
-        """Clip gradients where that is asked for; Lightning would check its settings on each step."""
-        if gradient_clip_val:
-            super().configure_gradient_clipping(optimizer, gradient_clip_val, gradient_clip_algorithm)
 
     def on_validation_start(self) -> None:
         """Look at the weights that the last step of an epoch left, before any checkpoint holds them."""

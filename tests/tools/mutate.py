@@ -62,7 +62,6 @@ SHELLS = (
     "plugin.py",
     "series.py",
     "checkpoint_io.py",
-    "profiler.py",
 )
 """What is no kernel: pictures, plumbing and names."""
 

@@ -14,7 +14,6 @@ from lightning.pytorch.callbacks import Checkpoint
 from ahnn.arguments import Count, checked
 from ahnn.errors import Stopped, UserError
 from ahnn.training.finite import require_finite_weights
-from ahnn.training.unheard import Unheard
 
 MONITORED = ("val/loss", "val/one_step")
 """What every model logs in a validation; a callback adds the names in its `monitored`."""
@@ -29,7 +28,7 @@ def require_monitored(who: str, name: str, trainer: Trainer) -> None:
 
 
 @checked
-class BestPoint(Unheard, Checkpoint):
+class BestPoint(Checkpoint):
     """Writes best.ckpt after each validation whose value is the smallest so far.
 
     Args:
@@ -69,7 +68,7 @@ class BestPoint(Unheard, Checkpoint):
 
 
 @checked
-class ResumePoint(Unheard, Checkpoint):
+class ResumePoint(Checkpoint):
     """Writes last.ckpt every few steps, after each validation, and when a scheduler ends the process.
 
     Never between the last step of an epoch and its validation: Lightning would skip that validation when it

@@ -12,13 +12,12 @@ from rich.progress import Progress, TaskID, TextColumn
 
 from ahnn.progress import progress_bar
 from ahnn.training.outlook import amounts
-from ahnn.training.unheard import Unheard
 
 REFRESH_SECONDS = 0.5
 log = logging.getLogger(__name__)
 
 
-class TrainingProgress(Unheard, ProgressBar):
+class TrainingProgress(ProgressBar):
     """A bar for the whole fit, which reads the loss twice a second and costs nothing in between.
 
     Where standard error is no terminal, each epoch is a line of the log.

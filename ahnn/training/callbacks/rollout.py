@@ -14,7 +14,6 @@ from ahnn.data.datamodule import WindowDataModule
 from ahnn.metrics import errors, rmse_pooled, typical_error
 from ahnn.rollouts import rollout
 from ahnn.statistics import Statistics, sampling_interval
-from ahnn.training.unheard import Unheard
 
 LOST = 100.0
 """A position error this many times the size of the system is as bad as any."""
@@ -25,7 +24,7 @@ TRIED = 20
 
 
 @checked
-class ValidationRollout(Unheard, Callback):
+class ValidationRollout(Callback):
     """Logs `val/rollout`, the typical position error of whole validation rollouts, in the system's unit.
 
     It is what a user of the model sees, and may choose the best checkpoint: a one-step loss that falls does

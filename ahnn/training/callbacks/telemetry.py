@@ -12,7 +12,6 @@ from torch.optim import Optimizer
 
 from ahnn.arguments import Count, checked
 from ahnn.errors import TrainingError
-from ahnn.training.unheard import Unheard
 
 OF_STEP = ("lr", "damping", "gradient_norm")
 """Keys of a parameter group that are recorded where an optimiser has them."""
@@ -25,7 +24,7 @@ PATIENCE = 0.5
 
 
 @checked
-class Telemetry(Unheard, Callback):
+class Telemetry(Callback):
     """Writes loss, learning rate and gradient norm, and stops the run when a gradient is not finite.
 
     Args:

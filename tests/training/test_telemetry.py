@@ -1,4 +1,4 @@
-"""Hooks that nobody defines are None, and what replaces Lightning's own still does its work."""
+"""What a training records of its steps, and when it writes."""
 
 from __future__ import annotations
 
@@ -6,13 +6,8 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from helpers import SPRING, build_model
-from lightning import Callback, LightningModule
 
 from ahnn.training.callbacks import Telemetry, telemetry
-from ahnn.training.unheard import Unheard
-
-HOOKS = [name for name in vars(Unheard) if name.startswith("on_")]
 
 
 class Logger:
@@ -32,14 +27,6 @@ def trainer() -> Any:
     optimizer = SimpleNamespace(param_groups=[{"lr": 0.5}])
     parts = {"loggers": [Logger()], "optimizers": [optimizer], "callback_metrics": {"val/loss": 3.0}}
     return cast(Any, SimpleNamespace(global_step=1, **parts))
-
-
-@pytest.mark.parametrize("name", HOOKS)
-@pytest.mark.parametrize("owner", [Callback, LightningModule])
-def test_every_unheard_hook_is_one_that_lightning_looks_up(owner: type, name: str) -> None:
-    """A hook under another name would be called again without anybody noticing."""
-    assert callable(getattr(owner, name))
-    assert getattr(Unheard, name) is None
 
 
 def record(watch: Telemetry, trainer: Any, steps: range) -> None:
@@ -72,15 +59,3 @@ def test_the_end_of_a_training_writes_what_still_waits(trainer: Any, monkeypatch
     more = (KeyboardInterrupt(),) if end == "on_exception" else ()
     getattr(watch, end)(trainer, cast(Any, None), *more)
     assert trainer.loggers[0].written == expected(range(1, 6))
-
-
-@pytest.mark.parametrize(("value", "clipped"), [(None, []), (0.0, []), (0.5, [(0.5, "norm")])])
-def test_gradients_are_clipped_where_that_is_asked_for(monkeypatch: Any, value: Any, clipped: list) -> None:
-    """What Lightning would do is left to it then, and else is not begun."""
-    asked = []
-    monkeypatch.setattr(
-        LightningModule, "clip_gradients", lambda *_, **named: asked.append((*named.values(),))
-    )
-    model = build_model("mlp", SPRING)
-    model.configure_gradient_clipping(cast(Any, None), value, "norm")
-    assert asked == clipped
