@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
+import numpy as np
 import pytest
 import torch
-from helpers import close
+from helpers import close, generator
 from numpy.polynomial import Polynomial
 
-from ahnn.training.spans import bumps, integrated
+from ahnn.training.spans import bumps, integrated, quadrature
 
 DOUBLE = {"dtype": torch.float64}
 STEP = 0.2
@@ -34,3 +37,68 @@ def test_spans_follow_each_other_and_know_what_is_missing():
     ramp = torch.arange(241, **DOUBLE).view(1, -1, 1)
     centres = integrated(tests.on_field, tests.stride, ramp) / tests.on_field.sum(-1, keepdim=True)
     close(centres.flatten(), 60.0 + 20 * torch.arange(7, **DOUBLE), 1e-12)
+
+
+def halved(times, uneven=3.0):
+    """The rule through each three samples, halved; two more steps at either end are like the last."""
+    steps = np.diff(times)
+    steps = np.concatenate(([steps[0]] * 2, steps, [steps[-1]] * 2))
+    at, total = np.concatenate(([0.0], steps.cumsum())), np.zeros(len(steps) + 1)
+    for k, (a, b) in enumerate(pairwise(steps)):
+        x = at[k : k + 3] - at[k]
+        if max(a / b, b / a) > uneven:
+            total[k : k + 3] += [a / 4, (a + b) / 4, b / 4]
+        else:
+            moments = np.diff([[0.0, 0.0, 0.0], x[2] ** np.arange(1, 4) / np.arange(1, 4)], axis=0)[0]
+            total[k : k + 3] += np.linalg.solve(np.vander(x, 3, increasing=True).T, moments) / 2
+    return total[2:-2]
+
+
+@pytest.mark.parametrize("ratio", [1.0, 2.0, 2.95, 3.05, 50.0])
+def test_weights_are_those_of_parabolas_or_of_straight_lines_where_steps_differ_threefold(ratio):
+    steps = np.array([1.0, 1.0, ratio, ratio, 1.0, ratio, 1.0, 1.3, 1.3 * ratio, 1.1, 0.9 * ratio])
+    times = 7.0 + 0.3 * np.concatenate(([0.0], steps.cumsum()))
+    given = torch.from_numpy(np.stack((times, -times[::-1])))
+    expected = np.stack((halved(times), halved(-times[::-1])))
+    close(quadrature(given), torch.from_numpy(expected), 1e-12)
+
+
+@pytest.mark.parametrize(
+    ("order", "samples", "asked", "half", "stride"),
+    [
+        (1, 101, 5, 10, 3),
+        (1, 101, 10, 10, 3),
+        (1, 101, 11, 11, 3),
+        (1, 101, 12, 12, 4),
+        (2, 101, 3, 6, 2),
+        (2, 101, 7, 7, 2),
+        (1, 16, 5, 7, 2),  # no more than there are
+        (1, 5, 5, 2, 1),
+        (2, 3, 1, 1, 1),
+    ],
+)
+def test_spans_are_as_wide_as_sums_need_and_begin_three_within_half_a_width(
+    order, samples, asked, half, stride
+):
+    times = 0.1 * torch.arange(samples, **DOUBLE).unsqueeze(0)
+    tests = bumps(times, torch.ones(1, samples, dtype=torch.bool), asked, order)
+    count = (samples - 1 - 2 * half) // stride + 1
+    assert (tests.stride, tests.on_field.shape) == (stride, (1, count, 2 * half + 1))
+
+
+@pytest.mark.parametrize(("samples", "degree"), [(60, 7), (9, 6), (5, 2)])
+@pytest.mark.parametrize("order", [1, 2])
+def test_sums_vanish_for_polynomials_and_their_derivatives(order, samples, degree):
+    """At any times: what a large mean position would show in few samples. A higher power leaves something."""
+    steps = 0.6 + 0.8 * torch.rand(2, samples - 1, generator=generator(2), **DOUBLE)
+    times = torch.nn.functional.pad(steps.cumsum(1), (1, 0))
+    tests = bumps(times, torch.ones(2, samples, dtype=torch.bool), 6, order)
+    width = tests.on_field.shape[-1]
+    spans = tests.stride * torch.arange(tests.on_field.shape[1]).unsqueeze(-1) + torch.arange(width)
+    u = (times[:, spans] - times[:, spans].mean(-1, keepdim=True)) / (width / 2)
+    for power in range(degree + 2):
+        factor = power if order == 1 else power * (power - 1)
+        slope = factor * u ** max(power - order, 0) / (width / 2) ** order
+        terms = torch.cat((tests.on_data * u**power, tests.on_field * slope), dim=-1)
+        left = terms.sum(-1).abs() / terms.abs().sum(-1)
+        assert float(left.max()) < 1e-9 if power <= degree else float(left.max()) > 1e-6
