@@ -29,6 +29,19 @@ def test_test_functions_are_bumps_and_their_derivatives(order, sign):
         close(tests.on_data[0, span], STEP * torch.from_numpy(derivative), 1e-6)
 
 
+@pytest.mark.parametrize(("order", "sign"), [(1, 1), (2, -1)])
+def test_at_uneven_times_they_are_the_same_with_the_weights_of_these(order, sign):
+    steps = 0.6 + 0.8 * torch.rand(2, 240, generator=generator(4), **DOUBLE)
+    times = torch.nn.functional.pad(steps.cumsum(1), (1, 0))
+    tests = bumps(times, torch.ones(2, 241, dtype=torch.bool), 60, order)
+    bump, span = Polynomial([1, 0, -1]) ** 8, 20 * torch.arange(7).unsqueeze(-1) + torch.arange(121)
+    half = (times[:, span[:, -1]] - times[:, span[:, 0]]).unsqueeze(-1) / 2
+    u = ((times[:, span] - times[:, span[:, :1]]) / half - 1).numpy()
+    close(tests.on_field, quadrature(times)[:, span] * torch.from_numpy(bump(u)), 1e-12)
+    derivative = sign * torch.from_numpy(bump.deriv(order)(u)) / half**order
+    close(tests.on_data, quadrature(times)[:, span] * derivative, 1e-3)
+
+
 def test_spans_follow_each_other_and_know_what_is_missing():
     present = torch.ones(1, 241, dtype=torch.bool)
     present[0, 45] = False
@@ -102,3 +115,30 @@ def test_sums_vanish_for_polynomials_and_their_derivatives(order, samples, degre
         terms = torch.cat((tests.on_data * u**power, tests.on_field * slope), dim=-1)
         left = terms.sum(-1).abs() / terms.abs().sum(-1)
         assert float(left.max()) < 1e-9 if power <= degree else float(left.max()) > 1e-6
+
+
+@pytest.mark.parametrize("with_rates", [False, True])
+@pytest.mark.parametrize("width", [10, 11, 12])
+def test_covariances_are_those_of_all_sums_and_zero_for_spans_that_do_not_overlap(width, with_rates):
+    """A sum is that of on_data n + on_field J n over its span, with unit noise n of each sample."""
+    times = (0.1 * torch.arange(61, **DOUBLE)).expand(2, -1)
+    present = torch.ones(2, 61, dtype=torch.bool)
+    present[1, 40] = False
+    tests = bumps(times, present, width)
+    rates = torch.randn(2, 61, 3, 3, generator=generator(1), **DOUBLE) if with_rates else None
+    count, reach = tests.on_field.shape[1:]
+    effects = torch.zeros(2, count, 3, 61, 3, **DOUBLE)
+    for j in range(count):
+        span = slice(tests.stride * j, tests.stride * j + reach)
+        own = tests.on_data[:, j, :, None, None] * torch.eye(3, **DOUBLE)
+        if rates is not None:
+            own = own + tests.on_field[:, j, :, None, None] * rates[:, span]
+        effects[:, j, :, span] = own.transpose(1, 2) * tests.there[:, j, None, None, None]
+    dense = torch.einsum("bjcka,blika->bjlci", effects, effects)
+    bands = tests.covariances(3, rates)
+    for distance in range(count):
+        exact = dense.diagonal(-distance, 1, 2).movedim(-1, 1)
+        found = bands[distance].expand(2, -1, -1, -1) if distance < len(bands) else torch.zeros_like(exact)
+        assert float((found - exact).abs().max()) <= 1e-13 * float(dense.abs().max())
+    assert not bool(tests.there[1].all())
+    assert bool(tests.there[1].any())
