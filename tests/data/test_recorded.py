@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -75,3 +76,16 @@ def test_missing_measurements_are_absent_in_both(tmp_path):
         kept = slice(0, part.stop - part.start)
         assert torch.equal(got.states[b, kept].nan_to_num(), seen.states[b, part].nan_to_num())
         assert torch.allclose(got.times[b, kept], seen.times[b, part], rtol=1e-14, atol=0)
+
+
+def test_noise_is_remarked_upon_unless_the_training_takes_it_into_account(tmp_path):
+    """A loss on windows takes measurements as exact; one in stages weighs them, and knows their noise."""
+    system = dataclasses.replace(SPRING, steps=200)
+    simulated = Simulated(system, trajectories=10, seed=0, cache=str(tmp_path))
+    assert module(simulated, None).remark() is None
+    drawn = module(simulated, Sensor(simulated.space, measured="state", noise=0.01))
+    assert "which this loss learns" in (drawn.remark() or "")
+    drawn.follow(SimpleNamespace(), 1)
+    assert drawn.remark() is None
+    drawn.sensor.deviations = 3 * drawn.sensor.deviations  # as if somebody had stated that
+    assert "data.noise says otherwise" in (drawn.remark() or "")

@@ -158,6 +158,16 @@ def test_a_frame_that_rotates_is_warned_of(tmp_path, caplog):
         ("TIME_SYSTEM = UTC", "TIME_SYSTEM", "row 11: expected KEYWORD = value"),
         ("1e-9 6e-8", "1e-9", "row 22, column EPOCH: expected the 21 numbers of a lower triangle"),
         ("EPOCH = 2017", "AT = 2017", "row 22: expected EPOCH or COV_REF_FRAME; received 'AT'"),
+        (
+            "EPOCH = 2017-01-01T00:00:00\n",
+            "",
+            "row 22: expected EPOCH or COV_REF_FRAME; received 'COV_REF_FRAME'",
+        ),
+        (
+            "START\nEPOCH = 2017-01-01T00:00:00\nCOV_REF_FRAME = RTN\n",
+            "START\n",
+            "row 22: expected EPOCH = of a",
+        ),
         ("META_STOP\n2017-01-01T01", "2017-01-01T01", "row 40: expected KEYWORD = value"),
     ],
 )
