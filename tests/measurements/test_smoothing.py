@@ -129,3 +129,12 @@ def test_no_polynomial_is_wider_than_a_trajectory_but_for_the_narrowest(samples,
     monkeypatch.setattr(smoothing, "around", lambda *given: seen.append(given[-1]) or local)
     smoothed(Instrument(Position(1), torch.ones(1), 0.1, 1, 1.0), cubic(t).unsqueeze(-1), t, 7)
     assert seen == [width for width in smoothing.WIDTHS if width <= 6 or 2 * width + 1 <= samples]
+
+
+def test_residuals_are_predicted_minus_measured_in_deviations_and_zero_where_nothing_was_measured():
+    values = torch.tensor([[[1.0, 2.0], [torch.nan, -1.0]]], **DOUBLE)
+    deviations = torch.tensor([0.5, 4.0], **DOUBLE)
+    seen = Segment(values, torch.zeros(1, 2), Instrument(Position(2), deviations, 0.1, 2, 1.0))
+    states = torch.tensor([[[2.0, 0.0, 9.0, 9.0], [3.0, 3.0, 9.0, 9.0]]], **DOUBLE)
+    assert seen.residuals(states).tolist() == [[[2.0, -0.5], [0.0, 1.0]]]
+    assert seen.measured.tolist() == [3]
