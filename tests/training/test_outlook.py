@@ -6,10 +6,13 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from oscillators import Swing
 
+from ahnn.measurements import Instrument, Position
 from ahnn.training import outlook
 from ahnn.training.shooting import Shooting
 from ahnn.training.weak import Weak
+from ahnn.types import Trajectories
 
 
 class Batches:
@@ -80,3 +83,34 @@ def test_each_epoch_counts_its_steps_its_validation_and_the_callbacks_that_say_s
     model, data = SimpleNamespace(curriculum=curriculum), SimpleNamespace(stages=None)
     seconds = outlook.expected_seconds(trainer, data, model, 7, range(2, 5))  # pyright: ignore
     assert seconds == pytest.approx(3.5 + 14 + 14 + 3 * 3 + 100 * (2 + 3 + 4))
+
+
+def test_a_validation_takes_as_long_as_its_first_batch_for_each_of_them(monkeypatch):
+    seen = []
+    monkeypatch.setattr(outlook, "_median", lambda work, *_: work() or 3.0)
+    judge = SimpleNamespace(validation=lambda *given: seen.append(given))
+    model = SimpleNamespace(dynamics="dynamics", curriculum=SimpleNamespace(judge=judge))
+    data = SimpleNamespace(val_dataloader=lambda: ["first", "second", "third", "fourth"])
+    assert outlook._validation_seconds(model, data) == 12.0  # pyright: ignore
+    assert seen == [("dynamics", "first")]
+
+
+@pytest.mark.parametrize(("rows", "samples"), [(4, 20), (320, 80)])
+def test_last_steps_are_timed_on_the_beginnings_of_some_trajectories(rows, samples, monkeypatch):
+    """By each measured time; the rows and intervals of the beginnings are bounded."""
+    seen = []
+    equations = SimpleNamespace(equations=lambda theta, sizes: seen.append((theta.tolist(), sizes)))
+    monkeypatch.setattr(outlook, "_median", lambda work, *_: work() or 6.0)
+    monkeypatch.setattr(outlook, "WideProblem", lambda _, batch, *__: seen.append(batch) or equations)
+    times = torch.arange(samples, dtype=torch.float64).expand(rows, -1)
+    data = SimpleNamespace(
+        trajectories=lambda _: Trajectories(times.sin().unsqueeze(-1), times),
+        instrument=Instrument(Position(1), torch.ones(1), 1.0, 1, 1.0),
+    )
+    model = SimpleNamespace(dynamics=Swing(2.5, 0.5))
+    count = min(rows, outlook.STRETCHES) * min(samples, outlook.STRETCH + 1)
+    assert outlook._shooting_seconds(model, data) == pytest.approx(6.0 / count, rel=1e-12)  # pyright: ignore
+    batch, asked = seen
+    assert batch.values.shape == (*batch.times.shape, 1)
+    assert batch.times.numel() == count
+    assert asked == ([2.5, 0.5], [2])

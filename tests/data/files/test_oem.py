@@ -231,3 +231,8 @@ def test_what_a_message_says_of_itself(notation):
     assert said["START_TIME"] == "2016-12-31T23:59:00.000"
     assert said["STOP_TIME"] == "2017-01-01T00:01:00.500"
     assert 'CCSDS_OEM_VERS" version="2.0"' in text or text.startswith("CCSDS_OEM_VERS = 2.0\n")
+
+
+def test_an_ephemeris_of_ones_own_is_from_no_lines():
+    times, states = np.arange(3.0), np.zeros((3, 6))
+    assert Ephemeris("1", "", "EARTH", "EME2000", "UTC", 0, times, states).rows.tolist() == []
