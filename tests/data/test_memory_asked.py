@@ -8,7 +8,7 @@ import pytest
 import torch
 from helpers import MOLNIYA, SPRING, data_module
 
-from ahnn.data import datamodule, generate, sensor
+from ahnn.data import Simulated, datamodule, generate, sensor, sources
 from ahnn.types import Trajectories
 
 
@@ -39,3 +39,16 @@ def test_measurements_while_they_are_drawn(asked):
     for measured, every in (("state", 1), ("position", 4)):
         seen = sensor.Sensor(MOLNIYA.space, measured=measured, noise=0.1, every=every).measure(truth, 0)
         assert 3 <= asked["data.trajectories, system.steps"] / seen.states.nbytes <= 5
+
+
+def test_trajectories_on_the_disk(tmp_path, monkeypatch):
+    sizes = []
+    monkeypatch.setattr(
+        sources, "require_disk", lambda name, _, size, place: sizes.append((name, size, place))
+    )
+    source = Simulated(dataclasses.replace(SPRING, steps=20), trajectories=7, seed=0, cache=str(tmp_path))
+    source.check()
+    made = source.read()
+    assert sizes == [("data.trajectories, system.steps", made.states.nbytes, tmp_path)]
+    source.check()  # it is there
+    assert len(sizes) == 1
