@@ -29,6 +29,14 @@ def test_a_batch_of_windows(asked, cache, window, batch):
     assert size <= asked["data.batch_size"] <= 2.5 * size  # gathered, and handed out
 
 
+def test_the_speeds_of_all_windows(asked, cache):
+    loader = data_module(SPRING, cache, window=2, emphasis=1.0).train_dataloader()
+    assert 2 <= asked["data.emphasis"] / loader.windows.speeds().nbytes <= 4  # with their powers and sums
+    asked.clear()
+    data_module(SPRING, cache, window=2).train_dataloader()
+    assert "data.emphasis" not in asked
+
+
 def test_the_states_of_a_trajectory(asked):
     made = generate.generate(dataclasses.replace(SPRING, steps=20), 3, 0)
     assert asked["system.steps, system.periods"] == pytest.approx(made.states[0].nbytes, rel=1e-12)
