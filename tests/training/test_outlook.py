@@ -114,3 +114,10 @@ def test_last_steps_are_timed_on_the_beginnings_of_some_trajectories(rows, sampl
     assert batch.values.shape == (*batch.times.shape, 1)
     assert batch.times.numel() == count
     assert asked == ([2.5, 0.5], [2])
+
+
+def test_what_is_timed_once_is_done_once_before(monkeypatch):
+    done = []
+    monkeypatch.setattr(outlook.time, "perf_counter", lambda: {0: 0.0, 1: 0.08, 2: 0.09}[len(done)])
+    assert outlook._median(lambda: done.append(0)) == pytest.approx(0.01)
+    assert len(done) == 2
