@@ -69,7 +69,7 @@ def without_events(samples: Tensor) -> Tensor:
     sizes = samples.diff(n=order, dim=1).abs()
     values, _ = sizes.flatten(0, 1).nan_to_num(nan=torch.inf).sort(0)
     there = sizes.flatten(0, 1).isfinite().sum(0, keepdim=True)
-    low = values.gather(0, (LOW * there).long().clamp(max=len(values) - 1))
+    low = values.gather(0, (LOW * there).long())
     far = sizes > FAR * low / LOW_NORMAL
     return samples.masked_fill(pad(far, (0, 0, order // 2, order // 2)), torch.nan)
 

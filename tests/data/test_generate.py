@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from unittest.mock import MagicMock
 
 import pytest
 import torch
 from helpers import MOLNIYA, SPRING, SYSTEMS, data_module
 
+from ahnn.data import generate as room
 from ahnn.data.generate import generate
 from ahnn.errors import UserError
 
@@ -50,3 +52,16 @@ def test_a_duration_that_is_none_is_refused(monkeypatch, steps):
 def test_trajectories_beyond_the_memory_are_refused():
     with pytest.raises(UserError, match=r"system.steps.*: expected states of a trajectory that fit into"):
         generate(dataclasses.replace(SPRING, steps=10**15), 3, 0)
+
+
+@pytest.mark.parametrize("rows", [1, 3, 4, 100])
+def test_the_bar_is_full_when_all_is_generated(rows, monkeypatch):
+    """Trajectories are made several at once, and the bar counts the steps of all of these."""
+    bar, told = MagicMock(), []
+    bar.__enter__.return_value = bar
+    bar.add_task.side_effect = lambda _, total: told.append(total)
+    monkeypatch.setattr(room, "progress_bar", lambda: bar)
+    monkeypatch.setattr(room, "rows_of_part", lambda *_: rows)
+    parts = [*room.generated(dataclasses.replace(SPRING, steps=12), 8, 0)]
+    assert sum(len(part.states) for part in parts) == 8
+    assert told == [bar.advance.call_count] == [12 * len(parts)]

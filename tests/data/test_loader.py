@@ -106,3 +106,9 @@ def test_a_pass_that_is_given_up_leaves_no_trace_in_the_next():
         next(begun)
         begun.close()
         assert epoch(source, number) == epoch(loader(), number)
+
+
+def test_a_subsample_is_the_beginning_of_a_permutation_of_all():
+    whole, some = loader(count=300, batch=8), loader(count=300, batch=8, per_epoch=30)
+    for number in range(3):
+        assert flat(epoch(some, number)) == flat(epoch(whole, number))[:30]

@@ -8,7 +8,7 @@ import pytest
 import torch
 from helpers import MOLNIYA, SPRING, data_module
 
-from ahnn.data import datamodule, generate, sensor
+from ahnn.data import Simulated, datamodule, generate, sensor, sources
 from ahnn.types import Trajectories
 
 
@@ -29,6 +29,14 @@ def test_a_batch_of_windows(asked, cache, window, batch):
     assert size <= asked["data.batch_size"] <= 2.5 * size  # gathered, and handed out
 
 
+def test_the_speeds_of_all_windows(asked, cache):
+    loader = data_module(SPRING, cache, window=2, emphasis=1.0).train_dataloader()
+    assert 2 <= asked["data.emphasis"] / loader.windows.speeds().nbytes <= 4  # with their powers and sums
+    asked.clear()
+    data_module(SPRING, cache, window=2).train_dataloader()
+    assert "data.emphasis" not in asked
+
+
 def test_the_states_of_a_trajectory(asked):
     made = generate.generate(dataclasses.replace(SPRING, steps=20), 3, 0)
     assert asked["system.steps, system.periods"] == pytest.approx(made.states[0].nbytes, rel=1e-12)
@@ -39,3 +47,16 @@ def test_measurements_while_they_are_drawn(asked):
     for measured, every in (("state", 1), ("position", 4)):
         seen = sensor.Sensor(MOLNIYA.space, measured=measured, noise=0.1, every=every).measure(truth, 0)
         assert 3 <= asked["data.trajectories, system.steps"] / seen.states.nbytes <= 5
+
+
+def test_trajectories_on_the_disk(tmp_path, monkeypatch):
+    sizes = []
+    monkeypatch.setattr(
+        sources, "require_disk", lambda name, _, size, place: sizes.append((name, size, place))
+    )
+    source = Simulated(dataclasses.replace(SPRING, steps=20), trajectories=7, seed=0, cache=str(tmp_path))
+    source.check()
+    made = source.read()
+    assert sizes == [("data.trajectories, system.steps", made.states.nbytes, tmp_path)]
+    source.check()  # it is there
+    assert len(sizes) == 1

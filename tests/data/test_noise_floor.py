@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 from helpers import MOLNIYA, close, generator
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.special import comb
+from scipy.stats import norm
 
 from ahnn.data import noise_floor as room
 from ahnn.data.generate import generate
-from ahnn.data.noise_floor import noise_floor, remark_on
+from ahnn.data.noise_floor import noise_floor, remark_on, without_events
 from ahnn.types import Trajectories
 
 ORBITS = generate(MOLNIYA, 12, 0)
@@ -90,3 +94,51 @@ def test_a_difference_of_tenth_order_takes_eleven_samples(count, told):
     found = noise_floor(Trajectories(draw, torch.arange(count, dtype=torch.float64).expand(400, -1)))
     assert bool(found.isfinite().all()) == told
     assert not told or float((found - 1).abs().max()) < 0.15
+
+
+@pytest.mark.parametrize(("factor", "told"), [(1.01, True), (0.99, False)])
+def test_noise_is_what_differences_of_the_next_orders_find_again_to_a_fifth(factor, told):
+    """Differences of a wave grow by 2 sin(w/2) with each order, and those of noise by (4 - 2/k)^(1/2)."""
+    sine = 0.8 * math.sqrt(3.8) / 2 * factor  # of w/2: from the ninth to the tenth the level falls by a fifth
+    phases = torch.arange(400, dtype=torch.float64).unsqueeze(-1) * math.pi / 400
+    times = torch.arange(40, dtype=torch.float64).expand(400, -1)
+    waves = (2 * math.asin(sine) * times + phases).cos().unsqueeze(-1)
+    (found,) = noise_floor(Trajectories(waves, times)).tolist()
+    expected = (2 * sine) ** 8 * math.cos(math.pi / 4) / norm.ppf(0.75) / math.sqrt(comb(16, 8))
+    assert found == (pytest.approx(expected, rel=0.01) if told else pytest.approx(math.nan, nan_ok=True))
+
+
+def test_an_event_is_six_deviations_away_by_the_fifth_of_the_differences_that_is_smallest():
+    """The eighth difference of +1, -1, +1 ... is 256, and a single sample counts 70 times where it stands."""
+    sign = 1.0 - 2 * (torch.arange(41, dtype=torch.float64) % 2)
+    edge = (6 * 256 / norm.ppf(0.6) - 256) / 70
+    for height, gone in ((0.99 * edge, []), (1.01 * edge, [20]), (1.01 * 70 / 56 * edge, [19, 20, 21])):
+        samples = sign.repeat(60, 1).unsqueeze(-1)
+        samples[3, 20] += height * sign[20]
+        lost = without_events(samples).isnan()
+        assert lost[3].flatten().nonzero().flatten().tolist() == gone
+        assert int(lost.sum()) == len(gone)
+    for quiet, seen in ((19, False), (21, True)):
+        samples = torch.where(torch.arange(100) < quiet, 0.01, 1.0).view(100, 1, 1) * sign.view(1, -1, 1)
+        lost = without_events(samples)[:, 4:-4].isnan()
+        assert bool(lost[quiet:].all()) == bool(lost.any()) == seen
+
+
+@pytest.mark.parametrize(("stated", "said"), [(1.99, False), (2.01, True), (0.503, False), (0.497, True)])
+def test_stated_noise_may_be_off_by_a_factor_of_two(stated, said):
+    given = noisy(0.1)
+    assert (remark_on(given, NAMES, stated * noise_floor(given)) is not None) == said
+
+
+@pytest.mark.parametrize(("times", "said"), [(0.99, False), (1.01, True)])
+def test_noise_matters_from_a_ten_thousandth_of_the_usual_step_on(times, said):
+    """A straight line has no differences of high order: its noise alone says how steep it may be."""
+    clock = torch.arange(301, dtype=torch.float64).expand(20, -1)
+    draw = torch.randn(20, 301, 2, generator=generator(6), dtype=torch.float64)
+    still = draw.clone()
+    still[..., 1] = draw[..., 1].gt(1.2)  # a switch that is mostly left as it is
+    level = float(noise_floor(Trajectories(draw, clock))[0])
+    still[..., 0] += level / 1e-4 / times * clock
+    remark = remark_on(Trajectories(still, clock), ["line", "switch"], None)
+    assert (remark is not None) == said
+    assert remark is None or f"noise of line {level:.2g} (" in remark

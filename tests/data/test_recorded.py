@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -17,11 +18,11 @@ from ahnn.data.sensor import Sensor
 UNITS = {"mass_spring": "[m],[m/s]", "molniya": "[km],[km/s]"}
 
 
-def module(source, sensor):
+def module(source, sensor, **changes):
     options = {
         k: v for k, v in defaults("hnn")["data"].items() if k not in (*SIMULATION, *SENSOR, "_target_")
     }
-    options |= {"split": [0.6, 0.2, 0.2], "window": 3, "batch_size": 32, "precision": 64}
+    options |= {"split": [0.6, 0.2, 0.2], "window": 3, "batch_size": 32, "precision": 64} | changes
     return WindowDataModule(source, **options, sensor=sensor)
 
 
@@ -75,3 +76,37 @@ def test_missing_measurements_are_absent_in_both(tmp_path):
         kept = slice(0, part.stop - part.start)
         assert torch.equal(got.states[b, kept].nan_to_num(), seen.states[b, part].nan_to_num())
         assert torch.allclose(got.times[b, kept], seen.times[b, part], rtol=1e-14, atol=0)
+
+
+def test_noise_is_remarked_upon_unless_the_training_takes_it_into_account(tmp_path):
+    """A loss on windows takes measurements as exact; one in stages weighs them, and knows their noise."""
+    system = dataclasses.replace(SPRING, steps=200)
+    simulated = Simulated(system, trajectories=10, seed=0, cache=str(tmp_path))
+    assert module(simulated, None).remark() is None
+    drawn = module(simulated, Sensor(simulated.space, measured="state", noise=0.01))
+    assert "which this loss learns" in (drawn.remark() or "")
+    drawn.follow(SimpleNamespace(), 1)
+    assert drawn.remark() is None
+    drawn.sensor.deviations = 3 * drawn.sensor.deviations  # as if somebody had stated that
+    assert "data.noise says otherwise" in (drawn.remark() or "")
+
+
+@pytest.mark.parametrize(("per_epoch", "steps"), [(None, 1), (3, 1), (4, 1), (9, 2), (12, 3)])
+def test_stages_are_handed_out_as_stretches_that_grow(tmp_path, per_epoch, steps):
+    """As many steps as windows would make, each of the stretches of a stage or of the batch size."""
+    system = dataclasses.replace(SPRING, steps=40)
+    simulated = Simulated(system, trajectories=10, seed=0, cache=str(tmp_path))
+    sensor = Sensor(simulated.space, measured="state", noise=0.01)
+    data = module(simulated, sensor, batch_size=4, windows_per_epoch=per_epoch, val_windows=1)
+    stages = SimpleNamespace(
+        intervals=lambda epoch, epochs: 5 if epoch < epochs - 1 else None,
+        stretches=lambda epoch, _: 3 if epoch == 1 else None,
+    )
+    data.follow(stages, 3)
+    loader, shapes = data.train_dataloader(), []
+    for epoch in range(3):
+        loader.set_epoch(epoch)
+        shapes.append([tuple(batch.values.shape) for batch in loader])
+    assert shapes == [[(4, 6, 2)] * steps, [(3, 6, 2)] * steps, [(4, 41, 2)] * steps]
+    (judged,) = data.val_dataloader()
+    assert torch.equal(judged.values, data.trajectories("val").states[:1])

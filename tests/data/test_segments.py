@@ -48,6 +48,16 @@ def test_whole_trajectories_begin_where_a_start_can_be_guessed_and_end_unmeasure
     assert batch.measured.tolist() == [12, 10, 9]
 
 
+def test_beyond_its_end_a_trajectory_goes_on_in_its_mean_step():
+    data = measured(rows=2, samples=8)
+    times = torch.tensor([[0.0, 1, 2, 3, 5, 7, 9, 14], [10, 13, 14, 15, 16, NAN, NAN, NAN]]).double()
+    data.states[0, 0] = data.states[1, 5:] = NAN
+    batch = Segments(Trajectories(data.states, times), None, SEEN).gather(torch.tensor([0, 1]))
+    assert batch.times[0].tolist() == [1, 2, 3, 5, 7, 9, 14, 16]
+    assert batch.times[1].tolist() == [10, 13, 14, 15, 16, 17.5, 19, 20.5]
+    assert batch.values[:, :, 0].isnan().tolist() == [[False] * 7 + [True], [False] * 5 + [True] * 3]
+
+
 def test_gaps_lie_inside_but_not_where_a_start_is_guessed():
     data = measured(rows=1)
     data.states[0, [2, 4, 5]] = NAN

@@ -7,9 +7,9 @@ import torch
 from helpers import MOLNIYA, SPRING, close
 
 from ahnn.data.generate import generate
-from ahnn.data.sensor import OUTLIER, Sensor
+from ahnn.data.sensor import OUTLIER, Sensor, deviations
 from ahnn.errors import UserError
-from ahnn.measurements import GnssRange, GroundStation
+from ahnn.measurements import GnssRange, GroundStation, Position, Several, State
 
 TRUTH = generate(SPRING, 40, 0)
 SPACE = SPRING.space
@@ -100,3 +100,16 @@ def test_a_number_for_positions_and_one_for_momenta():
     assert found.tolist() == [0.1] * 3 + [2e-4] * 3
     single = Sensor(MOLNIYA.space, measured="state", noise=[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]).deviations
     assert single.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+
+
+def test_standard_deviations_of_one_of_several_of_a_kind_are_those_of_each():
+    station, space = GroundStation(60.0, 30.0), MOLNIYA.space
+    two = Several([station, GroundStation(-30.0, 90.0)])
+    assert deviations(two, [0.05, 1e-4, 2e-4], space).tolist() == [0.05, 1e-4, 2e-4] * 2
+    assert deviations(two, 0.3, space).tolist() == [0.3] * 6
+    six = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    assert deviations(two, six, space).tolist() == six
+    other = Several([station, Position(3), State(3)])
+    for measurement, noise in ((two, [0.05, 1e-4]), (other, [1.0, 2.0, 3.0]), (station, [1.0, 2.0])):
+        with pytest.raises(UserError, match="a standard deviation > 0 for each of"):
+            deviations(measurement, noise, space)

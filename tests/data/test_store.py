@@ -216,3 +216,18 @@ def test_an_edited_system_of_ones_own_has_another_recipe(tmp_path, monkeypatch):
     assert first["code"] != edited["code"]
     assert first["system"] != other["system"]
     assert "code" not in RECIPE
+
+
+def nowhere(text):
+    """A class whose source nobody has."""
+    functions = {}
+    exec(text, functions)
+    return type("Mine", (), {"force": functions["force"], "mass": 1.0, "__module__": "nowhere"})
+
+
+def test_a_system_without_source_goes_by_its_bytecode():
+    first, again, edited = (
+        store.source_of(nowhere(f"def force(self, q): return -q {sign} q")) for sign in "**+"
+    )
+    assert set(first) == {"nowhere"}
+    assert first == again != edited

@@ -112,3 +112,18 @@ def test_gnss_clock_is_a_component_of_the_state():
     x = torch.tensor([[7000.0, 0.0, 0.0, 0.0, 7.5, 0.0, 0.3]], dtype=F64)
     satellites = torch.tensor([[20000.0, 0.0, 0.0]], dtype=F64)
     assert float(GnssRange(satellites, clock=6)(x, 0.0)) == pytest.approx(13000.3, rel=1e-15)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4, 7, 8])
+def test_the_rows_of_a_polynomial_are_the_nearest_ones_up_to_the_ends_of_the_table(order):
+    """Its value at a time is a sum over rows; unit vectors tell which of them, and how heavy they are."""
+    times = 900.0 * torch.arange(14, dtype=F64)
+    for t in torch.linspace(10.0, 13 * 900.0 - 10.0, 73, dtype=F64).tolist():
+        nearest = (times - t).abs().argsort()[: order + 1].tolist()
+        expected = torch.zeros(14, dtype=F64)
+        for k in nearest:
+            others = times[[j for j in nearest if j != k]]
+            expected[k] = ((t - others) / (times[k] - others)).prod()
+        assert torch.allclose(
+            lagrange(times, torch.eye(14, dtype=F64), t, order), expected, rtol=0, atol=1e-11
+        )

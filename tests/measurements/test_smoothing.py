@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from helpers import close, generator
 
-from ahnn.measurements import Instrument, Position, Segment, State
+from ahnn.measurements import Instrument, Position, Segment, State, smoothing
 from ahnn.measurements.smoothing import around, guess, local_polynomials, smoothed
 
 DOUBLE = {"dtype": torch.float64}
@@ -100,3 +101,40 @@ def test_a_seventh_sample_has_no_part_in_a_guess():
     close(guess(Segment(values, t, instrument)), torch.tensor([[1.0, -2.0]]), 1e-9)
     values[:, 5] = 1e6
     assert float(guess(Segment(values, t, instrument)).abs().max()) > 100
+
+
+def test_widths_do_not_depend_on_the_units_of_a_component():
+    """A fast motion asks for narrow polynomials and a slow one in much noise for wide ones."""
+    t = 0.01 * torch.arange(1001, **DOUBLE).expand(6, -1)
+    slow = (0.3 * t).sin() + 0.05 * torch.randn(6, 1001, generator=generator(4), **DOUBLE)
+    values = torch.stack(((40 * t).sin(), slow), dim=-1)
+    instrument = Instrument(Position(2), torch.ones(2), 0.01, 2, 1.0)
+    seen = [
+        smoothed(instrument, values * torch.tensor(units), t, 500) for units in ([1, 1], [1e6, 1], [1, 1e6])
+    ]
+    assert len({local.width for local in seen}) == 1
+    alone = [
+        smoothed(Instrument(Position(1), torch.ones(1), 0.01, 1, 1.0), values[..., k : k + 1], t, 500).width
+        for k in (0, 1)
+    ]
+    assert alone[0] < seen[0].width <= alone[1]
+    close(seen[1].rate[:, 0], 1e6 * seen[0].rate[:, 0], 1e-9)
+
+
+@pytest.mark.parametrize("samples", [4, 16, 17, 24, 25, 36, 37, 180, 181])
+def test_no_polynomial_is_wider_than_a_trajectory_but_for_the_narrowest(samples, monkeypatch):
+    """Those of up to six samples on either side are tried in any case."""
+    seen, t = [], 0.1 * torch.arange(samples, **DOUBLE).unsqueeze(0)
+    local = smoothing.Local(*torch.randn(4, 3, 1, generator=generator(1), **DOUBLE), torch.zeros(3))
+    monkeypatch.setattr(smoothing, "around", lambda *given: seen.append(given[-1]) or local)
+    smoothed(Instrument(Position(1), torch.ones(1), 0.1, 1, 1.0), cubic(t).unsqueeze(-1), t, 7)
+    assert seen == [width for width in smoothing.WIDTHS if width <= 6 or 2 * width + 1 <= samples]
+
+
+def test_residuals_are_predicted_minus_measured_in_deviations_and_zero_where_nothing_was_measured():
+    values = torch.tensor([[[1.0, 2.0], [torch.nan, -1.0]]], **DOUBLE)
+    deviations = torch.tensor([0.5, 4.0], **DOUBLE)
+    seen = Segment(values, torch.zeros(1, 2), Instrument(Position(2), deviations, 0.1, 2, 1.0))
+    states = torch.tensor([[[2.0, 0.0, 9.0, 9.0], [3.0, 3.0, 9.0, 9.0]]], **DOUBLE)
+    assert seen.residuals(states).tolist() == [[[2.0, -0.5], [0.0, 1.0]]]
+    assert seen.measured.tolist() == [3]

@@ -137,9 +137,13 @@ def test_compiled_code_is_kept_where_nobody_else_writes(monkeypatch, tmp_path):
         assert os.environ[compilation.PLACE] == str(tmp_path / "own")
     assert compilation.PLACE not in os.environ
     assert (tmp_path / "own").stat().st_mode & 0o077 == 0
-    (tmp_path / "own").chmod(0o777)
-    with pytest.raises(PermissionError, match="others can write"), kept_in(tmp_path / "own"):
-        pass
+    for mode in (0o777, 0o720, 0o702):
+        (tmp_path / "own").chmod(mode)
+        with pytest.raises(PermissionError, match="others can write"), kept_in(tmp_path / "own"):
+            pass
+    (tmp_path / "own").chmod(0o755)
+    with kept_in(tmp_path / "own"):
+        assert os.environ[compilation.PLACE] == str(tmp_path / "own")
 
 
 def test_prices_are_those_measured_here(monkeypatch, tmp_path):
@@ -157,6 +161,13 @@ def test_prices_are_those_measured_here(monkeypatch, tmp_path):
     assert compilation.price(graphs[1], tmp_path) == pytest.approx(count * 0.5)
     compilation.record(graphs[0], tmp_path).write_text("{")
     assert compilation.price(graphs[1], tmp_path) == pytest.approx(count * compilation.PER_NODE)
+    for said, taken in (("-1", 0.0), ("0.25", 0.25), ("9.9", 9.9), ("1e9", 10.0)):
+        compilation.record(graphs[0], tmp_path).write_text(said)
+        assert compilation.price(graphs[1], tmp_path) == pytest.approx(count * taken)
+    others = compilation.record(graphs[0], tmp_path).parent
+    for name, said in zip("abcd", ("0.3", "0.1", "7", "0.2"), strict=True):
+        (others / f"{name}.json").write_text(said)
+    assert compilation.price(graphs[1], tmp_path) == pytest.approx(count * 0.3)  # the middle of five
 
 
 def announced(cost: float, monkeypatch) -> tuple[bool, list[str]]:

@@ -103,6 +103,17 @@ def test_stages_that_do_not_cover_a_training_are_refused(stages):
         make_curriculum(2, 5, {"stages": stages})
 
 
+@pytest.mark.parametrize(
+    "stages",
+    [[[3, 1.0]], [[3, 1.0, 1]], [["whole", 1]], [["weak", 1e-3], ["relative", 0.5], [3, 0.6], [3, 1.0]]],
+)
+def test_the_least_that_covers_a_training_is_taken(stages):
+    _, curriculum = make_curriculum(2, 5, {"stages": stages})
+    assert [phase.until for phase in curriculum.phases] == [until for _, until, *_ in stages]
+    assert curriculum.at(0, 1000) is curriculum.phases[0].objective
+    assert curriculum.at(999, 1000) is curriculum.phases[-1].objective
+
+
 def test_first_order_steps_weigh_their_batch_and_second_order_steps_hand_over_problems(cache):
     data = data_module(SPRING, cache)
     model, batch = ready_model("generic", data), batch_of(data)

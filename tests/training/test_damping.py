@@ -109,3 +109,30 @@ def test_a_problem_that_no_factor_exists_for_raises_the_damping_tenfold():
         optimizer.step(lambda: (broken, broken))
     assert optimizer.param_groups[0]["damping"] == 1e6
     assert float(parameter.detach()) == 1.0
+
+
+class Bending:
+    """Linear residuals, whose bend is far too large for so many steps, and nothing after them."""
+
+    def __init__(self, too_large):
+        plain = LeastSquares(lambda theta: 4 * theta, lambda _: torch.tensor([[4.0]]))
+        self.loss, self.equations, self.left = plain.loss, plain.equations, too_large
+
+    def bend(self, theta, step, reach):
+        del step, reach
+        self.left -= 1
+        return torch.full_like(theta, 1e9 if self.left >= 0 else 0.0)
+
+
+@pytest.mark.parametrize(
+    ("too_large", "damping"), [(0, 1e-3 / 3), (1, 1e-3), (3, 9e-3), (6, 0.729), (9, 0.729)]
+)
+def test_a_step_that_bends_too_much_is_tried_again_with_three_times_the_damping(too_large, damping):
+    parameter = nn.Parameter(torch.ones(1, dtype=torch.float64))
+    optimizer = LevenbergMarquardt([parameter], damping=1e-3, acceleration=True)
+    optimizer.step(lambda: (Bending(too_large), None))
+    assert optimizer.param_groups[0]["damping"] == pytest.approx(damping, rel=1e-12)
+    assert (float(parameter.detach()) == 1.0) == (too_large >= 6)
+    optimizer.param_groups[0]["damping"] = 9e5
+    optimizer.step(lambda: (Bending(9), None))
+    assert optimizer.param_groups[0]["damping"] == 1e6

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 from helpers import close, generator
+from scipy.stats import norm
 
 from ahnn.training.discrepancy import share
 
@@ -48,3 +49,11 @@ def test_outliers_hardly_count():
     residuals[torch.rand(residuals.shape, generator=generator(9)) < 0.05] *= 50
     got = share(residuals, effects, noise, torch.ones(*SHAPE, dtype=torch.bool))
     assert abs(got / 1e-2 - 1) < 0.1
+
+
+@pytest.mark.parametrize("e", [1e-3, 1.0])
+def test_with_it_half_of_the_residuals_are_as_large_as_half_of_normal_numbers(e):
+    residuals, effects, noise = drawn(e)
+    got = share(residuals, effects, noise, torch.ones(*SHAPE, dtype=torch.bool))
+    median = float((residuals.abs() / (noise + got**2 * effects).sqrt()).median())
+    assert median == pytest.approx(norm.ppf(0.75), rel=1e-4)

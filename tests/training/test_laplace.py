@@ -11,8 +11,8 @@ from torch.nn.utils import parameters_to_vector
 from ahnn.measurements import Position
 from ahnn.shooting.robust import ROBUST
 from ahnn.training import LevenbergMarquardt, laplace
-from ahnn.training.evidence import by_evidence
-from ahnn.training.laplace import conclude, held_out_scale
+from ahnn.training.evidence import Prior, by_evidence
+from ahnn.training.laplace import Place, conclude, held_out_scale, uncertainty
 from ahnn.training.normal_equations import Block, Equations
 from ahnn.training.posterior import WideProblem, with_prior
 from ahnn.training.shooting import ShootingProblem
@@ -79,29 +79,29 @@ def test_the_last_steps_end_in_the_optimum():
     assert float(gap.square().sum()) < 0.2
 
 
-@pytest.mark.parametrize(("decrease", "steps"), [(1e-3, 1), (10.0, 4)])
-def test_no_step_follows_one_that_gained_nothing(decrease, steps, monkeypatch):
+@pytest.mark.parametrize(("share", "steps"), [(0.0495, 1), (0.0505, 4)])
+def test_no_step_follows_one_that_gained_nothing(share, steps, monkeypatch):
+    """Beside what noise alone gives each parameter that the data determine."""
     taken = []
 
     def lower(problem, here, damping):
         del problem
         taken.append(damping)
-        return here.theta + 0.0, damping, decrease
+        return here.theta + 0.0, damping, share * here.determined
 
     monkeypatch.setattr(laplace, "lower", lower)
     conclude(Swing(2.01, 0.49), batch_of(0), batch_of(1, rows=10), 4)
     assert len(taken) == steps
 
 
-@pytest.mark.parametrize("gained", [1e-3, 10.0])
-def test_what_is_left_is_no_more_than_the_last_step_gained_where_that_was_next_to_nothing(
-    gained, monkeypatch
-):
+@pytest.mark.parametrize("share", [0.0495, 0.0505])
+def test_what_is_left_is_no_more_than_the_last_step_gained_where_that_was_next_to_nothing(share, monkeypatch):
     promised = conclude(Swing(2.01, 0.49), batch_of(0), batch_of(1, rows=10), 0)
+    gained = share * promised.about["determined"]
     lower = lambda problem, here, damping: (here.theta + 0.0, damping, gained)  # noqa: ARG005, E731
     monkeypatch.setattr(laplace, "lower", lower)
     found = conclude(Swing(2.01, 0.49), batch_of(0), batch_of(1, rows=10), 1)
-    part = gained / promised.about["remaining"] if gained < 0.1 else 1.0
+    part = gained / promised.about["remaining"] if share < 0.05 else 1.0
     assert found.about["remaining"] == pytest.approx(part * promised.about["remaining"], rel=1e-6)
     close(found.offset, part**0.5 * promised.offset, 1e-6)
     close(found.factor, promised.factor, 1e-6)
@@ -149,3 +149,93 @@ def test_equations_are_summed_in_float64():
     for kind, narrow in ((ShootingProblem, True), (WideProblem, False)):
         _, _, (block,) = kind(Swing(), batch, ROBUST["none"]).equations(flat(Swing()), [2])
         assert torch.equal(block.matrix.float().double(), block.matrix) == narrow
+
+
+def place(**changes):
+    """Two parameters that the data determine by 1.5, 8 residuals; 2 standard deviations from the optimum."""
+    block = Block(torch.arange(2), torch.eye(2, **DOUBLE), torch.ones(2, **DOUBLE))
+    prior = Prior(torch.full((1,), 0.5, **DOUBLE), [2])
+    theta, offset = torch.tensor([3.0, -1.0], **DOUBLE), torch.tensor([2.0, 0.0], **DOUBLE)
+    known = Place(
+        theta, torch.tensor(26.0, **DOUBLE), 8, block, prior, torch.eye(2, **DOUBLE), 1.5, offset, 4.0
+    )
+    return known._replace(**changes)
+
+
+@pytest.mark.parametrize(("gained", "part"), [(0.0, 0.0), (0.04, 0.01), (1.0, 0.25), (4.0, 1.0), (9.0, 1.0)])
+def test_a_place_that_was_arrived_at_is_as_far_from_the_optimum_as_the_last_step_gained(gained, part):
+    found = place().arrived(gained)
+    assert found.remaining == pytest.approx(4.0 * part, rel=1e-12)
+    close(found.offset, torch.tensor([2.0 * part**0.5, 0.0], **DOUBLE), 1e-12)
+    there = place(remaining=0.0).arrived(gained)
+    assert (there.remaining, float(there.offset.abs().max())) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(("degrees", "expected"), [(8, 4.0), (3, 26 / 1.5), (2, 26.0), (1, 26.0)])
+def test_chi_square_is_by_the_degrees_that_the_parameters_leave_and_by_one_at_least(degrees, expected):
+    assert place(degrees=degrees).chi_square == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize(("loss", "chi_square"), [(26.0, 4.0), (3.25, 0.5)])
+@pytest.mark.parametrize("unexplained", [1.0, 3.0])
+def test_the_covariance_is_widened_by_chi_square_and_by_what_is_held_out(
+    loss, chi_square, unexplained, monkeypatch
+):
+    asked = []
+    monkeypatch.setattr(laplace, "held_out_scale", lambda *given: asked.append(given) or unexplained)
+    held_out = Equations(torch.ones(()), 1, [])
+    found = uncertainty(place(loss=torch.tensor(loss, **DOUBLE)), held_out, {"a": 0.5})
+    wide = max(chi_square, 1.0)
+    assert found.inflation == pytest.approx(wide * unexplained, rel=1e-12)
+    offset = torch.tensor([[4.0, 0.0], [0.0, 0.0]], **DOUBLE)
+    close(found.covariance, wide * unexplained * (torch.eye(2, **DOUBLE) + offset), 1e-12)
+    (spread, test, noise), *_ = asked
+    close(spread @ spread.T, wide * (torch.eye(2, **DOUBLE) + offset), 1e-12)
+    assert (test, noise) == (held_out, pytest.approx(chi_square, rel=1e-12))
+    assert found.about["held_out"] == unexplained
+
+
+@pytest.mark.parametrize(("beyond", "refused"), [(-0.02, False), (0.02, True)])
+@pytest.mark.parametrize("noise", [0.7, 3.0])
+def test_held_out_measurements_refuse_a_covariance_with_95_percent(noise, beyond, refused):
+    """Squares of n + R normal numbers: n of variance v, and by each direction its own variance more."""
+    told = torch.tensor([0.3, 2.0, 11.0], **DOUBLE)
+    factor = torch.diag(torch.tensor([2.0, 0.5, 0.1], **DOUBLE))
+    block = Block(torch.arange(3), torch.diag(told / factor.diagonal() ** 2), torch.zeros(3, **DOUBLE))
+    variance = 2 * ((noise + told).square().sum() + (50 - 3) * noise**2)
+    excess = float(told.sum()) + (1 + beyond) * 1.6449 * float(variance) ** 0.5
+    test = Equations(torch.tensor(50 * noise + excess, **DOUBLE), 50, [block])
+    found = held_out_scale(factor, test, noise)
+    assert found == (pytest.approx(excess / float(told.sum()), rel=1e-9) if refused else 1.0)
+
+
+class Line:
+    """Residuals theta - goal, whose bend is too large for so many steps, and nothing after them."""
+
+    def __init__(self, too_large, goal):
+        self.left, self.goal = too_large, goal
+
+    def loss(self, theta):
+        return (theta - self.goal).square().sum()
+
+    def bend(self, theta, step, reach):
+        del step, reach
+        self.left -= 1
+        return torch.full_like(theta, 1e9 if self.left >= 0 else 0.0)
+
+
+@pytest.mark.parametrize(("too_large", "damping"), [(0, 1e-3 / 3), (1, 1e-2 / 3), (3, 1.0 / 3)])
+def test_a_step_beyond_its_bend_is_damped_ten_times_as_much(too_large, damping):
+    here = place(prior=Prior(torch.full((1,), 1e-9, **DOUBLE), [2]))
+    line = Line(too_large, here.theta - here.block.gradient)
+    before = float(line.loss(here.theta) + here.prior.penalty(here.theta))
+    here = here._replace(loss=line.loss(here.theta))
+    theta, found, decrease = laplace.lower(line, here, 1e-3)
+    assert found == pytest.approx(damping, rel=1e-9)
+    assert before - float(line.loss(theta) + here.prior.penalty(theta)) == pytest.approx(decrease, rel=1e-9)
+    close(theta, here.theta - here.block.gradient / (1 + 3 * damping), 1e-2)
+
+
+def test_no_step_is_taken_where_all_go_beyond_their_bend_and_the_damping_stays_in_its_range():
+    assert laplace.lower(Line(99, torch.zeros(2, **DOUBLE)), place(), 1e-3) == (None, pytest.approx(1e3), 0.0)
+    assert laplace.lower(Line(99, torch.zeros(2, **DOUBLE)), place(), 1e3) == (None, 1e6, 0.0)

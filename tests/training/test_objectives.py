@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 import torch
-from helpers import MOLNIYA, SPRING, batch_of, close, data_module, generator, ready_model
+from helpers import MOLNIYA, SPRING, SYSTEMS, batch_of, close, data_module, generator, ready_model
 
 from ahnn.dynamics.base import Dynamics
 from ahnn.errors import UserError
 from ahnn.integrators import INTEGRATORS
-from ahnn.training import Loss, LossOptions, Recursive
-from ahnn.training.objectives import derivative_samples, difference_weights
+from ahnn.training import FirstOrder, Loss, LossOptions, Recursive
+from ahnn.training.least_squares import recursive_problem
+from ahnn.training.objectives import Derivative, derivative_samples, difference_weights
 from ahnn.types import Window
 
 
@@ -202,3 +205,43 @@ def test_derivatives_refuse_steps_that_differ(cache):
     batch = batch_of(data)
     with pytest.raises(UserError, match=r"equal steps; received steps that differ.*loss.derivative=0"):
         derivative_samples(batch._replace(dt=torch.full(batch.increments.shape[:2], 0.01)))
+
+
+KINDS = ("node", "generic", "separable", "mechanical", "central_body")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_jacobian_of_derivative_residuals_is_the_central_difference(cache, kind):
+    """Rows that no parameter moves, those of dq/dt where the kinetic energy is known, are zero."""
+    data = data_module(SYSTEMS["kepler"] if kind == "central_body" else SPRING, cache, window=4)
+    model, batch = ready_model(kind, data), batch_of(data, 6)
+    problem = Derivative(model.loss, 4).problem(model.dynamics, batch)
+    theta = torch.nn.utils.parameters_to_vector(model.dynamics.parameters()).detach()
+    along = torch.randn(len(theta), generator=generator(1), dtype=torch.float64)
+    numeric = (problem.residuals(theta + 1e-5 * along) - problem.residuals(theta - 1e-5 * along)) / 2e-5
+    assert float(numeric.abs().max()) > 0
+    close(problem.jacobian(theta).double() @ along, numeric, 1e-4)
+    close(
+        problem.residuals(theta), Derivative(model.loss, 4).residuals(model.dynamics, batch).flatten(), 1e-13
+    )
+
+
+def test_the_jacobian_of_other_increments_than_those_of_the_dynamics_is_theirs(cache):
+    data = data_module(SPRING, cache, window=2)
+    model, batch = ready_model("generic", data), batch_of(data, 4)
+    theta = torch.nn.utils.parameters_to_vector(model.dynamics.parameters()).detach()
+    along = torch.randn(len(theta), generator=generator(1), dtype=torch.float64)
+    weights = torch.ones_like(batch.increments)
+    dynamics = model.dynamics
+    for increment in (dynamics.increment, lambda x, dt: 3 * dynamics.increment(x, 2 * dt)):
+        problem = recursive_problem(dynamics, increment, batch, weights)
+        numeric = (problem.residuals(theta + 1e-5 * along) - problem.residuals(theta - 1e-5 * along)) / 2e-5
+        close(problem.jacobian(theta).double() @ along, numeric, 1e-4)
+
+
+@pytest.mark.parametrize("weight", [None, 1, 0.25, 3.0])
+def test_a_batch_counts_by_its_weight_and_one_without_as_it_is(weight):
+    batch = SimpleNamespace() if weight is None else SimpleNamespace(weight=weight)
+    objective = SimpleNamespace(residuals=lambda *_: torch.tensor(0.7))
+    value = FirstOrder().step(objective, torch.nn.Identity(), None, batch, None)
+    assert float(value) == pytest.approx(0.7 * (1 if weight is None else weight), rel=1e-6)

@@ -6,10 +6,13 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from oscillators import Swing
 
+from ahnn.measurements import Instrument, Position
 from ahnn.training import outlook
 from ahnn.training.shooting import Shooting
 from ahnn.training.weak import Weak
+from ahnn.types import Trajectories
 
 
 class Batches:
@@ -48,7 +51,8 @@ def test_last_steps_and_the_covariance_count_by_all_measurements(first, closing,
     """A step of 10 takes 1 s; a pass of shooting over all follows, and half of one where starts fit soon."""
     monkeypatch.setattr(outlook, "step_seconds", lambda *_: 1.0)
     monkeypatch.setattr(outlook, "_shooting_seconds", lambda *_: 0.7)
-    curriculum = SimpleNamespace(at=lambda *_: first, closing=closing)
+    at = lambda epoch, epochs: first if (epoch, epochs) == (0, 2) else None  # noqa: E731
+    curriculum = SimpleNamespace(at=at, closing=closing)
     model, trainer = SimpleNamespace(curriculum=curriculum), SimpleNamespace(callbacks=[])
     seconds = outlook.expected_seconds(trainer, Data(), model, 3, range(2))  # pyright: ignore
     assert seconds == pytest.approx(3 + 12 + 2 * 20 + last)
@@ -79,3 +83,41 @@ def test_each_epoch_counts_its_steps_its_validation_and_the_callbacks_that_say_s
     model, data = SimpleNamespace(curriculum=curriculum), SimpleNamespace(stages=None)
     seconds = outlook.expected_seconds(trainer, data, model, 7, range(2, 5))  # pyright: ignore
     assert seconds == pytest.approx(3.5 + 14 + 14 + 3 * 3 + 100 * (2 + 3 + 4))
+
+
+def test_a_validation_takes_as_long_as_its_first_batch_for_each_of_them(monkeypatch):
+    seen = []
+    monkeypatch.setattr(outlook, "_median", lambda work, *_: work() or 3.0)
+    judge = SimpleNamespace(validation=lambda *given: seen.append(given))
+    model = SimpleNamespace(dynamics="dynamics", curriculum=SimpleNamespace(judge=judge))
+    data = SimpleNamespace(val_dataloader=lambda: ["first", "second", "third", "fourth"])
+    assert outlook._validation_seconds(model, data) == 12.0  # pyright: ignore
+    assert seen == [("dynamics", "first")]
+
+
+@pytest.mark.parametrize(("rows", "samples"), [(4, 20), (320, 80)])
+def test_last_steps_are_timed_on_the_beginnings_of_some_trajectories(rows, samples, monkeypatch):
+    """By each measured time; the rows and intervals of the beginnings are bounded."""
+    seen = []
+    equations = SimpleNamespace(equations=lambda theta, sizes: seen.append((theta.tolist(), sizes)))
+    monkeypatch.setattr(outlook, "_median", lambda work, *_: work() or 6.0)
+    monkeypatch.setattr(outlook, "WideProblem", lambda _, batch, *__: seen.append(batch) or equations)
+    times = torch.arange(samples, dtype=torch.float64).expand(rows, -1)
+    data = SimpleNamespace(
+        trajectories=lambda _: Trajectories(times.sin().unsqueeze(-1), times),
+        instrument=Instrument(Position(1), torch.ones(1), 1.0, 1, 1.0),
+    )
+    model = SimpleNamespace(dynamics=Swing(2.5, 0.5))
+    count = min(rows, outlook.STRETCHES) * min(samples, outlook.STRETCH + 1)
+    assert outlook._shooting_seconds(model, data) == pytest.approx(6.0 / count, rel=1e-12)  # pyright: ignore
+    batch, asked = seen
+    assert batch.values.shape == (*batch.times.shape, 1)
+    assert batch.times.numel() == count
+    assert asked == ([2.5, 0.5], [2])
+
+
+def test_what_is_timed_once_is_done_once_before(monkeypatch):
+    done = []
+    monkeypatch.setattr(outlook.time, "perf_counter", lambda: {0: 0.0, 1: 0.08, 2: 0.09}[len(done)])
+    assert outlook._median(lambda: done.append(0)) == pytest.approx(0.01)
+    assert len(done) == 2

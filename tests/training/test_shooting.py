@@ -153,12 +153,13 @@ def test_an_exact_model_is_found_and_its_chi_square_is_one():
     assert float(error @ torch.linalg.solve(covariance, error)) < 13.8  # chi-square of 2, 99.9 %
 
 
-def test_the_gradient_for_first_order_optimisers_is_that_of_the_best_starts():
+@pytest.mark.parametrize("robust", ["none", "student"])
+def test_the_gradient_for_first_order_optimisers_is_that_of_the_best_starts(robust):
     _, batch = segment(measurement=State(1), longest=0.01)
-    model, objective = Swing(2.005, 0.495), Shooting(None)
+    model, objective = Swing(2.005, 0.495), Shooting(None, robust)
     residuals = objective.residuals(model, batch)
     (gradient,) = torch.autograd.grad(residuals.square().sum(), model.field.stiffness)
-    problem = ShootingProblem(model, batch, ROBUST["none"])
+    problem = ShootingProblem(model, batch, ROBUST[robust])
     theta = parameters_to_vector(model.parameters()).detach()
     e = 1e-4
     losses = [
@@ -193,6 +194,11 @@ def test_segments_that_do_not_converge_are_left_out_and_counted():
     problem = ShootingProblem(Swing(), batch._replace(values=values), ROBUST["none"])
     assert problem.lost == 1
     assert len(problem.starts) == 9
+    degrees = batch.measured.double() - 2
+    judged = Shooting(None).validation(Swing(), batch._replace(values=values))
+    assert float(judged["lost"]) == pytest.approx(0.1, rel=1e-12)
+    given_up = problem.fitted.sums.where(torch.arange(10) != 3, UNMET * degrees)
+    close(judged["loss"], given_up.sum() / degrees.sum(), 1e-6)
     model = Swing()
     nothing = batch._replace(values=1e9 * torch.randn(values.shape, generator=generator(5), **DOUBLE))
     loss = LevenbergMarquardt(model.parameters()).step(lambda: (Shooting(None).problem(model, nothing), None))

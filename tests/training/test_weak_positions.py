@@ -12,7 +12,7 @@ from torch.nn.utils import parameters_to_vector
 from ahnn.dynamics.energies import Quadratic
 from ahnn.dynamics.hamiltonians import SeparableHamiltonian
 from ahnn.errors import UserError
-from ahnn.measurements import Instrument, Position, Segment
+from ahnn.measurements import Instrument, Position, Segment, State
 from ahnn.rollouts import rollout
 from ahnn.shooting.paths import path
 from ahnn.systems import Molniya
@@ -79,3 +79,18 @@ def test_a_force_is_found_from_noisy_positions_alone():
 def test_positions_tell_nothing_of_a_field_whose_momenta_are_unknown():
     with pytest.raises(UserError, match=r"positions where the kinetic energy is known; received Position"):
         Weak().problem(Swing(), positions(2, 0.01))
+
+
+@torch.no_grad()
+def test_a_force_that_is_wrong_is_no_doubt_about_velocities():
+    """Each kind of quantity has a share of its own by which the field misses it, in any dimension."""
+    x = torch.randn(30, 6, generator=generator(0), **DOUBLE)
+    truth = path(Well(1.0, 0.5).increment, x, torch.full((30, 200), 0.05, **DOUBLE))
+    times = 0.05 * torch.arange(201, **DOUBLE).expand(30, -1)
+    instrument = Instrument(State(3), torch.full((6,), 0.01, **DOUBLE), 0.05, 3, 2.0, 12)
+    wrong = Well(1.2, 0.6)
+    problem = Weak(relative=True).problem(wrong, Segment(truth, times, instrument))
+    nearest, *_ = problem._bands(slice(None), None)
+    missed = problem._missed(problem.motion.right(wrong.field), nearest.diagonal(dim1=-2, dim2=-1))
+    assert float(missed[..., :3].max()) == 0.0
+    assert float(missed[..., 3:].amin()) > 0.0

@@ -6,7 +6,10 @@ import pytest
 import torch
 from helpers import close, generator
 from oscillators import DOUBLE, Swing
+from torch import nn
 
+from ahnn.dynamics.energies import Quadratic
+from ahnn.dynamics.hamiltonians import SeparableHamiltonian
 from ahnn.uncertainty import force_deviation
 
 FACTOR = torch.tensor([[2e-3, 0.0], [-1e-3, 3e-3]], **DOUBLE)
@@ -26,6 +29,37 @@ def exact(x, a=2.0, b=0.5):
 def test_the_deviation_of_an_oscillator_is_that_of_its_two_parameters():
     x = states().unflatten(0, (8, 5))
     close(force_deviation(Swing(), FACTOR, states())(x), exact(x), 2e-4)
+
+
+class Potential(nn.Module):
+    """The sum of a q_i^2 / 2 + b q_i^4 / 4."""
+
+    def __init__(self, a, b):
+        super().__init__()
+        self.stiffness = nn.Parameter(torch.tensor([a, b], **DOUBLE))
+
+    def gradient(self, q):
+        return self.stiffness[0] * q + self.stiffness[1] * q**3
+
+
+class Well(Swing):
+    """Dynamics whose kinetic energy is known, so that parameters move the momenta alone."""
+
+    def __init__(self, a=2.0, b=0.5):
+        nn.Module.__init__(self)
+        self.field = SeparableHamiltonian(Quadratic(2.0), Potential(a, b))
+
+
+@pytest.mark.parametrize("dof", [1, 2, 3])
+def test_the_deviation_is_that_of_forces_also_where_parameters_move_nothing_else(dof):
+    """The root mean square over the components, as a fraction of the size of the force."""
+    x = torch.randn(40, 2 * dof, generator=generator(4), **DOUBLE)
+    q = x[:, :dof]
+    moved = torch.stack((-q, -(q**3)), dim=-1) @ FACTOR
+    expected = (moved.square().sum((-2, -1)) / dof).sqrt() / (2 * q + 0.5 * q**3).norm(dim=-1)
+    close(force_deviation(Well(), FACTOR, x)(x), expected, 2e-4)
+    if dof == 1:
+        close(expected, exact(x), 1e-12)
 
 
 def test_directions_that_do_not_move_the_force_cost_nothing():

@@ -8,7 +8,13 @@ from entry import call
 
 from ahnn.data.doctor import examine
 from ahnn.data.doctor.samples import constant, noise
-from ahnn.data.doctor.velocities import compared, misfit, velocity_findings
+from ahnn.data.doctor.velocities import (
+    Compared,
+    compared,
+    misfit,
+    velocity_findings,
+    weighted_median,
+)
 from ahnn.data.files import Ephemeris, instant, write_oem
 from ahnn.data.files.content import Content
 from ahnn.data.files.reading import Reading
@@ -161,3 +167,52 @@ def test_columns_that_never_change_take_three_samples_to_be_seen():
         content = Content(("q",), ("v",), False, UNITS, "", (track,), head=1)
         found = [(one.level, one.column, one.what) for one in constant(content, ("q", "v"))]
         assert found == ([("warning", "v", "always 0.25")] if count == 3 else [])
+
+
+def ratio(stated, derived, doubt):
+    """What is said of 60 samples, which repeat the given ones."""
+    stated, derived = (np.resize(np.asarray(part, dtype=float), 60)[:, None] for part in (stated, derived))
+    return misfit(Compared(stated, derived, np.full((60, 1), doubt)), 0)
+
+
+def test_two_samples_tell_a_ratio_and_one_tells_none():
+    three, one, little = np.full((2, 1), 3.0), np.ones((2, 1)), np.full((2, 1), 1e-9)
+    assert misfit(Compared(three, one, little), 0) == pytest.approx(3.0)
+    assert misfit(Compared(three[:1], one[:1], little[:1]), 0) is None
+
+
+@pytest.mark.parametrize(("share", "right"), [(0.079, True), (0.081, False)])
+def test_eight_doubts_explain_a_difference(share, right):
+    for sign in (1, -1):
+        assert ratio(1 + sign * share, 1.0, 0.01) == (1.0 if right else pytest.approx(1 + sign * share))
+
+
+@pytest.mark.parametrize(("doubt", "told"), [(0.299, True), (0.301, False)])
+def test_nothing_is_said_of_doubts_beyond_a_tenth_of_the_larger_velocity(doubt, told):
+    assert (ratio(3.0, 1.0, doubt) is not None) == told
+    assert (ratio(1.0, 3.0, doubt) is not None) == told
+    assert ratio([3.0, 3.0, 0.0], 1.0, doubt) is None or told  # three quarters are no larger than 3
+    assert ratio([3.0, 0.0, 0.0, 0.0, 0.0], 0.01, doubt) is None
+
+
+@pytest.mark.parametrize(
+    ("spread", "doubt", "proportional"),
+    [(0.029, 1e-6, True), (0.033, 1e-6, False), (0.075, 0.02, True), (0.085, 0.02, False)],
+)
+def test_velocities_are_proportional_up_to_three_percent_or_eight_doubts(spread, doubt, proportional):
+    """Twice the derivative, more and less in turn."""
+    found = ratio([2 - 2 * spread, 2, 2 + 2 * spread], 1.0, doubt)
+    assert found == (pytest.approx(2.0) if proportional else 0.0)
+
+
+@pytest.mark.parametrize(("count", "rows"), [(11, []), (12, [200])])
+def test_eight_derivatives_judge_a_trajectory_by_itself(count, rows):
+    tracks = [swing(str(k), 60.0 if k == 2 else 1.0, count=count, first=100 * k) for k in range(6)]
+    assert [one.row for one in found(*tracks)] == rows
+
+
+def test_a_ratio_is_the_middle_one_by_the_size_of_the_derivatives():
+    heavy = np.array([[1.0], [1.0], [1.0], [2.5], [0.0]])
+    assert weighted_median(np.array([5.0, 6.0, 7.0, 7.5, 9.0]), heavy[:, 0]) == 5.0
+    assert weighted_median(np.array([2.0, 6.0, 7.0, 10.0, 9.0]), heavy[:, 0]) == 4.0
+    assert weighted_median(heavy[:, 0], 0 * heavy[:, 0]) == 0.0

@@ -158,6 +158,16 @@ def test_a_frame_that_rotates_is_warned_of(tmp_path, caplog):
         ("TIME_SYSTEM = UTC", "TIME_SYSTEM", "row 11: expected KEYWORD = value"),
         ("1e-9 6e-8", "1e-9", "row 22, column EPOCH: expected the 21 numbers of a lower triangle"),
         ("EPOCH = 2017", "AT = 2017", "row 22: expected EPOCH or COV_REF_FRAME; received 'AT'"),
+        (
+            "EPOCH = 2017-01-01T00:00:00\n",
+            "",
+            "row 22: expected EPOCH or COV_REF_FRAME; received 'COV_REF_FRAME'",
+        ),
+        (
+            "START\nEPOCH = 2017-01-01T00:00:00\nCOV_REF_FRAME = RTN\n",
+            "START\n",
+            "row 22: expected EPOCH = of a",
+        ),
         ("META_STOP\n2017-01-01T01", "2017-01-01T01", "row 40: expected KEYWORD = value"),
     ],
 )
@@ -221,3 +231,8 @@ def test_what_a_message_says_of_itself(notation):
     assert said["START_TIME"] == "2016-12-31T23:59:00.000"
     assert said["STOP_TIME"] == "2017-01-01T00:01:00.500"
     assert 'CCSDS_OEM_VERS" version="2.0"' in text or text.startswith("CCSDS_OEM_VERS = 2.0\n")
+
+
+def test_an_ephemeris_of_ones_own_is_from_no_lines():
+    times, states = np.arange(3.0), np.zeros((3, 6))
+    assert Ephemeris("1", "", "EARTH", "EME2000", "UTC", 0, times, states).rows.tolist() == []

@@ -210,6 +210,8 @@ def test_members_without_any_measurement_are_counted(tmp_path):
     one[2, 30] = 1
     late = filtered(WHO, made.setting, made.problem, made.result._replace(measured=one))
     assert late.first == 31
+    single = late._replace(result=made.result._replace(measured=made.result.measured.clamp(max=1)))
+    assert rows(single, made.case, None)[1].note.startswith("NEES ")  # one number a time is a measurement
     nothing = made.result._replace(measured=torch.zeros_like(measured), nis=made.result.nis * torch.nan)
     none = filtered(WHO, made.setting, made.problem, nothing)
     assert none.first == 4

@@ -1,0 +1,134 @@
+"""Single samples, columns and angles, at just less and just more than what the doctor lets pass."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from ahnn.data.doctor import examine
+from ahnn.data.doctor.examine import diagnosis
+from ahnn.data.doctor.samples import gaps, jumps, missing, noise, sample_findings, too_wide
+from ahnn.data.files.content import Content
+from ahnn.data.files.reading import Reading
+from ahnn.data.files.samples import Track
+from ahnn.data.noise_floor import noise_floor
+from ahnn.types import Trajectories, Units
+
+TURN = 2 * np.pi
+
+
+def track(values, times=None, name="a", first=2):
+    values = np.asarray(values, dtype=float)
+    values = values[:, None] if values.ndim == 1 else values
+    times = 0.1 * np.arange(len(values)) if times is None else times
+    return Track(name, "a.csv", first + np.arange(len(values)), times, values)
+
+
+def content(*tracks, names=("q",), rates=(), units=("s", "rad")):
+    return Content(names, rates, False, Units(*units), "", tracks, time="t", head=1)
+
+
+def test_each_missing_number_is_named():
+    values = np.arange(12.0).reshape(6, 2)
+    values[1, 1] = values[4, 0] = np.nan
+    found = [(one.level, one.row, one.column) for one in missing(track(values), ("x", "y"))]
+    assert found == [("warning", 3, "y"), ("warning", 6, "x")]
+
+
+@pytest.mark.parametrize(("absent", "said"), [(1, "1 sample is missing"), (3, "3 samples are missing")])
+def test_a_gap_says_how_many_are_missing_before_which_row(absent, said):
+    times = np.cumsum([0.0, *[0.1] * 9, 0.1 * (absent + 1), *[0.1] * 9])
+    (one,) = gaps(track(np.sin(times), times), "t", 10.0)
+    assert (one.level, one.row, one.column, one.what) == ("warning", 12, "t", f"a gap: {said} before it")
+
+
+@pytest.mark.parametrize(
+    ("jump", "typical", "seen"),
+    [
+        (TURN, 0.1, True),
+        (TURN + 0.99, 0.1, True),
+        (TURN - 0.99, 0.1, True),
+        (TURN + 1.01, 0.1, False),
+        (TURN - 1.01, 0.1, False),
+        (TURN, TURN / 8.1, True),
+        (TURN, TURN / 7.9, False),
+    ],
+)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_jump_is_about_a_turn_and_more_than_eight_usual_steps(jump, typical, seen, sign):
+    steps = np.full(30, typical)
+    steps[11] = jump
+    found = [(one.level, one.row, one.column) for one in jumps(track(sign * np.cumsum(steps)), ("q",))]
+    assert found == ([("fault", 13, "q")] if seen else [])
+
+
+@pytest.mark.parametrize(("there", "back", "seen"), [(6.3, 7.0, True), (7.0, 6.3, True), (6.2, 9.0, False)])
+def test_angles_that_swing_to_and_fro_over_more_than_a_turn_are_warned_of_once(there, back, seen):
+    """To `there` and `back`, of which the shorter way counts; who only turns may turn for ever."""
+    swing = np.concatenate((np.linspace(0, there, 80), np.linspace(there, there - back, 80)[1:]))
+    lost = swing.copy()
+    lost[5] = np.nan
+    turning, absent = track(np.linspace(0, 50, 400)), track(np.full(9, np.nan))
+    found = list(too_wide(content(turning, absent, track(lost), track(swing))))
+    said = f"swings to and fro over {max(there, back):.3g} rad, more than a turn"
+    assert [(one.level, one.row, one.what) for one in found] == ([("warning", 1, said)] if seen else [])
+    assert list(too_wide(content(turning))) == []
+
+
+def test_lengths_may_jump_and_swing_as_they_like():
+    steps = np.full(60, 0.1)
+    steps[30] = TURN
+    values = 30 * np.cos(np.cumsum(steps))
+    assert list(sample_findings(content(track(values), units=("s", "m")), 10.0)) == []
+
+
+def tensors(values):
+    """States (1, T, 1) and times (1, T)."""
+    states = torch.from_numpy(values).reshape(1, -1, 1)
+    return states, 0.1 * torch.arange(len(values), dtype=torch.float64).unsqueeze(0)
+
+
+@pytest.mark.parametrize(("times", "told"), [(0.99, False), (1.01, True)])
+def test_noise_is_told_from_a_ten_thousandth_of_the_usual_step_on(times, told):
+    """A straight line has no differences of high order: its noise alone says how steep it may be."""
+    draw = np.random.default_rng(0).standard_normal(2001)
+    level = float(noise_floor(Trajectories(*tensors(draw))))
+    line = level / 1e-4 / times * np.arange(2001)
+    found = list(noise(content(track(line + draw), units=("s", "m")), ("q",), 10.0))
+    assert [(one.level, one.what) for one in found] == (
+        [("note", f"noise of about {level:.2g} m")] if told else []
+    )
+
+
+def test_noise_takes_eleven_samples_at_even_steps():
+    draw = np.random.default_rng(1).standard_normal((40, 11))
+    even = [track(row, name=str(k)) for k, row in enumerate(draw)]
+    assert [one.level for one in noise(content(*even), ("q",), 10.0)] == ["note"]
+    assert list(noise(content(*(one.part(slice(10)) for one in even)), ("q",), 10.0)) == []
+    times = np.cumsum(np.random.default_rng(2).uniform(0.5, 1.5, 11))
+    assert list(noise(content(*(one._replace(times=times) for one in even)), ("q",), 10.0)) == []
+
+
+@pytest.mark.parametrize("count", [3, 200, 201, 401])
+def test_units_are_judged_of_at_most_two_hundred_trajectories_evenly_spread(count, monkeypatch):
+    seen = []
+    room = diagnosis.__globals__
+    monkeypatch.setitem(room, "velocity_findings", lambda *_: [])
+    monkeypatch.setitem(room, "orbit_findings", lambda _, some: seen.extend(some) or [])
+    empty = track(np.zeros((0, 1)))
+    tracks = [track([k, 1.0, 4.0, 2.0], name=str(k)) for k in range(count)]
+    assert diagnosis([content(empty, *tracks, empty)], None, 10.0) == []
+    every = -(-count // 200)
+    assert [int(one.name) for one in seen] == list(range(0, count, every))
+    assert len(seen) <= 200
+
+
+def test_files_of_other_columns_are_named_beside_the_first(tmp_path):
+    t = 0.05 * np.arange(30)
+    for name, unit in (("a", "m"), ("b", "km"), ("c", "m")):
+        rows = "".join(f"{s},{ord(name) + np.cos(s)}\n" for s in t)
+        (tmp_path / f"{name}.csv").write_text(f"t [s],x [{unit}]\n{rows}")
+    found = examine([tmp_path / f"{name}.csv" for name in "abc"], Reading()).findings
+    assert [(one.level, one.file, one.row) for one in found] == [("fault", str(tmp_path / "b.csv"), 1)]
+    assert found[0].what == f"expected the units of {tmp_path / 'a.csv'}; received others"
