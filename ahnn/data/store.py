@@ -16,6 +16,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from types import CodeType
 from typing import Any
 
 from filelock import FileLock
@@ -67,7 +68,15 @@ def _source(name: str, kind: type) -> str:
     for place in (sys.modules.get(name), kind):
         with contextlib.suppress(OSError, TypeError):
             return inspect.getsource(place)  # pyright: ignore[reportArgumentType]
-    return repr([getattr(f, "__code__", None) and f.__code__.co_code for f in vars(kind).values()])
+    return repr({key: _bytecode(value) for key, value in vars(kind).items()})
+
+
+def _bytecode(value: Any) -> Any:
+    """Return what a function does, with the numbers and names in it; of other objects, plain values alone."""
+    code = getattr(getattr(value, "fget", value), "__code__", value)
+    if isinstance(code, CodeType):
+        return code.co_code, code.co_names, [_bytecode(part) for part in code.co_consts]
+    return code if isinstance(code, bool | int | float | str | bytes | tuple) else type(code).__name__
 
 
 def load_or_make(

@@ -225,9 +225,18 @@ def nowhere(text):
     return type("Mine", (), {"force": functions["force"], "mass": 1.0, "__module__": "nowhere"})
 
 
-def test_a_system_without_source_goes_by_its_bytecode():
+@pytest.mark.parametrize(
+    ("text", "edit"),
+    [
+        ("-q * q", "-q + q"),
+        ("-2.0 * q", "-3.0 * q"),
+        ("abs(q)", "len(q)"),
+        ("(lambda x: x * 2.0)(q)", "(lambda x: x * 3.0)(q)"),
+    ],
+)
+def test_a_system_without_source_goes_by_its_bytecode_and_the_numbers_in_it(text, edit):
     first, again, edited = (
-        store.source_of(nowhere(f"def force(self, q): return -q {sign} q")) for sign in "**+"
+        store.source_of(nowhere(f"def force(self, q): return {result}")) for result in (text, text, edit)
     )
     assert set(first) == {"nowhere"}
     assert first == again != edited
