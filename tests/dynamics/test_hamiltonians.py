@@ -123,6 +123,15 @@ def test_a_learned_central_body_begins_with_the_fitted_mu(statistics):
     assert float(field.potential.mu.detach()) == pytest.approx(MOLNIYA.mu, rel=0.02)
 
 
+def test_a_central_body_may_be_in_a_plane_and_not_on_a_line():
+    options = {"mass": 1.0, "scaling": "block", "network": TINY, "inputs": "cartesian", "falloff": 3.0}
+    plane = make_hamiltonian("central_body", 2, mu=2.0, **options).double()
+    plane.potential.remainder.unit.zero_()
+    close(plane.force(torch.tensor([[3.0, 4.0]])), torch.tensor([[-6.0, -8.0]]) / 125, 1e-12)
+    with pytest.raises(UserError, match="expected at least 2 degrees of freedom; received 1"):
+        make_hamiltonian("central_body", 1, mu=2.0, **options)
+
+
 @pytest.mark.parametrize("mu", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_central_body_of_no_attraction_is_refused(mu):
     options = {"mass": 1.0, "scaling": "block", "network": TINY, "inputs": "cartesian"}

@@ -48,6 +48,7 @@ TESTS = (
         for name in ("measurements", "estimation", "assimilation", "plugins/ukf", "plugins/pfl")
     ),
     *(f"tests/{name}" for name in ("test_metrics.py", "test_statistics.py", "test_rollouts.py")),
+    *(f"tests/{name}" for name in ("test_restoring.py", "test_checkpoints.py")),
     "tests/evaluation/test_open_loop.py",
 )
 """Where the tests of the kernels are."""

@@ -32,6 +32,10 @@ FAULTS = {
     ),
     "twice": (GOOD.replace("id", "x"), "row 1, column x: expected a name for each column; received it twice"),
     "unknown unit": (GOOD.replace("x [km]", "x [miles]"), "column x: expected a unit, a product of powers"),
+    "two names of a trajectory": (
+        GOOD.replace("x [km]", "trajectory"),
+        "row 1: expected one column t or time and at most one id or trajectory; received ",
+    ),
     "no length": (GOOD.replace("x [km]", "x [kg]"), "column x: expected a length, an angle or [1]"),
     "no time unit": (GOOD.replace("t [s]", "t [m]"), "column t: expected a time or [1]; received 'm'"),
     "speed": (GOOD.replace("[km/s]", "[km]"), "column vx: expected the unit of a km per time, a velocity"),
