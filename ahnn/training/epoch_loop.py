@@ -8,6 +8,8 @@ Lightning's.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import torch
@@ -16,9 +18,9 @@ from lightning.pytorch.loops.training_epoch_loop import _TrainingEpochLoop
 from lightning.pytorch.plugins.precision import Precision
 from lightning.pytorch.profilers import PassThroughProfiler
 from lightning.pytorch.strategies import SingleDeviceStrategy
-from lightning.pytorch.trainer import call
 from lightning.pytorch.utilities.model_helpers import is_overridden
 from torch import Tensor
+from torch.optim import Optimizer
 
 HOOKS = (
     "on_before_zero_grad",
@@ -33,6 +35,8 @@ LIGHTNINGS = (
     "backward",
     "optimizer_step",
     "optimizer_zero_grad",
+    "on_before_batch_transfer",
+    "on_after_batch_transfer",
 )
 """Who changes one of these gets Lightning's loop."""
 
@@ -41,10 +45,10 @@ class EpochLoop(_TrainingEpochLoop):
     """The batches of an epoch.
 
     Attributes:
-        heard: hooks of a step that somebody defines; None leaves steps to Lightning.
+        heard: who defines a hook of a step, by its name; None leaves steps to Lightning.
     """
 
-    heard: frozenset[str] | None = None
+    heard: dict[str, list[Callable[..., Any]]] | None = None
 
     @classmethod
     def take(cls, trainer: Trainer) -> None:
@@ -55,8 +59,12 @@ class EpochLoop(_TrainingEpochLoop):
     def on_run_start(self, data_fetcher: Any) -> None:
         """Begin an epoch, and look who listens."""
         super().on_run_start(data_fetcher)
-        defined = defined_hooks(self.trainer)
-        self.heard = defined - {*LIGHTNINGS} if knows(self.trainer) and not defined & {*LIGHTNINGS} else None
+        trainer: Any = self.trainer
+        data, moves = trainer.datamodule, "transfer_batch_to_device"
+        self._mover = data if is_overridden(moves, data) else trainer.lightning_module
+        alone = not any(listeners(trainer, hook) for hook in LIGHTNINGS)
+        known = alone and knows(trainer)
+        self.heard = {hook: listeners(trainer, hook) for hook in HOOKS} if known else None
 
     def advance(self, data_fetcher: Any) -> None:
         """Take one step."""
@@ -67,8 +75,7 @@ class EpochLoop(_TrainingEpochLoop):
         trainer: Any = self.trainer
         progress = self.batch_progress
         progress.is_last_batch = data_fetcher.done
-        batch = trainer.lightning_module._on_before_batch_transfer(batch, dataloader_idx=0)
-        batch = trainer.strategy.batch_to_device(batch, dataloader_idx=0)
+        batch = self._mover.transfer_batch_to_device(batch, trainer.strategy.root_device, 0)
         progress.increment_ready()
         trainer._logger_connector.on_batch_start(batch)
         progress.increment_started()
@@ -88,20 +95,16 @@ class EpochLoop(_TrainingEpochLoop):
         module, found = trainer.lightning_module, []
         optimizer, progress = trainer.optimizers[0], self.automatic_optimization.optim_progress.optimizer
 
-        @torch.enable_grad()
         def closure() -> Tensor:
-            module._current_fx_name = "training_step"
-            loss = module.training_step(batch, index)
-            module._current_fx_name = None
-            found[:] = [loss.detach().clone()]
-            self._tell("on_before_zero_grad", optimizer)
-            progress.zero_grad.increment_ready()
-            progress.zero_grad.increment_started()
-            optimizer.zero_grad()
-            progress.zero_grad.increment_completed()
-            self._tell("on_before_backward", loss)
-            loss.backward()
-            self._tell("on_after_backward")
+            with torch.enable_grad():
+                module._current_fx_name = "training_step"
+                loss = module.training_step(batch, index)
+                module._current_fx_name = None
+                found[:] = [loss.detach().clone()]
+                self._zero_gradients(optimizer)
+                self._tell("on_before_backward", loss)
+                loss.backward()
+                self._tell("on_after_backward")
             self._tell("on_before_optimizer_step", optimizer)
             if value := trainer.gradient_clip_val:
                 algorithm = trainer.gradient_clip_algorithm
@@ -113,11 +116,21 @@ class EpochLoop(_TrainingEpochLoop):
         progress.step.increment_completed()
         return found[0]
 
+    def _zero_gradients(self, optimizer: Optimizer) -> None:
+        progress = self.automatic_optimization.optim_progress.optimizer.zero_grad
+        self._tell("on_before_zero_grad", optimizer)
+        progress.increment_ready()
+        progress.increment_started()
+        optimizer.zero_grad()
+        progress.increment_completed()
+
     def _tell(self, hook: str, *arguments: Any) -> None:
-        """Call a hook of callbacks and module where one of them defines it."""
-        if self.heard and hook in self.heard:
-            call._call_callback_hooks(self.trainer, hook, *arguments)
-            call._call_lightning_module_hook(self.trainer, hook, *arguments)
+        """Call a hook of those that define it."""
+        assert self.heard is not None
+        for listener in self.heard[hook]:
+            self.trainer.lightning_module._current_fx_name = hook
+            listener(*arguments)
+            self.trainer.lightning_module._current_fx_name = None
 
 
 def knows(trainer: Any) -> bool:
@@ -131,12 +144,10 @@ def knows(trainer: Any) -> bool:
     )
 
 
-def defined_hooks(trainer: Any) -> frozenset[str]:
-    """Return the hooks that a callback or the module defines."""
-    known = [(trainer.lightning_module, LightningModule), *((c, Callback) for c in trainer.callbacks)]
-    return frozenset(
-        hook
-        for hook in (*HOOKS, *LIGHTNINGS)
-        for owner, parent in known
-        if hasattr(owner, hook) and is_overridden(hook, owner, parent)
-    )
+def listeners(trainer: Any, hook: str) -> list[Callable[..., Any]]:
+    """Return a hook of the callbacks that define it, in their order, then of module and data if they do."""
+    module, data = trainer.lightning_module, trainer.datamodule
+    callbacks = [c for c in trainer.callbacks if hasattr(c, hook) and is_overridden(hook, c, Callback)]
+    own = [getattr(module, hook)] if is_overridden(hook, module, LightningModule) else []
+    own += [getattr(data, hook)] if hasattr(data, hook) and is_overridden(hook, data) else []
+    return [*(partial(getattr(c, hook), trainer, module) for c in callbacks), *own]
