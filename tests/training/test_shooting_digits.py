@@ -63,7 +63,7 @@ def test_normal_equations_are_right_where_parameters_are_hard_to_see():
 @torch.no_grad()
 def test_a_step_of_dopri8_between_measurements_five_minutes_apart_is_short_enough():
     found = []
-    for longest in (300.0, 30.0):
+    for longest in (300.0, 60.0):
         dynamics, batch = satellite("dopri8", longest)
         theta = parameters_to_vector(dynamics.parameters())
         problem = WideProblem(dynamics, batch, ROBUST["none"])

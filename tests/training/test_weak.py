@@ -88,9 +88,9 @@ def test_the_integrals_of_an_orbit_are_exact_beside_the_noise():
 @torch.no_grad()
 def test_the_noise_of_the_integrals_is_white():
     """That of the slopes and that of the field: the noise of momenta moves positions, and the other way."""
-    model, clean = Swing(), states(rows=1, sd=0.0).values
-    noise = 0.01 * torch.randn(4000, 301, 2, generator=generator(4), **DOUBLE)
-    batch = states(rows=4000)._replace(values=clean + noise)
+    model, clean = Swing(), states(rows=1, samples=151, sd=0.0).values
+    noise = 0.01 * torch.randn(4000, 151, 2, generator=generator(4), **DOUBLE)
+    batch = states(rows=4000, samples=151)._replace(values=clean + noise)
     integrals, problem = residuals(batch, model)
     flat = (integrals - integrals.mean(0)).flatten(1)
     covariance = flat.T @ flat / len(flat)
