@@ -2,8 +2,8 @@
 
     python benchmarks/filter_works.py [repeats]
 
-Float64, alpha = 1, a step a minute. `system` is ahnn with the flow of its own system=molniya, a composition
-of order eight in C; `torch` is ahnn with one Runge-Kutta step in torch, which the peers have too, and
+Float64, alpha = 1, a step a minute. `ahnn` has the flow of its own system=molniya, a composition
+of order eight in C; `torch` is its filter with one Runge-Kutta step in torch, which the peers have too, and
 `compiled` the same through torch.compile, whose compilation is not counted. The floor is the compiled flow
 alone on all sigma points.
 """
@@ -26,7 +26,7 @@ from ahnn_plugins.ukf import unscented_filter
 
 SIZE, DT, START, Q, R = 6, 60.0, 1e-4, 1e-8, 1e-2
 NEEDS = {"dynamax": ("jax", "dynamax"), "cuthbert": ("jax", "cuthbertlib"), "filterpy": ("filterpy",)}
-OWN = ("system", "torch", "compiled")
+OWN = ("ahnn", "torch", "compiled")
 AMOUNTS = ((1, 60), (125, 60), (10_000, 4))
 """Members and steps of each row."""
 

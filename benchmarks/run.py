@@ -82,9 +82,9 @@ whole rollout is jitted. diffrax takes steps of one size with the classical tabl
     "filter": Section(
         "The filter",
         """Two bodies with J2, a position after every step, float64: microseconds for one step of one
-member. `system` is ahnn with the flow of its own `system=molniya`, 17 stages of order eight in the library
-that is compiled once for a machine. The others take one Runge-Kutta step: `torch` is ahnn with a flow
-that somebody wrote in torch, `compiled` the same through `torch.compile`, as dynamax and cuthbert have it
+member. `ahnn` is the filter with the flow of `system=molniya`, 17 stages of order eight in the library
+that is compiled once for a machine. The others take one Runge-Kutta step: `torch` is the same filter with
+a flow that somebody wrote in torch, `compiled` that through `torch.compile`, as dynamax and cuthbert have it
 jitted. The floor is the compiled flow alone on all sigma points. cuthbert's filter is put together from
 its quadrature and its update by roots; filterpy knows one member.""",
         lambda repeats: filter_works.table([*filter_works.filters(repeats)]),
