@@ -16,7 +16,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from types import CodeType
+from types import CodeType, FunctionType
 from typing import Any
 
 from filelock import FileLock
@@ -73,10 +73,14 @@ def _source(name: str, kind: type) -> str:
 
 def _bytecode(value: Any) -> Any:
     """Return what a function does, with the numbers and names in it; of other objects, plain values alone."""
-    code = getattr(getattr(value, "fget", value), "__code__", value)
-    if isinstance(code, CodeType):
-        return code.co_code, code.co_names, [_bytecode(part) for part in code.co_consts]
-    return code if isinstance(code, bool | int | float | str | bytes | tuple) else type(code).__name__
+    function = getattr(value, "fget", getattr(value, "__func__", value))
+    if isinstance(function, FunctionType):
+        return _bytecode(function.__code__), function.__defaults__, function.__kwdefaults__
+    if isinstance(value, CodeType):
+        return value.co_code, value.co_names, [_bytecode(part) for part in value.co_consts]
+    if isinstance(value, frozenset):  # a set written in code has no order of its own
+        return sorted(map(repr, value))
+    return value if isinstance(value, bool | int | float | str | bytes | tuple) else type(value).__name__
 
 
 def load_or_make(

@@ -228,15 +228,16 @@ def nowhere(text):
 @pytest.mark.parametrize(
     ("text", "edit"),
     [
-        ("-q * q", "-q + q"),
-        ("-2.0 * q", "-3.0 * q"),
-        ("abs(q)", "len(q)"),
-        ("(lambda x: x * 2.0)(q)", "(lambda x: x * 3.0)(q)"),
+        ("(self, q): return -q * q", "(self, q): return -q + q"),
+        ("(self, q): return -2.0 * q", "(self, q): return -3.0 * q"),
+        ("(self, q): return abs(q)", "(self, q): return len(q)"),
+        ("(self, q): return (lambda x: x * 2.0)(q)", "(self, q): return (lambda x: x * 3.0)(q)"),
+        ("(self, q): return q if q in {1, 2} else 0", "(self, q): return q if q in {1, 3} else 0"),
+        ("(self, q, k=2.0): return -k * q", "(self, q, k=3.0): return -k * q"),
+        ("(self, q, *, k=2.0): return -k * q", "(self, q, *, k=3.0): return -k * q"),
     ],
 )
 def test_a_system_without_source_goes_by_its_bytecode_and_the_numbers_in_it(text, edit):
-    first, again, edited = (
-        store.source_of(nowhere(f"def force(self, q): return {result}")) for result in (text, text, edit)
-    )
+    first, again, edited = (store.source_of(nowhere(f"def force{result}")) for result in (text, text, edit))
     assert set(first) == {"nowhere"}
     assert first == again != edited
