@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from helpers import close
+from oscillators import DOUBLE
 from torch import nn
 
 from ahnn.training import LevenbergMarquardt
 from ahnn.training.acceleration import accelerated
-from ahnn.training.normal_equations import Block, Equations, damped_step
+from ahnn.training.normal_equations import Block, Equations, damped_step, metric
 
 STEEP = 1000.0
 
@@ -65,6 +67,27 @@ def test_a_step_that_bends_too_much_is_not_taken():
     theta = torch.tensor([0.5, 0.25], dtype=torch.float64)
     _, _, blocks = Valley().equations(theta, [2])
     assert accelerated(Valley(), theta, blocks, torch.tensor([3.0, 3.0], dtype=torch.float64), 1.0) is None
+
+
+@pytest.mark.parametrize("split", [False, True])
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize(("share", "taken"), [(0.7, True), (0.8, False)])
+def test_three_quarters_of_the_step_are_the_most_that_a_bend_may_ask_for(share, taken, axis, split):
+    """Lengths are in units of sqrt(J^T J), by which the two parameters differ a hundredfold."""
+    squares = torch.tensor([1e4, 1.0], **DOUBLE)
+    parts = [torch.tensor([0]), torch.tensor([1])] if split else [torch.arange(2)]
+    blocks = [Block(part, torch.diag(squares[part]), 0 * squares[part]) for part in parts]
+    diagonal = torch.cat([metric(block.matrix) for block in blocks])
+    step = torch.tensor([1.0, 0.0], **DOUBLE)
+    turn = torch.zeros(2, **DOUBLE)
+    turn[axis] = share * (diagonal[0] / diagonal[axis]).sqrt()
+    problem = Valley()
+    problem.bend = lambda *_: -squares * turn
+    moved = accelerated(problem, step, blocks, step, 0.0)
+    if taken:
+        close(moved, step + turn / 2, 1e-9)
+    else:
+        assert moved is None
 
 
 def test_a_bend_that_is_not_finite_bends_nothing():

@@ -123,6 +123,22 @@ def test_the_bend_is_the_second_difference_of_the_reduced_residuals():
     close(problem.bend(theta, step, 0.1), slopes.T @ second(0.1, step)[0], 0.02)
 
 
+def test_an_outlier_bends_nothing_with_a_robust_loss():
+    """It weighs as little as if it had not been measured, whose bend the one without it is."""
+    _, batch = segment(measurement=State(1), longest=0.01, missing=0.0)
+    wrong = Swing(2.005, 0.495)
+    theta, step = parameters_to_vector(wrong.parameters()).detach(), torch.tensor([0.1, -0.05], **DOUBLE)
+    far, missing = batch.values.clone(), batch.values.clone()
+    far[:, 10, 1] += 1e5 * batch.instrument.deviations[1]
+    missing[:, 10, 1] = torch.nan
+    bends = [
+        ShootingProblem(wrong, batch._replace(values=values), ROBUST["student"]).bend(theta, step, 0.1)
+        for values in (far, missing, batch.values)
+    ]
+    close(bends[0], bends[1], 0.002)
+    assert float((bends[2] - bends[1]).norm() / bends[1].norm()) > 0.01
+
+
 def test_a_start_that_measurements_do_not_see_bends_nothing():
     _, batch = segment()
 

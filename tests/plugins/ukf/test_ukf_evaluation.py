@@ -151,8 +151,9 @@ def test_smoother_has_its_own_rows_and_is_better(spring: Case) -> None:
         assert scores[who._replace(estimator="ukf_smoothed")].position < scores[who].position
 
 
-def test_estimators_of_whole_arcs_have_their_own_rows(spring: Case) -> None:
-    findings = run(spring, "least_squares=true", group="ukf_iterated")
+def test_estimators_of_whole_arcs_have_their_own_rows(make_case: Callable) -> None:
+    short = make_case(dataclasses.replace(SPRING, steps=80), integrated(STIFFER, RK4))
+    findings = run(short, "least_squares=true", group="ukf_iterated")
     assert {row.who.estimator for row in findings.rows} == {
         "ukf",
         "ukf_smoothed",
@@ -170,7 +171,7 @@ def test_estimators_of_whole_arcs_have_their_own_rows(spring: Case) -> None:
         position = other["whole_arc"]["position"]
         assert position == pytest.approx(smoothed["whole_arc"]["position"], rel=1e-3)
     json.dumps(plain(findings.numbers), allow_nan=False)
-    alone = run(spring, group="batch_least_squares")
+    alone = run(short, group="batch_least_squares")
     assert {row.who.estimator for row in alone.rows} == {"ukf", "batch_least_squares"}
     note = next(row.note for row in alone.rows if row.who.estimator != "ukf" and row.who.span == "settled")
     assert "NEES" in note
