@@ -6,7 +6,7 @@ states = run.rollout(start, steps=1440)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -40,6 +40,7 @@ class Run:
         dt: sampling interval of the training data, in the unit of time.
         about: what the weights were trained on, plain values.
         folder: of the run, or of the shipped model.
+        uncertainty: covariance of the parameters; None unless these weights were trained on measurements.
     """
 
     dynamics: Dynamics
@@ -47,6 +48,7 @@ class Run:
     dt: float
     about: dict[str, Any]
     folder: Path
+    uncertainty: Uncertainty | None = None
 
     def flow(self, x: Numbers, dt: TimeStep | None = None) -> Tensor:
         """Return the states (B, 2n) that x, shape (B, 2n), reaches after dt, or a sampling interval."""
@@ -75,15 +77,6 @@ class Run:
         """
         x = torch.atleast_2d(self._states(start, "start"))
         return rollout(self.dynamics, x, self.dt if dt is None else dt, steps + 1)
-
-    @cached_property
-    def uncertainty(self) -> Uncertainty | None:
-        """Covariance of the parameters; None unless these weights were trained on measurements.
-
-        Raises:
-            UserError: the file beside the weights is damaged.
-        """
-        return load_uncertainty(self.folder, self.dynamics.state_dict())
 
     def band(self, start: Numbers, steps: int, dt: float | None = None) -> Tensor:
         """Return standard deviations of `rollout`, shape (B, steps + 1, 2n), for exactly known starts.
@@ -178,7 +171,7 @@ def load(run: str | Path, ckpt: str = "best") -> Run:
         ckpt: `best`, `last`, or the path of a checkpoint.
 
     Raises:
-        UserError: there is no such run, or its weights are damaged.
+        UserError: there is no such run, or its weights or their covariance are damaged.
     """
     folder = Path(run)
     if not folder.exists() and str(run) in names():
@@ -186,7 +179,12 @@ def load(run: str | Path, ckpt: str = "best") -> Run:
     if not folder.is_dir():
         message = f"run: expected a run folder or one of {', '.join(names())}; received {str(run)!r}"
         raise UserError(message)
-    return made(read_weights(weights_path(folder, ckpt)), folder)
+    trained = made(read_weights(weights_path(folder, ckpt)), folder)
+    known = load_uncertainty(folder, trained.dynamics.state_dict())
+    if known is None:
+        return trained
+    dynamics, uncertainty = known.taken(trained.dynamics)
+    return replace(trained, dynamics=dynamics.eval().requires_grad_(False), uncertainty=uncertainty)
 
 
 def weights_path(folder: Path, ckpt: str = "best") -> Path:

@@ -246,21 +246,23 @@ def judge(
 
 def concluded(cfg: DictConfig, data: WindowDataModule) -> float:
     """Take the last steps of a training on measurements, keep weights and uncertainty, return the seconds."""
-    from ahnn.checkpoints import replace_weights
-    from ahnn.runs import load, weights_path
+    from ahnn.checkpoints import read_weights, replace_weights
+    from ahnn.runs import made, weights_path
     from ahnn.training import Shooting
     from ahnn.training.laplace import conclude
     from ahnn.uncertainty import save_uncertainty
 
     folder, steps, robust = Path(cfg.folder), cfg.loss.closing, cfg.loss.robust
-    started, dynamics = time.monotonic(), load(folder).dynamics
+    started, best = time.monotonic(), weights_path(folder)
+    dynamics = made(read_weights(best), folder).dynamics
     after = f" after at most {steps} last steps" if steps else ""
     log.info("what all measurements leave open%s: prior and covariance of the weights", after)
     found = conclude(dynamics, data.whole("train"), data.whole("val"), steps, robust)
     if found is not None:
-        loss = Shooting(None, robust).validation(dynamics, next(iter(data.val_dataloader())))["loss"]
-        replace_weights(weights_path(folder), dynamics.state_dict(), float(loss))
-        save_uncertainty(folder, found, load(folder).dynamics.state_dict())
+        learned, _ = found.taken(dynamics)
+        loss = Shooting(None, robust).validation(learned, next(iter(data.val_dataloader())))["loss"]
+        replace_weights(best, dynamics.state_dict(), float(loss))
+        save_uncertainty(folder, found, made(read_weights(best), folder).dynamics.state_dict())
     return time.monotonic() - started
 
 

@@ -1,19 +1,21 @@
 """The end of a training on measurements: its last steps on all of them, and how well they determine it.
 
 With all measurements in every step there is no noise of mini-batches left: Gauss-Newton steps on residuals
-and prior end in the optimum. The covariance of the parameters is the inverse of J^T J there, starts
-eliminated, and the prior (Laplace's approximation). Three things that no truth is needed for may widen it:
+and prior lead to the optimum. Parameters follow a bent valley there, in many short steps; functions do not,
+so that the last step is taken by them (`ahnn.dynamics.linearised`): the Gauss-Newton step to the optimum,
+whole. The covariance of the parameters is the inverse of J^T J, starts eliminated, and the prior (Laplace's
+approximation). Three things that no truth is needed for may widen it:
 
 - chi-square of the training per degree of freedom, where it exceeds 1: the noise is larger than was said, or
   the model does not reach the data;
-- the step to the optimum that is left, -H^-1 g: a training that ended early is off by that much, too. Where a
-  step gained next to nothing of what such a step promised, the valley bends, and its gain says what is left;
+- what the last step did not gain of what it promised: the training is off by that much of it, too;
 - held-out measurements: if the model leaves more of them unexplained than both account for, by that ratio.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -21,6 +23,7 @@ from torch import Tensor
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from ahnn.dynamics import Dynamics
+from ahnn.dynamics.linearised import linearised
 from ahnn.measurements import Segment
 from ahnn.shooting.robust import ROBUST, RobustName
 from ahnn.training.acceleration import accelerated
@@ -53,7 +56,7 @@ class Place(NamedTuple):
         factor: L, (P, P); L L^T is the inverse of the matrix of residuals and prior.
         determined: number of parameters that the data determine.
         offset: (P,) the step to the optimum.
-        remaining: its squared length in standard deviations.
+        remaining: its squared length in standard deviations, which is what it promises to gain.
     """
 
     theta: Tensor
@@ -71,9 +74,9 @@ class Place(NamedTuple):
         """Squared residuals per degree of freedom."""
         return float(self.loss) / max(self.degrees - self.determined, 1.0)
 
-    def arrived(self, gained: float) -> Place:
-        """Return the place with a step to the optimum that promises no more than the last step gained."""
-        part = min(gained / self.remaining, 1.0) if self.remaining > 0 else 0.0
+    def left(self, promised: float) -> Place:
+        """Return the place with a step to the optimum that promises no more than this."""
+        part = min(max(promised / self.remaining, 0.0), 1.0) if self.remaining > 0 else 0.0
         return self._replace(offset=part**0.5 * self.offset, remaining=part * self.remaining)
 
 
@@ -96,11 +99,30 @@ def conclude(
     Returns:
         None if no trajectory is explained; the parameters then stay where they are.
     """
+    problem, here, gained = approached(dynamics, train, steps, robust)
+    if here is None:
+        return None
+    unseen = WideProblem(dynamics, held_out, ROBUST[robust])
+    others = unseen.equations(here.theta, [p.numel() for p in dynamics.parameters()])
+    wide, there = whole_step(problem, dynamics, here)
+    if wide is not None:
+        others = others._replace(loss=after(unseen, wide).cost)
+    elif gained <= ARRIVED * here.determined:
+        there = here.left(gained)
+    names = [name for name, _ in dynamics.named_parameters()]
+    found = uncertainty(there, others, dict(zip(names, here.prior.strengths.tolist(), strict=True)))
+    return found if wide is None else replace(found, step=here.offset)
+
+
+def approached(
+    dynamics: Dynamics, train: Segment, steps: int, robust: RobustName
+) -> tuple[WideProblem, Place | None, float]:
+    """Take steps of the parameters; return problem and place where they end, and what the last one gained."""
     parameters = list(dynamics.parameters())
     sizes = [p.numel() for p in parameters]
     problem = WideProblem(dynamics, train, ROBUST[robust])
     here = place(problem, parameters_to_vector(parameters), sizes)
-    damping, gained = DAMPING, torch.inf
+    damping, gained = DAMPING, float("inf")
     for _ in range(steps):
         if here is None or min(here.remaining, gained) <= ARRIVED * here.determined:
             break
@@ -114,13 +136,29 @@ def conclude(
         else:
             problem.follow(theta)
         here = place(problem, theta, sizes)
-    if here is None:
-        return None
-    if gained <= ARRIVED * here.determined:
-        here = here.arrived(gained)
-    others = WideProblem(dynamics, held_out, ROBUST[robust]).equations(here.theta, sizes)
-    names = [name for name, _ in dynamics.named_parameters()]
-    return uncertainty(here, others, dict(zip(names, here.prior.strengths.tolist(), strict=True)))
+    return problem, here, gained
+
+
+def whole_step(problem: WideProblem, dynamics: Dynamics, here: Place) -> tuple[Dynamics | None, Place]:
+    """Return dynamics whose functions took the step to the optimum, and the place where they are.
+
+    None for the dynamics where they cannot, or where it does not pay.
+    """
+    far = here.remaining > ARRIVED * here.determined
+    found = linearised(dynamics, here.offset) if far else None
+    if found is None:
+        return None, here
+    moved = after(problem, found[0])
+    paid = here.prior.penalty(here.theta) - here.prior.penalty(here.theta + here.offset)
+    gained = float(here.loss - moved.cost + paid)
+    if moved.lost or gained <= SUFFICIENT * here.remaining:
+        return None, here
+    return found[0], here.left(here.remaining - gained)._replace(loss=moved.cost)
+
+
+def after(problem: WideProblem, dynamics: Dynamics) -> WideProblem:
+    """Return the same segments for similar dynamics."""
+    return WideProblem(dynamics, problem.batch, problem.robust, starts=problem.starts)
 
 
 def place(problem: WideProblem, theta: Tensor, sizes: Sequence[int]) -> Place | None:

@@ -101,9 +101,11 @@ class ShootingProblem:
         batch: the segments.
         robust: the loss of single residuals.
         hopeless: mean squared residual of a segment that is given up.
+        starts: (B, D) that nearly fit, of similar dynamics; None finds them from the measurements.
 
     Attributes:
         fitted: all segments from the starts that fit them best.
+        kept: which of them converged, (B,) bool.
         batch, starts: the segments that converged, and their first states (B, D).
         limit: how much a single segment may count.
         steps: of the integrator between measurements.
@@ -118,7 +120,12 @@ class ShootingProblem:
     precision: ClassVar[torch.dtype] = torch.float32
 
     def __init__(
-        self, dynamics: Dynamics, batch: Segment, robust: Robust, hopeless: float = HOPELESS
+        self,
+        dynamics: Dynamics,
+        batch: Segment,
+        robust: Robust,
+        hopeless: float = HOPELESS,
+        starts: Tensor | None = None,
     ) -> None:
         if not isinstance(dynamics, HasField):
             message = (
@@ -132,14 +139,22 @@ class ShootingProblem:
         narrow = copy.deepcopy(dynamics).requires_grad_(False)
         self._rough = parametrised(narrow, narrow.increment, torch.float32)
         trial = self.trial(parameters_to_vector(dynamics.parameters()).detach())
-        self.fitted = fit_starts(trial, guess(batch), batch, steps, hopeless)
-        kept = near(self.fitted.sums, freedom(batch), hopeless)
+        if starts is None:
+            self.fitted = fit_starts(trial, guess(batch), batch, steps, hopeless)
+        else:
+            self.fitted = refit(trial, starts, batch, steps)
+        self.kept = kept = near(self.fitted.sums, freedom(batch), hopeless)
         self.steps, self.batch, self.starts = steps.rows(kept), batch.rows(kept), self.fitted.starts[kept]
         self.lost = int((~kept).sum())
         self.limit = Limit.of(self.fitted.sums[kept], freedom(self.batch))
         self.count = int(freedom(self.batch).sum())
         self._refitted: tuple[Tensor, Fitted] | None = None  # of the last parameters, which are asked again
         self._linear: tuple[Tensor, Fitted, Linearised] | None = None
+
+    @property
+    def cost(self) -> Tensor:
+        """The sum of squared residuals at the parameters of the dynamics, each segment limited."""
+        return self.limit.cost(self.fitted.sums[self.kept]).sum()
 
     def trial(self, theta: Tensor) -> Trial:
         """Return the flow with parameters theta, shape (P,)."""

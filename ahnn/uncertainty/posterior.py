@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,8 @@ import torch
 from torch import Tensor
 
 from ahnn.checkpoints import FORMAT, Weights, checksum, read_weights, write_weights
+from ahnn.dynamics import Dynamics
+from ahnn.dynamics.linearised import linearised
 from ahnn.errors import UserError
 
 FILE = "covariance.safetensors"
@@ -20,22 +22,24 @@ class Uncertainty:
     """Learned parameters as a normal distribution (Laplace's approximation).
 
     Attributes:
-        factor: L, shape (P, P), float64; L L^T is the covariance that unit noise alone gives.
-        offset: (P,) step from the learned parameters to the optimum, which a training has not reached quite.
+        factor: L, shape (P, R), float64; L L^T is the covariance that unit noise alone gives.
+        offset: (P,) step from what was learned to the optimum, which a training has not reached quite.
         inflation: factor on the covariance, at least 1, for what noise does not explain.
         about: plain values: `determined` (effective number of parameters), `strengths` of the prior,
             `chi_square` of the training, `remaining` (squared length of the offset in standard deviations),
             `held_out` (the part of the inflation that validation measurements ask for), `log_evidence`.
+        step: (P,) step that functions took beyond their parameters (`ahnn.dynamics.linearised`), if any.
     """
 
     factor: Tensor
     offset: Tensor
     inflation: float
     about: dict[str, Any]
+    step: Tensor | None = None
 
     @property
     def spread(self) -> Tensor:
-        """Factor, shape (P, P + 1), of the second moment of true minus learned parameters, inflated."""
+        """Factor, shape (P, R + 1), of the second moment of true minus learned parameters, inflated."""
         return self.inflation**0.5 * torch.cat((self.factor, self.offset.unsqueeze(-1)), dim=-1)
 
     @property
@@ -43,12 +47,25 @@ class Uncertainty:
         """That second moment, shape (P, P), in the order of `dynamics.parameters()`."""
         return self.spread @ self.spread.mT
 
+    def taken(self, dynamics: Dynamics) -> tuple[Dynamics, Uncertainty]:
+        """Return dynamics after the step of their functions, and this distribution of their parameters."""
+        found = None if self.step is None else linearised(dynamics, self.step)
+        if found is None:
+            return dynamics, self
+        wide, places = found
+        size = sum(p.numel() for p in wide.parameters())
+        factor = self.factor.new_zeros(size, self.factor.shape[1]).index_copy(0, places, self.factor)
+        offset = self.offset.new_zeros(size).index_copy(0, places, self.offset)
+        return wide, replace(self, factor=factor, offset=offset, step=None)
+
 
 def save_uncertainty(folder: Path, uncertainty: Uncertainty, state: dict[str, Tensor]) -> None:
     """Write the covariance into a run folder, with the checksum of the weights that it belongs to."""
     about = {"format": FORMAT, "weights": checksum(state, ""), "inflation": uncertainty.inflation}
     about["found"] = uncertainty.about
-    write_weights(folder / FILE, Weights({"factor": uncertainty.factor, "offset": uncertainty.offset}, about))
+    tensors = {"factor": uncertainty.factor, "offset": uncertainty.offset}
+    tensors |= {} if uncertainty.step is None else {"step": uncertainty.step}
+    write_weights(folder / FILE, Weights(tensors, about))
 
 
 def load_uncertainty(folder: Path, state: dict[str, Tensor]) -> Uncertainty | None:
@@ -62,8 +79,8 @@ def load_uncertainty(folder: Path, state: dict[str, Tensor]) -> Uncertainty | No
     tensors, about = read_weights(folder / FILE)
     if about.get("weights") != checksum(state, ""):
         return None
-    factor, offset = tensors.get("factor"), tensors.get("offset")
+    factor, offset, step = (tensors.get(name) for name in ("factor", "offset", "step"))
     if factor is None or offset is None or factor.shape != (len(offset), len(offset)):
         message = f"{folder / FILE}: expected a square factor of the parameters' covariance; received another"
         raise UserError(message)
-    return Uncertainty(factor, offset, float(about["inflation"]), dict(about["found"]))
+    return Uncertainty(factor, offset, float(about["inflation"]), dict(about["found"]), step)

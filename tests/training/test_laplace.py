@@ -8,6 +8,8 @@ from helpers import close, generator
 from oscillators import Swing, segment
 from torch.nn.utils import parameters_to_vector
 
+from ahnn.dynamics import make_dynamics
+from ahnn.dynamics.linearised import linearised
 from ahnn.measurements import Position
 from ahnn.shooting.robust import ROBUST
 from ahnn.training import LevenbergMarquardt, laplace
@@ -107,6 +109,50 @@ def test_what_is_left_is_no_more_than_the_last_step_gained_where_that_was_next_t
     close(found.factor, promised.factor, 1e-6)
 
 
+def nearly(rows=60):
+    """Positions that a network for V(q) made, and the network a little beside."""
+    torch.manual_seed(0)
+    options = {"dof": 1, "inertia": 1.0, "hamiltonian": "mechanical", "mu": None, "inputs": "cartesian"}
+    options |= {"scaling": "none", "integrator": {"name": "rk4"}}
+    network = {"width": 6, "depth": 2, "activation": "tanh"}
+    model = make_dynamics("hamiltonian", **options, network=network).double()
+    model.field.potential.network.output.weight.data.mul_(30)
+    _, batch = segment(rows=rows, measurement=Position(1), longest=0.05, dynamics=model)
+    for k, p in enumerate(model.parameters()):
+        p.data.add_(0.01 * torch.randn(p.shape, generator=generator(k), **DOUBLE))
+    return model, batch
+
+
+def test_functions_take_the_step_to_the_optimum_whole_that_parameters_cannot():
+    model, batch = nearly()
+    sizes = [p.numel() for p in model.parameters()]
+    here = laplace.place(WideProblem(model, batch, ROBUST["none"]), flat(model), sizes)
+    found = conclude(model, batch, batch_of(1, rows=10), 0)
+    assert here.remaining > 20
+    close(found.step, here.offset, 1e-6)
+    assert found.about["remaining"] < 0.1 * here.remaining
+    learned, _ = found.taken(model)
+    gained = here.loss - WideProblem(learned, batch, ROBUST["none"]).loss(flat(learned))
+    gained += here.prior.penalty(here.theta) - here.prior.penalty(here.theta + here.offset)
+    assert float(gained) == pytest.approx(here.remaining, rel=0.1)
+    assert found.about["chi_square"] < here.chi_square
+
+
+def test_a_step_of_functions_that_does_not_pay_is_not_taken(monkeypatch):
+    model, batch = nearly()
+    wrong = lambda dynamics, step: linearised(dynamics, -step)  # noqa: E731
+    monkeypatch.setattr(laplace, "linearised", wrong)
+    found = conclude(model, batch, batch_of(1, rows=10), 0)
+    assert found.step is None
+    assert found.about["remaining"] > 20
+
+
+def test_functions_take_no_step_from_the_optimum(monkeypatch):
+    model, batch = nearly()
+    monkeypatch.setattr(laplace, "ARRIVED", 1e6)
+    assert conclude(model, batch, batch_of(1, rows=10), 3).step is None
+
+
 def test_nothing_is_said_where_nothing_is_explained():
     batch = batch_of(0)
     noise = 1e9 * torch.randn(batch.values.shape, generator=generator(5), **DOUBLE)
@@ -164,10 +210,10 @@ def place(**changes):
 
 @pytest.mark.parametrize(("gained", "part"), [(0.0, 0.0), (0.04, 0.01), (1.0, 0.25), (4.0, 1.0), (9.0, 1.0)])
 def test_a_place_that_was_arrived_at_is_as_far_from_the_optimum_as_the_last_step_gained(gained, part):
-    found = place().arrived(gained)
+    found = place().left(gained)
     assert found.remaining == pytest.approx(4.0 * part, rel=1e-12)
     close(found.offset, torch.tensor([2.0 * part**0.5, 0.0], **DOUBLE), 1e-12)
-    there = place(remaining=0.0).arrived(gained)
+    there = place(remaining=0.0).left(gained)
     assert (there.remaining, float(there.offset.abs().max())) == (0.0, 0.0)
 
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from helpers import close
 
 from ahnn.checkpoints import FORMAT, Weights, write_weights
+from ahnn.dynamics import make_dynamics
 from ahnn.errors import UserError
-from ahnn.uncertainty import Uncertainty, load_uncertainty, save_uncertainty
+from ahnn.uncertainty import Uncertainty, load_uncertainty, rollout_covariances, save_uncertainty
 from ahnn.uncertainty.posterior import FILE
 
 STATE = {"field.weight": torch.arange(3.0, dtype=torch.float64)}
@@ -34,6 +37,36 @@ def test_a_covariance_comes_back_with_its_weights_and_with_no_others(tmp_path):
 def test_the_covariance_is_noise_and_the_step_that_is_left_inflated():
     expected = 1.5 * (torch.tensor([[5.0, 3.0], [3.0, 9.0]]) + torch.tensor([[0.25, -0.5], [-0.5, 1.0]]))
     close(KNOWN.covariance, expected, 1e-12)
+
+
+@pytest.mark.parametrize("step", [None, torch.tensor([0.25, 4.0], dtype=torch.float64)])
+def test_the_step_that_functions_took_is_kept(step, tmp_path):
+    save_uncertainty(tmp_path, replace(KNOWN, step=step), STATE)
+    found = load_uncertainty(tmp_path, STATE)
+    assert found is not None
+    assert (found.step is None) if step is None else torch.equal(found.step, step)
+
+
+def test_a_band_after_the_step_is_that_of_the_parameters_before_it():
+    """Where the step is short: sensitivities of a wider network, at the places where theta went."""
+    torch.manual_seed(0)
+    network = {"width": 4, "depth": 2, "activation": "tanh"}
+    options = {"dof": 1, "inertia": 1.0, "hamiltonian": "generic", "mu": None, "inputs": "cartesian"}
+    own = make_dynamics(
+        "hamiltonian", **options, scaling="block", network=network, integrator={"name": "rk4"}
+    ).double()
+    count = sum(p.numel() for p in own.parameters())
+    draws = torch.randn(count, count + 2, dtype=torch.float64)
+    known = Uncertainty(draws[:, :count], draws[:, -1], 2.0, {}, 1e-5 * draws[:, -2])
+    start, lengths = torch.rand(3, 2, dtype=torch.float64), torch.full((3, 5), 0.1, dtype=torch.float64)
+    dynamics, after = known.taken(own)
+    assert after.step is None
+    assert after.inflation == 2.0
+    band = rollout_covariances(dynamics, start, lengths, after.spread)
+    close(band, rollout_covariances(own, start, lengths, known.spread), 1e-3)
+    same, unchanged = replace(known, step=None).taken(own)
+    assert same is own
+    assert unchanged.factor is known.factor
 
 
 def test_a_damaged_file_is_refused(tmp_path):

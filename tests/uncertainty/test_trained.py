@@ -9,9 +9,11 @@ import torch
 from entry import call
 
 import ahnn
-from ahnn.checkpoints import replace_weights
+from ahnn.checkpoints import read_weights, replace_weights
 from ahnn.errors import UserError
 from ahnn.evaluation import load_results
+from ahnn.runs import made, weights_path
+from ahnn.uncertainty import load_uncertainty
 from ahnn.uncertainty.posterior import FILE
 
 TINY = ["data.trajectories=20", "data.windows_per_epoch=20", "data.batch_size=10", "data.val_windows=3"]
@@ -33,6 +35,10 @@ def test_a_training_on_measurements_leaves_the_covariance_of_its_weights(folder)
     count = sum(p.numel() for p in run.dynamics.parameters())
     assert run.uncertainty.covariance.shape == (count, count)
     assert list(run.uncertainty.about["strengths"]) == [n for n, _ in run.dynamics.named_parameters()]
+    learned = load_uncertainty(folder, made(read_weights(weights_path(folder)), folder).dynamics.state_dict())
+    assert learned is not None
+    assert learned.step is not None
+    assert run.dynamics.spec["network"]["width"] == 12  # the step of functions is taken
     found = load_results(folder).numbers["uncertainty"]
     assert found["inflation"] == pytest.approx(run.uncertainty.inflation)
     assert len(found["coverage"]) == 3
@@ -57,7 +63,8 @@ def test_other_weights_have_no_band(folder, tmp_path):
     best = ahnn.load(folder)
     assert load_results(folder).training["val_loss"] == best.about["val_loss"]
     other = shutil.copy(folder / "checkpoints" / "best.ckpt", tmp_path / "other.ckpt")
-    moved = {name: value + 1e-6 for name, value in best.dynamics.state_dict().items()}
+    trained = made(read_weights(other), folder).dynamics.state_dict()
+    moved = {name: value + 1e-6 for name, value in trained.items()}
     replace_weights(other, moved, 0.25)
     run = ahnn.load(folder, str(other))
     assert run.about["val_loss"] == 0.25

@@ -168,8 +168,7 @@ def test_estimators_of_whole_arcs_have_their_own_rows(make_case: Callable) -> No
     # A spring is linear: without process noise all three are one.
     smoothed, *others = (told[name]["floor"]["perturbed"] for name in told if name != "ukf")
     for other in others:
-        position = other["whole_arc"]["position"]
-        assert position == pytest.approx(smoothed["whole_arc"]["position"], rel=1e-3)
+        assert other["whole_arc"]["position"] == pytest.approx(smoothed["whole_arc"]["position"], rel=1e-3)
     json.dumps(plain(findings.numbers), allow_nan=False)
     alone = run(short, group="batch_least_squares")
     assert {row.who.estimator for row in alone.rows} == {"ukf", "batch_least_squares"}

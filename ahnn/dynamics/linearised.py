@@ -1,0 +1,70 @@
+"""Dynamics to first order in a step of their parameters.
+
+N(z; theta) + dN/dtheta s is what three networks side by side say, one at theta and one on either side of it
+a little along the step s: a network of three times the width. So a step that parameters cannot take, because
+what they predict bends, can still be taken by the functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+from torch.nn.utils import parameters_to_vector
+
+from ahnn.dynamics import Dynamics, make_dynamics
+from ahnn.dynamics.networks import Perceptron
+
+REACH = 1e-3
+"""Share of the step over which the derivative is a difference."""
+SHARES = (1.0, 0.5 / REACH, -0.5 / REACH)
+"""What the networks at theta, theta + REACH s and theta - REACH s count."""
+
+
+def linearised(dynamics: Dynamics, step: Tensor) -> tuple[Dynamics, Tensor] | None:
+    """Return dynamics whose networks are N + dN/dtheta s, and where theta went among their parameters, (P,).
+
+    To first order those at the places move the result as theta moved it. Parameters of no network move by
+    the step itself.
+
+    Args:
+        dynamics: of `make_dynamics`, with networks.
+        step: s, shape (P,), in the order of `dynamics.parameters()`.
+
+    Returns:
+        None where the dynamics do not say how they are built with wider networks.
+    """
+    spec = getattr(dynamics, "spec", {})
+    network = spec.get("network")
+    if network is None:
+        return None
+    wide = make_dynamics(**{**spec, "network": {**network, "width": len(SHARES) * network["width"]}})
+    theta = parameters_to_vector(dynamics.parameters()).detach()
+    moved = _side_by_side(dynamics, (theta, theta + REACH * step, theta - REACH * step), SHARES)
+    wide.to(theta.dtype).load_state_dict({**dynamics.state_dict(), **moved})
+    numbers = torch.arange(1, len(theta) + 1).to(theta)
+    numbered = _side_by_side(dynamics, (numbers, 0 * theta, 0 * theta), (1.0, 0.0, 0.0))
+    flat = torch.cat([numbered[name].flatten() for name, _ in wide.named_parameters()])
+    return wide, flat.argsort()[-len(theta) :]
+
+
+def _side_by_side(dynamics: Dynamics, copies: Sequence[Tensor], shares: Sequence[float]) -> dict[str, Tensor]:
+    """Return parameters, by name, of dynamics whose networks add up those of copies times their shares."""
+    found, begin = dict[str, Tensor](), 0
+    networks = [name for name, module in dynamics.named_modules() if isinstance(module, Perceptron)]
+    for name, parameter in dynamics.named_parameters():
+        end = begin + parameter.numel()
+        parts = [copy[begin:end].view_as(parameter) for copy in copies]
+        own = next((name.removeprefix(f"{n}.") for n in networks if name.startswith(f"{n}.")), "")
+        scaled = [share * part for share, part in zip(shares, parts, strict=True)]
+        if own == "output.weight":
+            found[name] = torch.cat(scaled, dim=1)
+        elif own in ("", "output.bias"):
+            found[name] = torch.stack(scaled).sum(0)
+        elif own.endswith("weight") and not own.startswith("hidden.0."):
+            found[name] = torch.block_diag(*parts)
+        else:
+            found[name] = torch.cat(parts)
+        begin = end
+    return found
