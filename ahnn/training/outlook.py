@@ -61,9 +61,9 @@ def _on_measurements(model: Any, data: WindowDataModule, per_epoch: int, epochs:
     """
     objective, closing = model.curriculum.at(0, epochs.stop), model.curriculum.closing
     each = step_seconds(model, data, objective) / next(iter(data.train_dataloader())).times.numel()
-    last = each * (1 + REFITTED * closing)
+    last = each * (1 + REFITTED * (closing + 1))  # one more is taken by functions
     if not isinstance(objective, Shooting):  # trained in the weak form, dynamics fit starts soon
-        last = _shooting_seconds(model, data) * REFITTED * (1 + closing)
+        last = _shooting_seconds(model, data) * REFITTED * (closing + 2)
     return last * data.trajectories("train").times.numel() + each * sum(amounts(data, per_epoch, epochs))
 
 
