@@ -48,7 +48,7 @@ class Data:
     [(Shooting(4), 0, 150), (Shooting(4), 3, 300), (Weak(), 0, 700), (Weak(), 3, 1750)],
 )
 def test_last_steps_and_the_covariance_count_by_all_measurements(first, closing, last, monkeypatch):
-    """A step of 10 takes 1 s; a pass of shooting over all follows, then halves of one where starts fit soon."""
+    """A step of 10 takes 1 s; a pass of shooting over all follows, then halves where starts fit soon."""
     monkeypatch.setattr(outlook, "step_seconds", lambda *_: 1.0)
     monkeypatch.setattr(outlook, "_shooting_seconds", lambda *_: 0.7)
     at = lambda epoch, epochs: first if (epoch, epochs) == (0, 2) else None  # noqa: E731
