@@ -48,6 +48,19 @@ def test_badly_scaled_covariances_are_accepted():
     assert torch.allclose(chol @ chol.mT, matrix, rtol=1e-14, atol=0.0)
 
 
+@pytest.mark.parametrize("sizes", [(1e3, 1e-3), (1e-3, 1e3), (2.0, 3.0)])
+def test_components_that_move_together_have_a_factor_in_any_units(sizes):
+    matrix = torch.outer(torch.tensor(sizes, dtype=F64), torch.tensor(sizes, dtype=F64))
+    chol = covariance_factor(matrix, "P0", batch=1, size=2, definite=False)
+    assert torch.allclose(chol @ chol.mT, matrix, rtol=1e-7, atol=0.0)
+    with pytest.raises(ValueError, match="expected a positive definite matrix"):
+        covariance_factor(matrix, "P0", batch=1, size=2, definite=True)
+    more = matrix * torch.tensor([[1.0, 1.001], [1.001, 1.0]], dtype=F64)
+    for definite in (True, False):
+        with pytest.raises(ValueError, match="expected no negative eigenvalue"):
+            covariance_factor(more, "P0", batch=1, size=2, definite=definite)
+
+
 def test_mistakes_of_the_initial_belief():
     with pytest.raises(ValueError, match=r"P0: expected shape \(2, 2\) or \(1, 2, 2\); received \(\)"):
         initial_belief([[0.0, 0.0]], 1.0)

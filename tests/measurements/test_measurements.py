@@ -101,6 +101,8 @@ def test_station_works_on_batches_of_sigma_points():
     y = station(x, 3.0)
     assert y.shape == (4, 13, 4) == (4, 13, len(station.names))
     assert torch.allclose(y[2, 5], station(x[2, 5], 3.0), rtol=1e-13)
+    more = torch.cat((x, x[..., :2]), dim=-1)  # states with components of a force error
+    assert torch.equal(station(more, 3.0), y)
 
 
 def test_angles_wrap_to_the_half_open_interval():

@@ -56,6 +56,8 @@ def test_a_schedule_of_lists():
         ([1.0, 2.0], math.nan, 0.0, "max_step > 0; received .* max_step nan"),
         ([1.0, 2.0], 1.0, math.nan, "increasing from nan"),
         ([1.0, math.inf], 1.0, 0.0, "expected times increasing"),
+        ([1.0, 1.0], 1.0, 0.0, "expected times increasing from 0 .* smallest gap 0"),
+        ([1.0, 2.0], 1.0, 1.0, "expected times increasing from 1 .* smallest gap 0"),
         ([[1.0, 2.0]], 1.0, 0.0, r"expected times \(K,\) .* received \(1, 2\)"),
         ("now", 1.0, 0.0, "schedule: times: expected numbers"),
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from types import SimpleNamespace
 
 import pytest
@@ -9,6 +10,7 @@ import torch
 from helpers import MOLNIYA, SPRING, SYSTEMS
 
 from ahnn.errors import UserError
+from ahnn_plugins.ukf.online import weights_hash
 from ahnn_plugins.ukf.setting import make_setting
 
 HEAVY = SYSTEMS["heavy_spring"]
@@ -65,3 +67,12 @@ def test_a_model_that_reads_velocities_must_know_the_mass():
     model = SimpleNamespace(names=("q",), units=("m",), mass=1.0, residual=None)
     with pytest.raises(UserError, match="with mass=3, that of the system"):
         setting(HEAVY, measurement=model, measurement_sd=1.0)
+
+
+def test_a_flow_is_known_by_its_weights_and_one_without_by_none():
+    flow = torch.nn.Linear(2, 2)
+    known = weights_hash(flow)
+    assert weights_hash(copy.deepcopy(flow)) == known != ""
+    flow.weight.data[0, 0] += 1e-6
+    assert weights_hash(flow) not in ("", known)
+    assert weights_hash(lambda x, dt: x) == ""
