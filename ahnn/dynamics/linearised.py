@@ -42,6 +42,8 @@ def linearised(dynamics: Dynamics, step: Tensor) -> tuple[Dynamics, Tensor] | No
     wide = make_dynamics(**{**spec, "network": {**network, "width": len(SHARES) * network["width"]}})
     theta = parameters_to_vector(dynamics.parameters()).detach()
     moved = _side_by_side(dynamics, (theta, theta + REACH * step, theta - REACH * step), SHARES)
+    if any(moved[name].shape != p.shape for name, p in wide.named_parameters()):
+        return None  # parameters that no perceptron has, as wide as one
     wide.to(theta.dtype).load_state_dict({**dynamics.state_dict(), **moved})
     numbers = torch.arange(1, len(theta) + 1).to(theta)
     numbered = _side_by_side(dynamics, (numbers, 0 * theta, 0 * theta), (1.0, 0.0, 0.0))

@@ -9,6 +9,7 @@ from oscillators import Swing
 from torch.autograd.functional import jacobian
 from torch.nn.utils import parameters_to_vector
 
+from ahnn.dynamics import linearised as module
 from ahnn.dynamics import make_dynamics
 from ahnn.dynamics.derivatives import parametrised
 from ahnn.dynamics.linearised import linearised
@@ -91,3 +92,14 @@ def test_the_energy_of_a_hamiltonian_moves_as_its_field_does():
 
 def test_dynamics_that_no_wider_network_makes_stay_as_they_are():
     assert linearised(Swing(), torch.ones(2, **DOUBLE)) is None
+
+
+def test_parameters_that_grow_with_the_width_in_a_way_of_their_own_stay_as_they_are(monkeypatch):
+    class Gated(Swing):
+        def __init__(self, width):
+            super().__init__()
+            self.gate = torch.nn.Parameter(torch.ones(width, **DOUBLE))
+            self.spec = {"kind": "gated", "network": {"width": width}}
+
+    monkeypatch.setattr(module, "make_dynamics", lambda kind, network: Gated(network["width"]))  # noqa: ARG005
+    assert module.linearised(Gated(4), torch.ones(6, **DOUBLE)) is None
