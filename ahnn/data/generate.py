@@ -19,7 +19,7 @@ def generate(system: System, count: int, seed: int) -> Trajectories:
     """Return all trajectories of `generated` in memory."""
     parts = [*generated(system, count, seed)]
     times = parts[0].times[:1].expand(count, -1)
-    return Trajectories(torch.cat([part.states for part in parts]), times) if len(parts) > 1 else parts[0]
+    return Trajectories(torch.cat([part.states for part in parts]), times)
 
 
 @torch.no_grad()

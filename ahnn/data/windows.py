@@ -119,7 +119,9 @@ def stretches(present: Tensor) -> tuple[Tensor, Tensor]:
     Returns:
         Two tensors (R,) int64, in the order of the samples.
     """
-    edges = torch.nn.functional.pad(present.to(torch.int8), (1, 1)).diff(dim=1)
+    there = present.to(torch.int8)
+    outside = there.new_zeros(len(there), 1)
+    edges = there.diff(dim=1, prepend=outside, append=outside)
     begins, ends = (edges == 1).nonzero(), (edges == -1).nonzero()
     firsts = begins[:, 0] * present.shape[1] + begins[:, 1]
     return firsts, ends[:, 1] - begins[:, 1]

@@ -55,8 +55,7 @@ def library(dtype: torch.dtype = torch.float32) -> ctypes.CDLL | None:
 
 def applies(scheme: Scheme, x: Tensor, tensors: Sequence[Tensor]) -> bool:
     """Return whether a library takes a step from x, (B, D), and these parameters."""
-    dtype = tensors[0].dtype
-    steps = (scheme.h,) if isinstance(scheme.h, Tensor) else ()
+    dtype, steps = x.dtype, (scheme.h,) if isinstance(scheme.h, Tensor) else ()
     fits = x.ndim == 2 and len(x) > 0 and x.shape[1] == tensors[0].shape[1]
     fits = fits and all(t.shape == (len(x), 1) for t in steps)
     known = scheme.activation.value in KNOWN and dtype in DEFINED

@@ -85,6 +85,11 @@ def test_times_of_their_own_survive_storage(tmp_path):
     assert torch.equal(store.read(tmp_path / "x.safetensors").times, times)
 
 
+def test_one_row_of_times_for_more_trajectories_than_fit_into_memory_is_not_compared():
+    times = torch.linspace(0.0, 1.0, 2**8, dtype=torch.float64).expand(2**48, -1)
+    assert torch.equal(store.shared_times(Trajectories(times, times)), times[:1])
+
+
 @pytest.mark.parametrize("size", [0, 4, 200])
 def test_a_truncated_file_is_made_again(tmp_path, size):
     store.load_or_make(tmp_path, RECIPE, make)

@@ -42,7 +42,7 @@ class _Reader:
         self.parser.EndElementHandler = self.end
         self.parser.CharacterDataHandler = self.more
         self.parser.EntityDeclHandler = self.entity
-        self.row = 0
+        self.row: int
 
     @property
     def place(self) -> Place:

@@ -66,7 +66,7 @@ def followed(arc: Arc, start: Tensor) -> Fit:
     Derivatives are central differences over a small fraction of the prior's deviations: any flow will do, and
     all paths are followed at once.
     """
-    steps = arc.measured[-1] + 1 if arc.measured else 1
+    steps = arc.measured[-1] + 1 if arc.measured else 0
     half = DIFFERENCE * deviations(arc.prior.chol)
     offsets = torch.diag_embed(half)
     points = torch.cat(

@@ -212,6 +212,18 @@ def test_a_failed_member_is_smoothed_up_to_its_failure():
     assert bool(torch.isnan(spoiled.means[0, 12:]).all())
 
 
+def test_predictions_that_have_an_inverse_are_not_decomposed(make_linear, monkeypatch):
+    problem, model = make_linear(4, 2, steps=3)
+    monkeypatch.setattr(torch.linalg, "svdvals", lambda _: pytest.fail("decomposed"))
+    rows, belief = problem.measurements, initial_belief(problem.mean, problem.p0)
+    arguments = (problem.flow, belief, rows, model, problem.q, problem.r, 1.0)
+    assert unscented_filter(*arguments, smoothing=True).repairs.tolist() == [0]
+    with pytest.raises(pytest.fail.Exception, match="decomposed"):
+        unscented_filter(
+            lambda x, _: 0.0 * x, *arguments[1:4], 0.0 * problem.q, problem.r, 1.0, smoothing=True
+        )
+
+
 @pytest.mark.parametrize("unit", [1.0, 1e-14])
 def test_what_has_no_inverse_does_not_depend_on_units(unit):
     """Two states become one, and a third, of any unit, is seen as well as they are."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import pytest
 import torch
@@ -14,7 +16,7 @@ from ahnn.evaluation.open_loop import integrated
 from ahnn.integrators import INTEGRATORS
 from ahnn.measurements import Position
 from ahnn.systems import MassSpring
-from ahnn_plugins.ukf import UnscentedParameters, tuning
+from ahnn_plugins.ukf import UnscentedParameters, assimilation, tuning
 from ahnn_plugins.ukf.assimilation import Filter
 from ahnn_plugins.ukf.tuning import LOST, Tuning, objectives, tune, tuned_once
 
@@ -135,6 +137,15 @@ def test_as_many_trials_as_asked_for_are_filtered_in_batches(search, monkeypatch
     assert asked == sizes
     assert found.untuned == 1.0
     assert found.objective == found.values["scale_q"] <= 1.0
+
+
+def test_the_bar_is_full_when_all_is_tried(search, monkeypatch):
+    bar, told = MagicMock(), []
+    bar.__enter__.return_value = bar
+    bar.add_task.side_effect = lambda _, total: told.append(total)
+    monkeypatch.setattr(assimilation, "progress_bar", lambda: bar)
+    tune(*search, dataclasses.replace(OPTIONS, trials=5, batch=2))
+    assert told == [bar.advance.call_count] == [3 * 100]
 
 
 def test_the_objective_is_in_initial_deviations_from_the_first_update_on(search):

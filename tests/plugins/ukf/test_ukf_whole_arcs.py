@@ -12,9 +12,12 @@ from ahnn.errors import UserError
 from ahnn.estimation import Gate, initial_belief
 from ahnn.estimation.consistency import nees
 from ahnn.measurements import Position
-from ahnn_plugins.ukf import UnscentedParameters, unscented_filter, unscented_smoother
+from ahnn_plugins.ukf import SQUARE_ROOT, UnscentedParameters, unscented_filter, unscented_smoother
+from ahnn_plugins.ukf.arc import Arc, followed
 from ahnn_plugins.ukf.batch import batch_least_squares
+from ahnn_plugins.ukf.checks import checked_sensor
 from ahnn_plugins.ukf.iterated import iterated_smoother
+from ahnn_plugins.ukf.steps import Grid
 
 F64 = torch.float64
 DT, SD = 0.1, 0.02
@@ -134,6 +137,23 @@ def test_nothing_measured_leaves_the_prior():
     assert torch.allclose(fit.initial.mean, belief.mean, rtol=1e-12)
     assert torch.allclose(fit.initial.covariance, belief.covariance, rtol=1e-9)
     assert float(fit.cost.abs().max()) < 1e-20
+
+
+@pytest.mark.parametrize(("measured", "steps"), [([], 0), ([0], 1), ([1, 3], 4), ([5], 6)])
+def test_paths_are_followed_up_to_the_last_measurement(measured, steps):
+    start, belief, rows = wide(2)
+    asked = []
+
+    def flow(x, dt):
+        asked.append(dt)
+        return pendulum(x, dt)
+
+    sensor = checked_sensor(Position(1), NOISE[1], belief, SQUARE_ROOT, None)
+    lengths = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
+    fit = followed(Arc(flow, Grid.of(lengths, 6, torch.zeros(())), rows, measured, sensor, belief), start)
+    assert asked == lengths[:steps]
+    assert fit.states.shape == (2, steps + 1, 2)
+    assert fit.moved.shape == (2, steps + 1, 2, 2)
 
 
 def test_a_member_that_is_lost_touches_no_other():
