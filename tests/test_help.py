@@ -34,7 +34,7 @@ def test_help_fits_and_lists_every_group_and_what_a_plain_command_chooses(capsys
     for part in (
         "recipe ",
         "second_order_long]",
-        "[derivative_first]",
+        "[derivative_mostly]",
         "[generic]",
         "hamiltonian ",
         "--cfg job",
