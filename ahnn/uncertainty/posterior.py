@@ -80,7 +80,10 @@ def load_uncertainty(folder: Path, state: dict[str, Tensor]) -> Uncertainty | No
     if about.get("weights") != checksum(state, ""):
         return None
     factor, offset, step = (tensors.get(name) for name in ("factor", "offset", "step"))
-    if factor is None or offset is None or factor.shape != (len(offset), len(offset)):
-        message = f"{folder / FILE}: expected a square factor of the parameters' covariance; received another"
+    square = factor is not None and offset is not None and factor.shape == (len(offset), len(offset))
+    if factor is None or offset is None or not square or (step is not None and step.shape != offset.shape):
+        message = (
+            f"{folder / FILE}: expected a square factor and steps as long; received tensors that do not fit"
+        )
         raise UserError(message)
     return Uncertainty(factor, offset, float(about["inflation"]), dict(about["found"]), step)

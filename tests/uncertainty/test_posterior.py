@@ -8,7 +8,7 @@ import pytest
 import torch
 from helpers import close
 
-from ahnn.checkpoints import FORMAT, Weights, write_weights
+from ahnn.checkpoints import FORMAT, Weights, read_weights, write_weights
 from ahnn.dynamics import make_dynamics
 from ahnn.errors import UserError
 from ahnn.uncertainty import Uncertainty, load_uncertainty, rollout_covariances, save_uncertainty
@@ -78,12 +78,12 @@ def test_a_damaged_file_is_refused(tmp_path):
         load_uncertainty(tmp_path, STATE)
 
 
-def test_a_factor_of_another_shape_is_refused(tmp_path):
+@pytest.mark.parametrize(("rows", "step"), [(1, torch.zeros(2)), (2, torch.zeros(3))], ids=["factor", "step"])
+def test_tensors_that_do_not_fit_each_other_are_refused(rows, step, tmp_path):
     save_uncertainty(tmp_path, KNOWN, STATE)
-    from ahnn.checkpoints import read_weights
-
     about = read_weights(tmp_path / FILE).about
     assert about["format"] == FORMAT
-    write_weights(tmp_path / FILE, Weights({"factor": KNOWN.factor[:1], "offset": KNOWN.offset}, about))
-    with pytest.raises(UserError, match="square factor"):
+    tensors = {"factor": KNOWN.factor[:rows], "offset": KNOWN.offset, "step": step}
+    write_weights(tmp_path / FILE, Weights(tensors, about))
+    with pytest.raises(UserError, match="square factor and steps as long"):
         load_uncertainty(tmp_path, STATE)
