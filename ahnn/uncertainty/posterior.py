@@ -80,8 +80,12 @@ def load_uncertainty(folder: Path, state: dict[str, Tensor]) -> Uncertainty | No
     if about.get("weights") != checksum(state, ""):
         return None
     factor, offset, step = (tensors.get(name) for name in ("factor", "offset", "step"))
-    square = factor is not None and offset is not None and factor.shape == (len(offset), len(offset))
-    if factor is None or offset is None or not square or (step is not None and step.shape != offset.shape):
+    if (
+        factor is None
+        or offset is None
+        or factor.shape != (len(offset), len(offset))
+        or (step is not None and step.shape != offset.shape)
+    ):
         message = (
             f"{folder / FILE}: expected a square factor and steps as long; received tensors that do not fit"
         )
