@@ -133,8 +133,8 @@ def fit_starts(
     sums = start.new_full((len(start),), torch.inf)
     part, grid = segment.rows(alive), steps.rows(alive)
     if name is not None:
-        start[alive] = refine(first, start[alive], part, grid, ITERATIONS).starts
-    fitted = refine(trial, start[alive], part, grid, ITERATIONS)
+        start[alive] = refine(first, start[alive], part, grid).starts
+    fitted = refine(trial, start[alive], part, grid)
     states[:, 0], states[alive], sums[alive] = start, *fitted
     return Fitted(states, sums)
 
@@ -148,21 +148,28 @@ def growing(intervals: int) -> list[int]:
 
 
 @torch.no_grad()
-def refine(trial: Trial, start: Tensor, segment: Segment, steps: Steps, iterations: int) -> Fitted:
+def refine(
+    trial: Trial,
+    start: Tensor,
+    segment: Segment,
+    steps: Steps,
+    iterations: int = ITERATIONS,
+    damping: float = WARY,
+) -> Fitted:
     """Return the fit after at most so many Levenberg-Marquardt steps, each segment damped by itself."""
     fitted = followed(trial, start, segment, steps)
-    damping, moving = start.new_full((len(start),), WARY), fitted.sums.isfinite().nonzero().squeeze(1)
+    dampings, moving = start.new_full((len(start),), damping), fitted.sums.isfinite().nonzero().squeeze(1)
     for _ in range(iterations):
         if not len(moving):
             break
         part, grid, before = segment.rows(moving), steps.rows(moving), fitted.rows(moving)
         now = linearised(trial, before.states, part, grid)
-        moves = damped_moves(now.of_start.flatten(1, 2), now.residuals.flatten(1), damping[moving])
+        moves = damped_moves(now.of_start.flatten(1, 2), now.residuals.flatten(1), dampings[moving])
         after = followed(trial, before.starts + moves, part, grid)
         better = after.sums <= before.sums
         fitted.states[moving[better]], fitted.sums[moving[better]] = after.rows(better)
         factor = torch.where(better, 0.03, 10.0)
-        damping[moving] = (damping[moving] * factor).clamp(SMALLEST, LARGEST)
+        dampings[moving] = (dampings[moving] * factor).clamp(SMALLEST, LARGEST)
         moving = moving[(before.sums - after.sums).abs() > SETTLED]
     return fitted
 

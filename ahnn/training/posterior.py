@@ -5,15 +5,25 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from ahnn.measurements import Segment
+from ahnn.shooting.paths import Steps
+from ahnn.shooting.starts import SURE, Fitted, Trial, refine
 from ahnn.training.evidence import Prior
 from ahnn.training.normal_equations import Block
 from ahnn.training.shooting import Limit, ShootingProblem, freedom
+
+FOLLOWING = 4
+"""Steps of the starts after one of the parameters, at most."""
 
 
 class WideProblem(ShootingProblem):
     """Segments whose normal equations are summed in float64: badly known directions keep their digits."""
 
     precision = torch.float64
+
+    def fit_again(self, trial: Trial, starts: Tensor, segment: Segment, steps: Steps) -> Fitted:
+        """Return the fit with derivatives of its own at each step: last steps are long."""
+        return refine(trial, starts, segment, steps, FOLLOWING, SURE)
 
     @torch.no_grad()
     def follow(self, theta: Tensor) -> None:
