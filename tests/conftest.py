@@ -18,8 +18,10 @@ settings.load_profile("same")
 
 @pytest.fixture(scope="session", autouse=True)
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """Folder of generated data, shared by the tests of a session and never the user's."""
-    folder = str(tmp_path_factory.mktemp("cache"))
+    """Folder of generated data, shared by all workers of a session and never the user's."""
+    base = tmp_path_factory.getbasetemp()
+    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    folder = str(shared / "cache")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("AHNN_CACHE", folder)
         patch.setenv("OMP_NUM_THREADS", THREADS)

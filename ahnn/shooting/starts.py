@@ -34,7 +34,9 @@ WARY, SURE = 1e-5, 1e-7
 A shift along an orbit grows with time and hides the other directions of a start: their share may be 1e-5.
 """
 REFITS = 2
-"""Steps that move the starts after the parameters moved."""
+"""Steps that move the starts after the parameters moved, with derivatives of before."""
+FOLLOWING = 4
+"""Steps with derivatives of their own, at most, after a last step of a training, which is long."""
 
 
 class Trial(NamedTuple):

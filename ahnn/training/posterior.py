@@ -5,15 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ahnn.measurements import Segment
-from ahnn.shooting.paths import Steps
-from ahnn.shooting.starts import SURE, Fitted, Trial, refine
+from ahnn.shooting.starts import FOLLOWING, SURE, refine
 from ahnn.training.evidence import Prior
 from ahnn.training.normal_equations import Block
 from ahnn.training.shooting import Limit, ShootingProblem, freedom
-
-FOLLOWING = 4
-"""Steps of the starts after one of the parameters, at most."""
 
 
 class WideProblem(ShootingProblem):
@@ -21,14 +16,11 @@ class WideProblem(ShootingProblem):
 
     precision = torch.float64
 
-    def fit_again(self, trial: Trial, starts: Tensor, segment: Segment, steps: Steps) -> Fitted:
-        """Return the fit with derivatives of its own at each step: last steps are long."""
-        return refine(trial, starts, segment, steps, FOLLOWING, SURE)
-
     @torch.no_grad()
     def follow(self, theta: Tensor) -> None:
         """Move the starts to where they fit best after a step to theta, shape (P,)."""
-        fitted = self.refitted(theta)
+        near = self.refitted(theta).starts
+        fitted = refine(self.trial(theta), near, self.batch, self.steps, FOLLOWING, SURE)
         self._linear = None
         self.starts, self.limit = fitted.starts, Limit.of(fitted.sums, freedom(self.batch))
 

@@ -24,17 +24,20 @@ from ahnn.dynamics.recorded import Increments
 from ahnn.errors import UserError
 from ahnn.measurements import Segment
 from ahnn.measurements.smoothing import guess
-from ahnn.shooting.paths import Steps, adjoints, path, sensitivities, steps_between
+from ahnn.shooting.paths import adjoints, path, sensitivities, steps_between
 from ahnn.shooting.points import normal_points
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
 from ahnn.shooting.starts import (
+    FOLLOWING,
     HOPELESS,
+    SURE,
     Fitted,
     Linearised,
     Trial,
     fit_starts,
     followed,
     linearised,
+    refine,
     refit,
 )
 from ahnn.training.normal_equations import Equations, Rows, accumulated
@@ -142,7 +145,7 @@ class ShootingProblem:
         if starts is None:
             self.fitted = fit_starts(trial, guess(batch), batch, steps, hopeless)
         else:
-            self.fitted = self.fit_again(trial, starts, batch, steps)
+            self.fitted = refine(trial, starts, batch, steps, FOLLOWING, SURE)
         self.kept = kept = near(self.fitted.sums, freedom(batch), hopeless)
         self.steps, self.batch, self.starts = steps.rows(kept), batch.rows(kept), self.fitted.starts[kept]
         self.lost = int((~kept).sum())
@@ -160,10 +163,6 @@ class ShootingProblem:
         """Return the flow with parameters theta, shape (P,)."""
         return Trial(partial(self._exact, theta), partial(self._rough, theta.float()), self.robust)
 
-    def fit_again(self, trial: Trial, starts: Tensor, segment: Segment, steps: Steps) -> Fitted:
-        """Return the fit from the starts that were the best ones before the dynamics moved."""
-        return refit(trial, starts, segment, steps)
-
     def _parts(self, parameters: int) -> Iterator[slice]:
         """Yield the segments in parts whose sensitivities fit into memory."""
         cells = (self.steps.lengths.shape[1] + 1) * self.starts.shape[-1] * parameters
@@ -180,7 +179,7 @@ class ShootingProblem:
     def refitted(self, theta: Tensor) -> Fitted:
         """Return all segments from the starts that fit them best once the parameters moved to theta, (P,)."""
         if self._refitted is None or self._refitted[0] is not theta:
-            self._refitted = theta, self.fit_again(self.trial(theta), self.starts, self.batch, self.steps)
+            self._refitted = theta, refit(self.trial(theta), self.starts, self.batch, self.steps)
         return self._refitted[1]
 
     @torch.no_grad()

@@ -14,8 +14,9 @@ from ahnn.measurements import GroundStation, Instrument, Position, Segment, Stat
 from ahnn.measurements.smoothing import guess
 from ahnn.shooting.paths import steps_between
 from ahnn.shooting.robust import ROBUST
-from ahnn.shooting.starts import HOPELESS, Trial, fit_starts, growing, refine
+from ahnn.shooting.starts import HOPELESS, Trial, fit_starts, followed, growing, refine
 from ahnn.training import LevenbergMarquardt, Shooting
+from ahnn.training.posterior import WideProblem
 from ahnn.training.shooting import UNMET, Limit, ShootingProblem, near
 
 
@@ -89,6 +90,21 @@ def reduced(problem, theta):
         states = fitted.states[:, problem.steps.ends]
         plain = problem.batch.residuals(states)
         return plain.flatten(), problem.robust.cost(plain).sum()
+
+
+@torch.no_grad()
+def test_starts_follow_a_long_step_to_where_they_fit_best():
+    """Of other dynamics, and of other parameters: two steps with derivatives of before do not get there."""
+    _, batch = segment(rows=8, intervals=80, measurement=Position(1), longest=0.01)
+    problem, after = WideProblem(Swing(), batch, ROBUST["none"]), Swing(2.01, 0.52)
+    theta = parameters_to_vector(after.parameters())
+    best = reduced(problem, theta)[1]
+    assert float(problem.refitted(theta).sums.sum() / best - 1) > 1e-3
+    others = WideProblem(after, batch, ROBUST["none"], starts=problem.starts)
+    assert float(others.fitted.sums.sum() / best - 1) < 1e-6
+    problem.follow(theta)
+    followed_to = followed(problem.trial(theta), problem.starts, batch, problem.steps)
+    assert float(followed_to.sums.sum() / best - 1) < 1e-6
 
 
 @pytest.mark.parametrize("robust", ["none", "student"])
