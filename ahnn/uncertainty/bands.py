@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterator
 from typing import Any, cast
 
 import torch
@@ -31,17 +32,30 @@ def rollout_covariances(dynamics: Dynamics, start: Tensor, lengths: Tensor, fact
         lengths: of the steps, (B, N).
         factor: L, shape (P, R); L L^T is the covariance of theta.
     """
+    parts = rollout_sensitivities(dynamics, start, lengths, factor)
+    return torch.cat([(moved @ moved.mT).double() for moved in parts])
+
+
+@torch.no_grad()
+def rollout_sensitivities(
+    dynamics: Dynamics, start: Tensor, lengths: Tensor, factor: Tensor
+) -> Iterator[Tensor]:
+    """Yield (dx_k/dtheta) L in float32, (b, N + 1, D, R), of some rollouts at a time.
+
+    Args:
+        dynamics: with a field, float64; the parameters are theta.
+        start: (B, D).
+        lengths: of the steps, (B, N).
+        factor: L, shape (P, R).
+    """
     theta = parameters_to_vector(dynamics.parameters()).detach()
     rough, forcing = copy.deepcopy(dynamics).float(), field_jacobian(dynamics)  # pyright: ignore[reportArgumentType]
     ends = torch.arange(lengths.shape[1] + 1)
     rows = max(1, int(CELLS // (len(ends) * start.shape[1] * len(theta))))
-    found = []
     for x, dt in zip(start.split(rows), lengths.split(rows), strict=True):
         states = path(dynamics.increment, x, dt)
         jacobians = step_jacobians(rough.increment, states[:, :-1].float(), dt.float())
-        moved = sensitivities(jacobians, forcing(theta, states) @ factor.float(), Steps(dt, ends))
-        found.append((moved @ moved.mT).double())
-    return torch.cat(found)
+        yield sensitivities(jacobians, forcing(theta, states) @ factor.float(), Steps(dt, ends))
 
 
 @torch.no_grad()

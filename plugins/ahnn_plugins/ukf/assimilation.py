@@ -20,6 +20,7 @@ from ahnn_plugins.ukf.batch import BatchResult, batch_least_squares
 from ahnn_plugins.ukf.filter import unscented_filter
 from ahnn_plugins.ukf.force_error import ForceError, of_states, smoothed_states
 from ahnn_plugins.ukf.iterated import Iterated, iterated_smoother
+from ahnn_plugins.ukf.parameter_error import ParameterError
 from ahnn_plugins.ukf.smoother import unscented_smoother
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
 from ahnn_plugins.ukf.types import FilterResult, Form, SmootherResult, UnscentedParameters
@@ -37,7 +38,7 @@ class Filter(NamedTuple):
         form: square-root or standard.
         gate: refuses improbable measurements; None takes all.
         floor: whether the flow is perfect knowledge.
-        force_error: a relative error of the force with memory, besides Q; None for none.
+        force_error: of the force, relative and with memory, or of the parameters, besides Q; None for none.
     """
 
     name: str
@@ -48,7 +49,7 @@ class Filter(NamedTuple):
     form: Form = SQUARE_ROOT
     gate: Gate | None = None
     floor: bool = False
-    force_error: ForceError | None = None
+    force_error: ForceError | ParameterError | None = None
 
     def scaled(self, q: Tensor | float, r: Tensor | float = 1.0) -> Filter:
         """Return the filter with factors of all its process noise and of R, numbers or (B,)."""
@@ -79,7 +80,7 @@ class _Model(NamedTuple):
 def assimilate(chosen: Filter, setting: Setting, problem: Problem) -> FilterResult:
     """Run a filter on a problem."""
     result = _filtered(chosen, _model(chosen, setting, problem))
-    return result if chosen.force_error is None else of_states(result)
+    return result if chosen.force_error is None else of_states(result, problem.truth.shape[-1])
 
 
 class Behind(NamedTuple):
@@ -110,7 +111,8 @@ def assimilate_all(
         relinearised = iterated_smoother(result, model.flow, *model[2:], parameters=chosen.parameters)
         behind = behind._replace(iterated=relinearised)
     if chosen.force_error is not None:
-        result, behind = of_states(result), _states_behind(behind)
+        size = problem.truth.shape[-1]
+        result, behind = of_states(result, size), _states_behind(behind, size)
     if batch:
         belief = initial_belief(problem.starts, setting.start_covariance)
         rows = problem.measurements.masked_fill(result.rejected.unsqueeze(-1), torch.nan)
@@ -120,12 +122,12 @@ def assimilate_all(
     return result, behind
 
 
-def _states_behind(behind: Behind) -> Behind:
+def _states_behind(behind: Behind, size: int) -> Behind:
     """Return what is said of the states alone."""
     smoothed, iterated, _ = behind
     if iterated is not None:
-        iterated = iterated._replace(smoothed=smoothed_states(iterated.smoothed))
-    return Behind(smoothed_states(smoothed), iterated)
+        iterated = iterated._replace(smoothed=smoothed_states(iterated.smoothed, size))
+    return Behind(smoothed_states(smoothed, size), iterated)
 
 
 def _model(chosen: Filter, setting: Setting, problem: Problem) -> _Model:

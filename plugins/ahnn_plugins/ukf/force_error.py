@@ -42,6 +42,16 @@ class ForceError(NamedTuple):
     inertia: float = 1.0
     growth: Callable[[Tensor], Tensor] | None = None
 
+    @property
+    def about(self) -> list[float]:
+        """Plain numbers that tell one error from another, but for how it grows."""
+        return [float(part) for part in self[:3]]
+
+    def numbers(self, states: Tensor) -> Tensor:
+        """Return numbers that tell one error from another, at states (B, T, D)."""
+        mean = 1.0 if self.growth is None else float(self.growth(states).mean())
+        return torch.tensor([*self.about, mean])
+
     def belief(self, belief: Belief) -> Belief:
         """Return the augmented belief, the error of its stationary law and independent of the state."""
         mean, chol = belief
@@ -86,31 +96,31 @@ class ForceError(NamedTuple):
 
     def measurement(self, measurement: Measurement) -> Measurement:
         """Return a measurement model of augmented states: it sees their first 2 n components."""
-        return _OfStates(measurement)
+        return OfStates(measurement, lambda x: x[..., : x.shape[-1] // 3 * 2])
 
     def _kept(self, dt: TimeStep) -> Tensor:
         """Return the fraction of e that a step leaves."""
         return torch.exp(-torch.as_tensor(dt / self.memory, dtype=torch.float64))
 
 
-class _OfStates:
-    """A measurement model that is shown the state without the force error."""
+class OfStates:
+    """A measurement model that is shown augmented states without what was added to them."""
 
-    def __init__(self, model: Measurement) -> None:
+    def __init__(self, model: Measurement, states: Callable[[Tensor], Tensor]) -> None:
         self.model, self.names, self.units = model, model.names, model.units
+        self._states = states
 
     def __call__(self, x: Tensor, t: Time) -> Tensor:
-        """Return the measurements (..., M) of the augmented states x (..., 3 n)."""
-        return self.model(x[..., : x.shape[-1] // 3 * 2], t)
+        """Return the measurements (..., M) of the augmented states x."""
+        return self.model(self._states(x), t)
 
     def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
         """Return y - y_pred as the model has it."""
         return self.model.residual(y, y_pred)
 
 
-def of_states(result: FilterResult) -> FilterResult:
-    """Return what a filter of augmented states (q, p, e) says of (q, p): marginals, as leading blocks."""
-    size = result.means.shape[-1] // 3 * 2
+def of_states(result: FilterResult, size: int) -> FilterResult:
+    """Return what a filter of augmented states says of the first components: marginals, as leading blocks."""
     return result._replace(
         initial=_leading(result.initial, size),
         means=result.means[..., :size],
@@ -122,9 +132,8 @@ def of_states(result: FilterResult) -> FilterResult:
     )
 
 
-def smoothed_states(result: SmootherResult) -> SmootherResult:
-    """Return what a smoother of augmented states (q, p, e) says of (q, p)."""
-    size = result.means.shape[-1] // 3 * 2
+def smoothed_states(result: SmootherResult, size: int) -> SmootherResult:
+    """Return what a smoother of augmented states says of the first components."""
     return result._replace(
         initial=_leading(result.initial, size),
         means=result.means[..., :size],

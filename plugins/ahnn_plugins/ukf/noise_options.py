@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import reduce
 from typing import Annotated, Any, Literal, cast
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from ahnn.arguments import Positive, Within, check_arguments, checked
+from ahnn.dynamics import Dynamics
 from ahnn.errors import UserError
 from ahnn.estimation.scenario import Problem, Setting
 from ahnn.evaluation import Case
+from ahnn.statistics import Statistics
 from ahnn.types import Space
-from ahnn.uncertainty import force_deviation, growth
+from ahnn.uncertainty import field_columns, growth, leading_directions
 from ahnn_plugins.ukf.assimilation import Filter
 from ahnn_plugins.ukf.force_error import ForceError
 from ahnn_plugins.ukf.force_error_fit import fitted_force_error
+from ahnn_plugins.ukf.parameter_error import ParameterError
 from ahnn_plugins.ukf.process_noise import fitted_process_noise
 
 FITTED_ON, FORCE_FITTED_ON = 20, 100
 """Validation trajectories on which the scale of Q, and that of a force error, is chosen."""
-EXAMPLES = 500
-"""Training states at which the directions of the parameters are weighed."""
+ARCS = 12
+"""Training trajectories, about, on whose paths the directions of the parameters are weighed."""
+DIRECTIONS = 25
+"""Directions of the parameters that a filter has as states, at most."""
 
 Deviation = Annotated[float, Within(0)]
 
@@ -35,18 +39,28 @@ class ForceOptions:
     """A relative force error with memory; what is None is fitted to validation data.
 
     Attributes:
-        size: standard deviation, in units of the shape.
+        size: standard deviation, as a fraction of the force.
         memory: time constant, in the unit of the system.
-        shape: what the error is a multiple of: the force, or the standard deviation that the covariance of
-            the learned parameters gives the force at each state.
     """
 
     size: Positive | None = None
     memory: Positive | None = None
-    shape: Literal["force", "parameters"] = "force"
+
+    def added(self, dof: int) -> int:
+        """Return how many components a state has more."""
+        return dof
 
 
-NoiseOption = Literal["fitted"] | tuple[Deviation, Deviation] | ForceOptions
+class ParameterOptions:
+    """The learned parameters as states, known as their covariance says."""
+
+    def added(self, dof: int) -> int:
+        """Return how many components a state has more, at most."""
+        del dof
+        return DIRECTIONS
+
+
+NoiseOption = Literal["fitted"] | tuple[Deviation, Deviation] | ForceOptions | ParameterOptions
 GivenNoise = (
     Literal["fitted", "force_error", "parameter_error"] | tuple[Deviation, Deviation] | dict[str, Any]
 )
@@ -58,7 +72,7 @@ def noise_option(given: GivenNoise) -> NoiseOption:
         check_arguments("process_noise", ForceOptions, given)
         return ForceOptions(**given)
     if given == "parameter_error":
-        return ForceOptions(shape="parameters")
+        return ParameterOptions()
     return ForceOptions() if given == "force_error" else given
 
 
@@ -68,10 +82,12 @@ def given_noise(
     """Return Q of one step and the force error where an option says all of them; None where data must."""
     nothing = torch.zeros(2 * space.dof, 2 * space.dof, dtype=torch.float64)
     if isinstance(option, ForceOptions):
-        if option.size is None or option.memory is None or option.shape == "parameters":
+        if option.size is None or option.memory is None:
             return None
         return nothing, ForceError(option.size, option.memory, space.inertia, growth)
-    return None if isinstance(option, str) else (given_covariance(option, space), None)
+    if isinstance(option, str | ParameterOptions):
+        return None
+    return given_covariance(option, space), None
 
 
 def given_covariance(deviations: tuple[float, float], space: Space) -> Tensor:
@@ -102,14 +118,16 @@ def with_process_noise(
     Raises:
         UserError: the model does not say where its training data were, or has no covariance.
     """
+    if isinstance(option, ParameterOptions):
+        error = parameter_error(case, grown(case.novelty, rate))
+        about = {"from": "parameter_error", "directions": error.added, "novelty": rate}
+        return plain._replace(force_error=error), about
     if isinstance(option, ForceOptions):
-        shapes = [grown(case.novelty, rate), uncertain(case) if option.shape == "parameters" else None]
-        given = {"size": option.size, "memory": option.memory, "growth": product(shapes)}
+        given = {"size": option.size, "memory": option.memory, "growth": grown(case.novelty, rate)}
         tried, inertia = arcs(FORCE_FITTED_ON), case.space.inertia
         fit = fitted_force_error(plain, setting, tried, case.validation, inertia, **given)
         told = {"size": float(fit.error.size), "memory": float(fit.error.memory)}
-        name = "parameter_error" if option.shape == "parameters" else "force_error"
-        about = {"from": name, **told, "scale": fit.scale, "nees_of_scales": list(fit.nees)}
+        about = {"from": "force_error", **told, "scale": fit.scale, "nees_of_scales": list(fit.nees)}
         about["novelty"] = rate
         # A variance of zero would end every member.
         return plain._replace(force_error=fit.error if told["size"] > 0.0 else None), about
@@ -135,20 +153,30 @@ def grown(
     return lambda x: growth(novelty(x), rate)
 
 
-def uncertain(case: Case) -> Callable[[Tensor], Tensor]:
-    """Return the deviation of a learned force at a state; raises UserError for weights without covariance."""
+def parameter_error(case: Case, growth: Callable[[Tensor], Tensor] | None = None) -> ParameterError:
+    """Return the parameters of a case as states.
+
+    Args:
+        case: the model.
+        growth: factor on what the parameters do at a state; None is 1 everywhere.
+
+    Raises:
+        UserError: weights without covariance.
+    """
     if case.uncertainty is None:
         message = (
             "process_noise: expected weights with a covariance, as trainings on measurements leave it, for "
             "parameter_error; received weights without. Use process_noise=force_error"
         )
         raise UserError(message)
-    states = case.train.states[case.train.present]
-    apart = max(1, len(states) // EXAMPLES)
-    return force_deviation(cast(nn.Module, case.flow), case.uncertainty.spread, states[::apart])
+    dynamics, states = cast(Dynamics, case.flow), case.train.states
+    starts = states[:: max(1, len(states) // ARCS), 0]
+    starts = starts[starts.isfinite().all(-1)]
+    lengths = starts.new_full((len(starts), states.shape[1] - 1), float(Statistics.of(case.train).dt))
+    directions = leading_directions(dynamics, case.uncertainty.spread, starts, lengths, DIRECTIONS)
+    plain = field_columns(dynamics, directions)
 
+    def columns(x: Tensor) -> Tensor:
+        return plain(x) if growth is None else growth(x)[..., None, None] * plain(x)
 
-def product(factors: Sequence[Callable[[Tensor], Tensor] | None]) -> Callable[[Tensor], Tensor] | None:
-    """Return the product of those factors at a state that there are; None if there are none."""
-    present = [factor for factor in factors if factor is not None]
-    return (lambda x: reduce(torch.mul, [factor(x) for factor in present])) if present else None
+    return ParameterError(columns, directions.shape[1])

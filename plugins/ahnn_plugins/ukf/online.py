@@ -22,6 +22,7 @@ from ahnn.numbers import Numbers
 from ahnn.types import Flow, steady
 from ahnn_plugins.ukf.estimator import UnscentedKalmanFilter
 from ahnn_plugins.ukf.force_error import ForceError
+from ahnn_plugins.ukf.parameter_error import ParameterError
 
 LENGTHS = 1000
 """Lengths of steps whose factors are kept."""
@@ -32,7 +33,7 @@ def online_process(
     flow: Flow,
     interval: float,
     process_noise: Numbers,
-    force_error: ForceError | None = None,
+    force_error: ForceError | ParameterError | None = None,
     about: dict[str, Any] | None = None,
 ) -> Process:
     """Return the online process of a filter.
@@ -42,7 +43,7 @@ def online_process(
         flow: the process model, for steps of up to `interval`.
         interval: h, the longest step, and the one that `process_noise` is of.
         process_noise: Q of one step of h, (D, D).
-        force_error: a relative error of the force with memory, besides Q.
+        force_error: of the force, relative and with memory, or of the parameters, besides Q.
         about: plain values that say what the flow is; a saved state is of no other.
 
     Raises:
@@ -56,7 +57,7 @@ def online_process(
         "form": estimator.form.name,
         "gate": estimator.gate,
         "process_noise": q.tolist(),
-        "force_error": None if force_error is None else [float(part) for part in force_error[:3]],
+        "force_error": None if force_error is None else force_error.about,
     }
     if force_error is None:
         noise = lru_cache(LENGTHS)(lambda dt: Factor(math.sqrt(dt / interval) * chol))
@@ -75,8 +76,7 @@ def weights_hash(flow: Flow) -> str:
     return hashlib.blake2b(save(parts), digest_size=16).hexdigest()
 
 
-def _augmented(chol: Tensor, error: ForceError, dt: float) -> Factor:
+def _augmented(chol: Tensor, error: ForceError | ParameterError, dt: float) -> Factor:
     """Return the factor of Q of augmented states over a step dt, from that of the state alone."""
-    dof = len(chol) // 2
-    own = error.process_noise(torch.zeros_like(chol), dt)[2 * dof :, 2 * dof :].sqrt()
+    own = error.process_noise(torch.zeros_like(chol), dt)[len(chol) :, len(chol) :].sqrt()
     return Factor(torch.block_diag(chol, own))

@@ -29,6 +29,7 @@ from ahnn_plugins.ukf.noise_options import (
     ForceOptions,
     GivenNoise,
     NoiseOption,
+    ParameterOptions,
     given_noise,
     grown,
     noise_option,
@@ -36,6 +37,7 @@ from ahnn_plugins.ukf.noise_options import (
 )
 from ahnn_plugins.ukf.online import online_process, weights_hash
 from ahnn_plugins.ukf.outcome import Outcome, filtered, fitted, iterated, numbers, rows, smoothed
+from ahnn_plugins.ukf.parameter_error import ParameterError
 from ahnn_plugins.ukf.regression import regression_weights
 from ahnn_plugins.ukf.series import moving_averages
 from ahnn_plugins.ukf.setting import make_setting, near_system, require_measurement
@@ -64,8 +66,8 @@ class UKFEvaluation:
             system's own, those that perturbed starts are drawn with.
         process_noise: `fitted` to validation data; standard deviations [position, velocity] of the error
             of one step; `force_error`, relative and with memory, `{size: ..., memory: ...}` where one of
-            them is given; or `parameter_error`, the same in units of what the covariance of the learned
-            parameters says of the force at each state.
+            them is given; or `parameter_error`: the learned parameters are states of the filter, known as
+            their covariance says.
         novelty: rate by which the force error grows with each unit of novelty beyond 1, such as 500; None
             lets it not. It needs `force_error` or `parameter_error`.
         alpha, beta, kappa: parameters of the sigma points.
@@ -108,7 +110,7 @@ class UKFEvaluation:
         self.seed, self.smoother, self.least_squares = seed, smoother, least_squares
         self.process_noise: NoiseOption = noise_option(process_noise)
         self.novelty = novelty
-        if novelty is not None and not isinstance(self.process_noise, ForceOptions):
+        if novelty is not None and not isinstance(self.process_noise, ForceOptions | ParameterOptions):
             message = (
                 f"novelty: expected process_noise=force_error, which it scales; received {process_noise}"
             )
@@ -148,9 +150,10 @@ class UKFEvaluation:
                 f"comes; received {self.tuning.steps}"
             )
             raise UserError(message)
-        augmented = 3 if isinstance(self.process_noise, ForceOptions) else 2
+        option, size = self.process_noise, 2 * system.dof
+        added = option.added(system.dof) if isinstance(option, ForceOptions | ParameterOptions) else 0
         weights = regression_weights if self.smoother == "iterated" else unscented_weights
-        weights(self.parameters, augmented * system.dof)
+        weights(self.parameters, size + added)
 
     @torch.no_grad()
     def __call__(self, case: Case) -> Findings:
@@ -207,7 +210,7 @@ class UKFEvaluation:
         return online_process(estimator, flow, interval, *noise, about)
 
     @torch.no_grad()
-    def _fitted(self, case: Case) -> tuple[Tensor, ForceError | None]:
+    def _fitted(self, case: Case) -> tuple[Tensor, ForceError | ParameterError | None]:
         """Return Q of one step and the force error, fitted to validation data."""
         shortest = int(case.validation.present.sum(-1).min()) - 1
         setting = self._setting(near_system(case.truth, self.beside, case.space), shortest)

@@ -202,9 +202,7 @@ def _recipe(chosen: Filter, setting: Setting, problem: Problem, options: Tuning)
         "parameters": torch.tensor([float(p) for p in chosen.parameters]),
     }
     if chosen.force_error is not None:
-        size, memory, inertia, growth = chosen.force_error
-        mean = 1.0 if growth is None else growth(problem.truth).mean()
-        tensors["force_error"] = torch.tensor([float(p) for p in (size, memory, inertia, mean)])
+        tensors["force_error"] = chosen.force_error.numbers(problem.truth)
     arcs = b"".join(part.numpy().tobytes() for part in (problem.starts, problem.measurements))
     return {
         "tuning": asdict(options),

@@ -1,4 +1,4 @@
-"""Process noise in units of what the covariance of the learned parameters says of the force."""
+"""Learned parameters as states of a filter: against an oscillator whose parameters are states exactly."""
 
 from __future__ import annotations
 
@@ -7,26 +7,122 @@ from collections.abc import Callable
 
 import pytest
 import torch
-from oscillators import Swing
+from helpers import close, generator
+from oscillators import DOUBLE, Swing
 from test_ukf_evaluation import SPRING, STIFFER, make_case, run
+from torch.func import functional_call
 
 from ahnn.errors import UserError
+from ahnn.estimation import Belief
 from ahnn.evaluation import Case
-from ahnn.uncertainty import Uncertainty
+from ahnn.measurements import Position
+from ahnn.uncertainty import Uncertainty, field_columns, leading_directions
+from ahnn_plugins.ukf import unscented_filter
+from ahnn_plugins.ukf.force_error import of_states
+from ahnn_plugins.ukf.parameter_error import ParameterError
 
 __all__ = ["make_case"]
 
+FACTOR = torch.tensor([[0.05, 0.0], [-0.02, 0.04]], **DOUBLE)
 
-def test_a_parameter_error_is_in_units_of_what_the_covariance_says(make_case: Callable[..., Case]) -> None:
-    deviation = 0.01  # of a stiffness that is off by 0.02
-    known = Uncertainty(deviation * torch.eye(2, 1).double(), torch.zeros(2).double(), 1.0, {})
+
+@torch.no_grad()
+def exact(x, dt):
+    """The flow of (q, p, eta): each row by an oscillator of its own parameters."""
+    a, b = (torch.tensor([2.0, 0.5], **DOUBLE) + x[..., 2:] @ FACTOR.T).unbind(-1)
+    own = {"field.stiffness": torch.stack((a, b)).unsqueeze(-1)}
+    state = x[..., :2]
+    after = state + functional_call(_Step(), own, (state, dt))
+    return torch.cat((after, x[..., 2:]), -1)
+
+
+@torch.no_grad()
+def plain(x, dt):
+    return x + Swing().increment(x, dt)
+
+
+class _Step(Swing):
+    def forward(self, x, dt):
+        return self.increment(x, dt.unsqueeze(-1) if isinstance(dt, torch.Tensor) else dt)
+
+
+def error(**changes):
+    return ParameterError(field_columns(Swing(), FACTOR), 2, **changes)
+
+
+@pytest.mark.parametrize("size", [1.0, 0.1])
+def test_a_step_is_that_of_other_parameters_to_third_order(size):
+    x = torch.randn(20, 4, generator=generator(0), **DOUBLE)
+    x[:, 2:] *= size
+    flow = error().flow(plain)
+    off = [float((flow(x, dt) - exact(x, dt)).abs().max()) for dt in (0.1, 0.05)]
+    moved = float((exact(x, 0.1) - exact(x * torch.tensor([1.0, 1.0, 0.0, 0.0]), 0.1))[:, :2].abs().max())
+    assert off[0] < 0.1 * moved
+    assert off[1] < off[0] / 3
+    per_row = torch.full((20,), 0.1, **DOUBLE)
+    close(flow(x, per_row), flow(x, 0.1), 1e-12)
+
+
+def test_a_filter_learns_the_parameters_as_one_whose_flow_has_them():
+    truth = torch.tensor([[1.0, 0.0, 1.5, -1.0], [0.3, 1.0, -1.0, 0.5]], **DOUBLE)
+    rows, x = [], truth
+    for _ in range(400):
+        x = exact(x, 0.02)
+        rows.append(x[:, :1])
+    measurements = torch.stack(rows, 1) + 0.01 * torch.randn(2, 400, 1, generator=generator(1), **DOUBLE)
+    start = Belief(truth[:, :2] + 0.02, 0.05 * torch.eye(2, **DOUBLE).expand(2, 2, 2))
+    learning, noise = error(), torch.tensor([[1e-4]], **DOUBLE)
+    sensor, nothing = learning.measurement(Position(1)), torch.zeros(4, 4, **DOUBLE)
+    lifted, q = learning.belief(start), learning.process_noise(torch.zeros(2, 2, **DOUBLE), 0.02)
+    assert torch.equal(q, nothing)
+    flow = learning.flow(plain)
+    ours, theirs = (
+        unscented_filter(f, lifted, measurements, sensor, nothing, noise, 0.02) for f in (flow, exact)
+    )
+    deviations = theirs.chols.square().sum(-1).sqrt()
+    assert float(((ours.means - theirs.means) / deviations).abs().max()) < 0.1
+    close(ours.chols[:, -1], theirs.chols[:, -1], 0.03)
+    assert bool((deviations[:, -1, 2:] < 0.9).all())  # it did learn
+    assert float(((theirs.means - x.unsqueeze(1))[:, -1] / deviations[:, -1]).abs().max()) < 3.5
+    left = of_states(ours, 2)
+    assert left.means.shape[-1] == left.state.belief.mean.shape[-1] == left.chols.shape[-1] == 2
+
+
+def test_a_belief_and_a_factor_of_the_noise_widen_the_parameters_alone():
+    belief = Belief(torch.ones(2, 2, **DOUBLE), torch.eye(2, **DOUBLE).expand(2, 2, 2))
+    found = error(size=torch.tensor([2.0, 3.0], **DOUBLE)).belief(belief)
+    close(found.mean, torch.tensor([[1.0, 1.0, 0.0, 0.0]] * 2, **DOUBLE), 1e-12)
+    close(found.chol.diagonal(dim1=1, dim2=2), torch.tensor([[1.0, 1, 2, 2], [1, 1, 3, 3]], **DOUBLE), 1e-12)
+
+
+def test_leading_directions_are_those_that_paths_tell_apart():
+    start = torch.randn(5, 2, generator=generator(3), **DOUBLE)
+    lengths = torch.full((5, 100), 0.02, **DOUBLE)
+    idle = torch.cat((FACTOR, torch.zeros(2, 30, **DOUBLE)), dim=1)
+    both = leading_directions(Swing(), idle, start, lengths, 2)
+    close(both @ both.T, FACTOR @ FACTOR.T, 1e-5)
+    one = leading_directions(Swing(), idle, start, lengths, 1)
+    left = both @ both.T - one @ one.T
+    assert float(torch.linalg.eigvalsh(left).min()) > -1e-9
+    x = torch.randn(7, 2, generator=generator(4), **DOUBLE)
+    moved = field_columns(Swing(), both)(x)
+    q = x[:, 0]
+    close(moved[:, 1], torch.stack((-q, -(q**3)), -1) @ both, 1e-5)
+    assert float(moved[:, 0].abs().max()) == 0.0
+
+
+def test_the_filter_of_a_model_is_consistent_that_knows_how_well_its_parameters_are_known(
+    make_case: Callable[..., Case],
+) -> None:
+    known = Uncertainty(0.02 * torch.eye(2, 1).double(), torch.zeros(2).double(), 1.0, {})
     case = dataclasses.replace(make_case(SPRING, Swing(STIFFER.stiffness, 0.0)), uncertainty=known)
     findings = run(case, group="ukf_parameter_error")
     noise = findings.numbers["process_noise"]
-    assert noise["from"] == "parameter_error"
-    assert noise["size"] / noise["scale"] ** 0.5 == pytest.approx(2.0, rel=0.02)
-    assert findings.numbers["filters"]["ukf"]["model"]["perturbed"]["status"]["OK"] == 6
-    relative = run(case, "process_noise=force_error").numbers["process_noise"]
-    assert noise["size"] * deviation / STIFFER.stiffness == pytest.approx(relative["size"], rel=0.01)
+    assert (noise["from"], noise["directions"]) == ("parameter_error", 2)
+    told = findings.numbers["filters"]["ukf"]["model"]["perturbed"]
+    assert told["status"]["OK"] == 6
+    ignorant = run(case, "process_noise=[1e-12,1e-12]").numbers["filters"]["ukf"]["model"]["perturbed"]
+    assert told["nees"]["mean"] < 4.0 < ignorant["nees"]["mean"]
+    assert told["whole_arc"]["position"] < ignorant["whole_arc"]["position"]
     with pytest.raises(UserError, match="expected weights with a covariance"):
         run(dataclasses.replace(case, uncertainty=None), group="ukf_parameter_error")

@@ -1,0 +1,76 @@
+"""Learned parameters as states: a filter knows them as well as their covariance says, and learns on.
+
+The field is f(x) + C(x) eta, with eta the distances along directions in which the parameters are uncertain,
+unknown and constant, N(0, I) before anything is measured. A step is half of what C(x) eta adds, the flow, and
+the other half (Strang splitting). There is no process noise: what a learned force is off by repeats itself on
+every orbit, and measurements tell it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ahnn.estimation.belief import Belief
+from ahnn.measurements.base import Measurement
+from ahnn.types import Flow, TimeStep
+from ahnn_plugins.ukf.force_error import OfStates
+
+
+class ParameterError(NamedTuple):
+    """Directions of the parameters as states of a filter; augmented states are (x, eta), shape (..., D + K).
+
+    Attributes:
+        columns: x (..., D) -> C(x), (..., D, K).
+        added: K.
+        size: standard deviation of each component of eta, a number or (B,).
+    """
+
+    columns: Callable[[Tensor], Tensor]
+    added: int
+    size: Tensor | float = 1.0
+
+    @property
+    def about(self) -> list[float]:
+        """Plain numbers that tell one error from another, of the same weights."""
+        return [float(self.added), float(self.size)]
+
+    def numbers(self, states: Tensor) -> Tensor:
+        """Return numbers that tell one error from another, at states (B, T, D)."""
+        return torch.cat((torch.tensor(self.about), self.columns(states[:1, 0]).flatten().float()))
+
+    def belief(self, belief: Belief) -> Belief:
+        """Return the augmented belief, parameters independent of the state."""
+        mean, chol = belief
+        (batch, size), count = mean.shape, self.added
+        own = torch.as_tensor(self.size, dtype=mean.dtype, device=mean.device).expand(batch)
+        both = chol.new_zeros(batch, size + count, size + count)
+        both[:, :size, :size] = chol
+        both[:, size:, size:] = own[:, None, None] * torch.eye(count, dtype=mean.dtype, device=mean.device)
+        return Belief(torch.nn.functional.pad(mean, (0, count)), both)
+
+    def flow(self, flow: Flow) -> Flow:
+        """Return the flow of augmented states."""
+
+        def augmented(x: Tensor, dt: TimeStep) -> Tensor:
+            state, eta = x[..., : -self.added], x[..., -self.added :]
+            half = 0.5 * (dt.unsqueeze(-1) if isinstance(dt, Tensor) else dt)
+
+            def pushed(x: Tensor) -> Tensor:
+                return x + half * (self.columns(x) @ eta.unsqueeze(-1)).squeeze(-1)
+
+            return torch.cat((pushed(flow(pushed(state), dt)), eta), dim=-1)
+
+        return augmented
+
+    def process_noise(self, additive: Tensor, dt: float) -> Tensor:
+        """Return Q of one step of augmented states, whose parameters are constant."""
+        del dt
+        return torch.nn.functional.pad(additive, (0, self.added, 0, self.added))
+
+    def measurement(self, measurement: Measurement) -> Measurement:
+        """Return a measurement model of augmented states: it sees their first D components."""
+        return OfStates(measurement, lambda x: x[..., : -self.added])
