@@ -29,6 +29,8 @@ class Uncertainty:
             `chi_square` of the training, `remaining` (squared length of the offset in standard deviations),
             `held_out` (the part of the inflation that validation measurements ask for), `log_evidence`.
         step: (P,) step that functions took beyond their parameters (`ahnn.dynamics.linearised`), if any.
+        before: dynamics and distribution of their parameters before that step, once it is taken. They say the
+            same of how functions may move, with a third of the network.
     """
 
     factor: Tensor
@@ -36,6 +38,7 @@ class Uncertainty:
     inflation: float
     about: dict[str, Any]
     step: Tensor | None = None
+    before: tuple[Dynamics, Uncertainty] | None = None
 
     @property
     def spread(self) -> Tensor:
@@ -56,7 +59,8 @@ class Uncertainty:
         size = sum(p.numel() for p in wide.parameters())
         factor = self.factor.new_zeros(size, self.factor.shape[1]).index_copy(0, places, self.factor)
         offset = self.offset.new_zeros(size).index_copy(0, places, self.offset)
-        return wide, replace(self, factor=factor, offset=offset, step=None)
+        moved = replace(self, factor=factor, offset=offset, step=None, before=(dynamics, self))
+        return wide, moved
 
 
 def save_uncertainty(folder: Path, uncertainty: Uncertainty, state: dict[str, Tensor]) -> None:

@@ -11,7 +11,13 @@ from helpers import close
 from ahnn.checkpoints import FORMAT, Weights, read_weights, write_weights
 from ahnn.dynamics import make_dynamics
 from ahnn.errors import UserError
-from ahnn.uncertainty import Uncertainty, load_uncertainty, rollout_covariances, save_uncertainty
+from ahnn.uncertainty import (
+    Uncertainty,
+    field_columns,
+    load_uncertainty,
+    rollout_covariances,
+    save_uncertainty,
+)
 from ahnn.uncertainty.posterior import FILE
 
 STATE = {"field.weight": torch.arange(3.0, dtype=torch.float64)}
@@ -64,6 +70,9 @@ def test_a_band_after_the_step_is_that_of_the_parameters_before_it():
     assert after.inflation == 2.0
     band = rollout_covariances(dynamics, start, lengths, after.spread)
     close(band, rollout_covariances(own, start, lengths, known.spread), 1e-3)
+    assert after.before == (own, known)
+    x = torch.rand(6, 2, dtype=torch.float64)
+    close(field_columns(dynamics, after.spread)(x), field_columns(own, known.spread)(x), 1e-3)
     same, unchanged = replace(known, step=None).taken(own)
     assert same is own
     assert unchanged.factor is known.factor

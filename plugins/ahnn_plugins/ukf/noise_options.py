@@ -27,7 +27,7 @@ FITTED_ON, FORCE_FITTED_ON = 20, 100
 """Validation trajectories on which the scale of Q, and that of a force error, is chosen."""
 ARCS = 12
 """Training trajectories, about, on whose paths the directions of the parameters are weighed."""
-DIRECTIONS = 25
+DIRECTIONS = 50
 """Directions of the parameters that a filter has as states, at most."""
 
 Deviation = Annotated[float, Within(0)]
@@ -169,11 +169,12 @@ def parameter_error(case: Case, growth: Callable[[Tensor], Tensor] | None = None
             "parameter_error; received weights without. Use process_noise=force_error"
         )
         raise UserError(message)
-    dynamics, states = cast(Dynamics, case.flow), case.train.states
+    dynamics, known = case.uncertainty.before or (cast(Dynamics, case.flow), case.uncertainty)
+    states = case.train.states
     starts = states[:: max(1, len(states) // ARCS), 0]
     starts = starts[starts.isfinite().all(-1)]
     lengths = starts.new_full((len(starts), states.shape[1] - 1), float(Statistics.of(case.train).dt))
-    directions = leading_directions(dynamics, case.uncertainty.spread, starts, lengths, DIRECTIONS)
+    directions = leading_directions(dynamics, known.spread, starts, lengths, DIRECTIONS)
     plain = field_columns(dynamics, directions)
 
     def columns(x: Tensor) -> Tensor:
