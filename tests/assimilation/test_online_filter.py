@@ -17,7 +17,13 @@ from ahnn.assimilation.online import Diverged
 from ahnn.errors import UserError
 from ahnn.estimation import Gate, initial_belief
 from ahnn.measurements import GroundStation, Position, Several, schedule
-from ahnn_plugins.ukf import ForceError, UnscentedKalmanFilter, online_process, unscented_filter
+from ahnn_plugins.ukf import (
+    ForceError,
+    ParameterError,
+    UnscentedKalmanFilter,
+    online_process,
+    unscented_filter,
+)
 
 
 def kalman(found):
@@ -64,7 +70,16 @@ def test_the_deviation_of_an_innovation_is_that_of_prediction_and_noise():
     assert float(told.nis) == pytest.approx(1.0 / (0.5 + SD**2), rel=1e-13)
 
 
-@pytest.mark.parametrize("error", [None, ForceError(1e-3, 1800.0)], ids=["additive", "with memory"])
+def pushes(x):
+    """What two parameters add to the field at states of orbits."""
+    return 1e-6 * torch.stack((x, x.flip(-1)), -1)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [None, ForceError(1e-3, 1800.0), ParameterError(pushes, 2)],
+    ids=["additive", "with memory", "of parameters"],
+)
 def test_it_equals_the_batch_filter_with_a_learned_flow(error):
     run = ahnn.load("molniya_mechanical")
     start = torch.tensor([[0.0, -3145.0, -6173.0, 10.0, 0.0, 0.0]], dtype=torch.float64)

@@ -15,6 +15,7 @@ from ahnn_plugins.ukf.force_error import ForceError
 from ahnn_plugins.ukf.iterated import Iterated, iterated_smoother
 from ahnn_plugins.ukf.likelihood import Learned, learned_noise
 from ahnn_plugins.ukf.online import online_process
+from ahnn_plugins.ukf.parameter_error import ParameterError
 from ahnn_plugins.ukf.smoother import unscented_smoother
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
 from ahnn_plugins.ukf.standard import STANDARD
@@ -29,6 +30,7 @@ __all__ = [
     "Form",
     "Iterated",
     "Learned",
+    "ParameterError",
     "SmootherResult",
     "UnscentedKalmanFilter",
     "UnscentedParameters",
