@@ -76,6 +76,11 @@ def noise_option(given: GivenNoise) -> NoiseOption:
     return ForceOptions() if given == "force_error" else given
 
 
+def without_parameters(option: NoiseOption) -> NoiseOption:
+    """Return the option for a flow that has no learned parameters: a force error in their place."""
+    return ForceOptions() if isinstance(option, ParameterOptions) else option
+
+
 def given_noise(
     option: NoiseOption, space: Space, growth: Callable[[Tensor], Tensor] | None = None
 ) -> tuple[Tensor, ForceError | None] | None:

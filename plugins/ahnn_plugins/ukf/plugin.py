@@ -34,6 +34,7 @@ from ahnn_plugins.ukf.noise_options import (
     grown,
     noise_option,
     with_process_noise,
+    without_parameters,
 )
 from ahnn_plugins.ukf.online import online_process, weights_hash
 from ahnn_plugins.ukf.outcome import Outcome, filtered, fitted, iterated, numbers, rows, smoothed
@@ -261,7 +262,8 @@ class UKFEvaluation:
             filters.append((Who("exact flow", "true", "ukf", floor=True), floor))
         if self.beside is not None:
             other = plain._replace(name=f"{self.beside.name} + UKF", flow=exact_flow(self.beside))
-            other, about = with_process_noise(self.process_noise, other, case, setting, arcs)
+            option = without_parameters(self.process_noise)
+            other, about = with_process_noise(option, other, case, setting, arcs)
             findings.numbers["process_noise_beside"] = about
             filters.append((Who(self.beside.name, "true", "ukf"), other))
         return filters

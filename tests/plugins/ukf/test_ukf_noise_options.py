@@ -7,7 +7,13 @@ import torch
 
 from ahnn.types import Space
 from ahnn_plugins.ukf.force_error import ForceError
-from ahnn_plugins.ukf.noise_options import ForceOptions, ParameterOptions, given_noise, noise_option
+from ahnn_plugins.ukf.noise_options import (
+    ForceOptions,
+    ParameterOptions,
+    given_noise,
+    noise_option,
+    without_parameters,
+)
 
 SPACE = Space("orbit", ("x", "y", "z", "px", "py", "pz"), inertia=4.0)
 
@@ -45,3 +51,9 @@ def test_what_is_not_said_is_left_to_data(option):
 def test_words_stand_for_force_errors():
     assert noise_option("force_error") == ForceOptions()
     assert isinstance(noise_option("parameter_error"), ParameterOptions)
+
+
+def test_a_flow_without_parameters_has_a_force_error_in_their_place():
+    assert without_parameters(noise_option("parameter_error")) == ForceOptions()
+    for option in ("fitted", "force_error", (0.5, 0.1), {"size": 0.01}):
+        assert without_parameters(noise_option(option)) == noise_option(option)
