@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, cast
@@ -16,12 +17,14 @@ from ahnn.estimation.scenario import Problem, Setting
 from ahnn.evaluation import Case
 from ahnn.statistics import Statistics
 from ahnn.types import Space
-from ahnn.uncertainty import field_columns, growth, leading_directions
+from ahnn.uncertainty import Uncertainty, field_columns, growth, leading_directions
 from ahnn_plugins.ukf.assimilation import Filter
 from ahnn_plugins.ukf.force_error import ForceError
 from ahnn_plugins.ukf.force_error_fit import fitted_force_error
 from ahnn_plugins.ukf.parameter_error import ParameterError
 from ahnn_plugins.ukf.process_noise import fitted_process_noise
+
+log = logging.getLogger(__name__)
 
 FITTED_ON, FORCE_FITTED_ON = 20, 100
 """Validation trajectories on which the scale of Q, and that of a force error, is chosen."""
@@ -112,6 +115,8 @@ def with_process_noise(
 ) -> tuple[Filter, dict[str, Any]]:
     """Return a filter with the process noise of its model, and where that comes from, as plain values.
 
+    Where parameters are asked for whose covariance is not known, a force error takes their place, aloud.
+
     Args:
         option: see `noise_option`.
         plain: the filter, without process noise.
@@ -121,10 +126,17 @@ def with_process_noise(
         rate: by which a force error grows with each unit of novelty beyond 1; None lets it not.
 
     Raises:
-        UserError: the model does not say where its training data were, or has no covariance.
+        UserError: the model does not say where its training data were.
     """
+    if isinstance(option, ParameterOptions) and case.uncertainty is None:
+        log.warning(
+            "process_noise: parameter_error takes a covariance of the parameters, which trainings on "
+            "measurements leave where they explain them; there is none: force_error takes its place"
+        )
+        option = ForceOptions()
     if isinstance(option, ParameterOptions):
-        error = parameter_error(case, grown(case.novelty, rate))
+        assert case.uncertainty is not None
+        error = parameter_error(case, case.uncertainty, grown(case.novelty, rate))
         about = {"from": "parameter_error", "directions": error.added, "novelty": rate}
         return plain._replace(force_error=error), about
     if isinstance(option, ForceOptions):
@@ -158,23 +170,17 @@ def grown(
     return lambda x: growth(novelty(x), rate)
 
 
-def parameter_error(case: Case, growth: Callable[[Tensor], Tensor] | None = None) -> ParameterError:
+def parameter_error(
+    case: Case, uncertainty: Uncertainty, growth: Callable[[Tensor], Tensor] | None = None
+) -> ParameterError:
     """Return the parameters of a case as states.
 
     Args:
         case: the model.
+        uncertainty: of its parameters.
         growth: factor on what the parameters do at a state; None is 1 everywhere.
-
-    Raises:
-        UserError: weights without covariance.
     """
-    if case.uncertainty is None:
-        message = (
-            "process_noise: expected weights with a covariance, as trainings on measurements leave it, for "
-            "parameter_error; received weights without. Use process_noise=force_error"
-        )
-        raise UserError(message)
-    dynamics, known = case.uncertainty.before or (cast(Dynamics, case.flow), case.uncertainty)
+    dynamics, known = uncertainty.before or (cast(Dynamics, case.flow), uncertainty)
     states = case.train.states
     starts = states[:: max(1, len(states) // ARCS), 0]
     starts = starts[starts.isfinite().all(-1)]

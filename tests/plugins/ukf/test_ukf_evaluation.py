@@ -124,6 +124,17 @@ def test_a_force_error_is_fitted_or_given(spring: Case) -> None:
     assert given == {"from": "force_error", **told}
 
 
+def test_parameters_without_covariance_have_a_force_error_in_their_place(
+    spring: Case, caplog: pytest.LogCaptureFixture
+) -> None:
+    found, asked = (
+        run(spring, f"process_noise={noise}").numbers for noise in ("parameter_error", "force_error")
+    )
+    assert found["process_noise"] == asked["process_noise"]
+    assert found["filters"] == asked["filters"]
+    assert "force_error takes its place" in caplog.text
+
+
 def test_same_measurements_for_every_model(spring: Case, make_case: Callable) -> None:
     other = make_case(SPRING, integrated(SPRING, RK4))
     floor = Who("exact flow", "perturbed", "ukf", "settled", floor=True)
