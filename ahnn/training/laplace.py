@@ -3,7 +3,7 @@
 With all measurements in every step there is no noise of mini-batches left: Gauss-Newton steps on residuals
 and prior lead to the optimum. Parameters follow a bent valley there, in many short steps; functions do not,
 so that the last step is taken by them (`ahnn.dynamics.linearised`): the Gauss-Newton step to the optimum,
-whole. The covariance of the parameters is the inverse of J^T J, starts eliminated, and the prior (Laplace's
+whole, with the prior of the largest evidence there. The covariance of the parameters is the inverse of J^T J, starts eliminated, and the prior (Laplace's
 approximation). Three things that no truth is needed for may widen it:
 
 - chi-square of the training per degree of freedom, where it exceeds 1: the noise is larger than was said, or
@@ -52,7 +52,7 @@ class Place(NamedTuple):
     Attributes:
         theta: (P,).
         loss, degrees, block: of the residuals, as in `Equations`.
-        prior: the one of the largest evidence here.
+        prior: the one of the largest evidence.
         factor: L, (P, P); L L^T is the inverse of the matrix of residuals and prior.
         determined: number of parameters that the data determine.
         offset: (P,) the step to the optimum.
@@ -68,6 +68,19 @@ class Place(NamedTuple):
     determined: float
     offset: Tensor
     remaining: float
+
+    @classmethod
+    def of(cls, theta: Tensor, loss: Tensor, degrees: int, block: Block, prior: Prior) -> Place:
+        """Return the place, its factor and optimum worked out."""
+        factor = posterior_factor(block.matrix, prior)
+        pull = factor.mT @ (block.gradient + prior.precision * theta)
+        count = float(determined(factor, prior).sum())
+        return cls(theta, loss, degrees, block, prior, factor, count, -factor @ pull, float(pull @ pull))
+
+    def linear(self) -> Place:
+        """Return the place with the prior for residuals that are linear in the parameters, to their optimum."""
+        prior = by_evidence(self.block.matrix, self.theta, self.prior.sizes, self.block.gradient)
+        return self.of(self.theta, self.loss, self.degrees, self.block, prior)
 
     @property
     def chi_square(self) -> float:
@@ -104,14 +117,14 @@ def conclude(
         return None
     unseen = WideProblem(dynamics, held_out, ROBUST[robust])
     others = unseen.equations(here.theta, [p.numel() for p in dynamics.parameters()])
-    wide, there = whole_step(problem, dynamics, here)
-    if wide is not None:
-        others = others._replace(loss=after(unseen, wide).cost)
-    elif gained <= ARRIVED * here.determined:
-        there = here.left(gained)
     names = [name for name, _ in dynamics.named_parameters()]
-    found = uncertainty(there, others, dict(zip(names, here.prior.strengths.tolist(), strict=True)))
-    return found if wide is None else replace(found, step=here.offset)
+    taken = whole_step(problem, dynamics, here)
+    if taken is None:
+        there = here.left(gained) if gained <= ARRIVED * here.determined else here
+        return uncertainty(there, others, names)
+    wide, there = taken
+    others = others._replace(loss=after(unseen, wide).cost)
+    return replace(uncertainty(there, others, names), step=there.theta - here.theta)
 
 
 def approached(
@@ -139,21 +152,26 @@ def approached(
     return problem, here, gained
 
 
-def whole_step(problem: WideProblem, dynamics: Dynamics, here: Place) -> tuple[Dynamics | None, Place]:
+def whole_step(problem: WideProblem, dynamics: Dynamics, start: Place) -> tuple[Dynamics, Place] | None:
     """Return dynamics whose functions took the step to the optimum, and the place where they are.
 
-    None for the dynamics where they cannot, or where it does not pay.
+    With the prior that residuals linear in the parameters ask for; where that leads too far, with the one of
+    the parameters as they are. None where functions cannot take it, or where it does not pay.
     """
-    far = here.remaining > ARRIVED * here.determined
-    found = linearised(dynamics, here.offset) if far else None
-    if found is None:
-        return None, here
-    moved = after(problem, found[0])
-    paid = here.prior.penalty(here.theta) - here.prior.penalty(here.theta + here.offset)
-    gained = float(here.loss - moved.cost + paid)
-    if moved.lost or gained <= SUFFICIENT * here.remaining:
-        return None, here
-    return found[0], here.left(here.remaining - gained)._replace(loss=moved.cost)
+    if start.remaining <= ARRIVED * start.determined:
+        return None
+    for here in (start.linear(), start):
+        found, theta = linearised(dynamics, here.offset), here.theta + here.offset
+        if found is None:
+            return None
+        moved = after(problem, found[0])
+        paid = here.prior.penalty(here.theta) - here.prior.penalty(theta)
+        left = here.remaining - float(here.loss - moved.cost + paid)
+        if not moved.lost and left < (1 - SUFFICIENT) * start.remaining:
+            rest = start.left(left)
+            there = here._replace(theta=theta, loss=moved.cost, offset=rest.offset, remaining=rest.remaining)
+            return found[0], there
+    return None
 
 
 def after(problem: WideProblem, dynamics: Dynamics) -> WideProblem:
@@ -167,11 +185,7 @@ def place(problem: WideProblem, theta: Tensor, sizes: Sequence[int]) -> Place | 
     if not blocks:
         return None
     (block,) = blocks
-    prior = by_evidence(block.matrix, theta, sizes)
-    factor = posterior_factor(block.matrix, prior)
-    pull = factor.mT @ with_prior(block, prior, theta).gradient
-    count = float(determined(factor, prior).sum())
-    return Place(theta, loss, degrees, block, prior, factor, count, -factor @ pull, float(pull @ pull))
+    return Place.of(theta, loss, degrees, block, by_evidence(block.matrix, theta, sizes))
 
 
 def lower(problem: WideProblem, here: Place, damping: float) -> tuple[Tensor | None, float, float]:
@@ -197,8 +211,14 @@ def lower(problem: WideProblem, here: Place, damping: float) -> tuple[Tensor | N
     return None, damping, 0.0
 
 
-def uncertainty(here: Place, held_out: Equations, strengths: dict[str, float]) -> Uncertainty:
-    """Return the covariance at a place, as wide as the held-out measurements ask for."""
+def uncertainty(here: Place, held_out: Equations, names: Sequence[str]) -> Uncertainty:
+    """Return the covariance at a place, as wide as the held-out measurements ask for.
+
+    Args:
+        here: where the training ends.
+        held_out: the held-out measurements to second order.
+        names: of the groups of parameters.
+    """
     inflation = max(here.chi_square, 1.0)
     spread = Uncertainty(here.factor, here.offset, inflation, {}).spread
     unexplained = held_out_scale(spread, held_out, here.chi_square)
@@ -208,7 +228,7 @@ def uncertainty(here: Place, held_out: Equations, strengths: dict[str, float]) -
         "chi_square": here.chi_square,
         "remaining": here.remaining,
         "held_out": unexplained,
-        "strengths": strengths,
+        "strengths": dict(zip(names, here.prior.strengths.tolist(), strict=True)),
         "log_evidence": log_evidence(here.block.matrix, here.loss, here.degrees, here.theta, here.prior),
     }
     return Uncertainty(here.factor, here.offset, inflation * unexplained, about)

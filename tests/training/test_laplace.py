@@ -126,7 +126,7 @@ def nearly(rows=60):
 def test_functions_take_the_step_to_the_optimum_whole_that_parameters_cannot():
     model, batch = nearly()
     sizes = [p.numel() for p in model.parameters()]
-    here = laplace.place(WideProblem(model, batch, ROBUST["none"]), flat(model), sizes)
+    here = laplace.place(WideProblem(model, batch, ROBUST["none"]), flat(model), sizes).linear()
     found = conclude(model, batch, batch_of(1, rows=10), 0)
     assert here.remaining > 20
     close(found.step, here.offset, 1e-6)
@@ -145,6 +145,16 @@ def test_a_step_of_functions_that_does_not_pay_is_not_taken(monkeypatch):
     found = conclude(model, batch, batch_of(1, rows=10), 0)
     assert found.step is None
     assert found.about["remaining"] > 20
+
+
+def test_a_step_that_leads_too_far_is_taken_with_the_prior_of_the_parameters(monkeypatch):
+    model, batch = nearly()
+    sizes = [p.numel() for p in model.parameters()]
+    here = laplace.place(WideProblem(model, batch, ROBUST["none"]), flat(model), sizes)
+    far = here._replace(offset=100 * here.offset)
+    monkeypatch.setattr(laplace.Place, "linear", lambda self: far)  # noqa: ARG005
+    found = conclude(model, batch, batch_of(1, rows=10), 0)
+    close(found.step, here.offset, 1e-6)
 
 
 def test_functions_take_no_step_from_the_optimum(monkeypatch):
