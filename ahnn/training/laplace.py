@@ -3,8 +3,9 @@
 With all measurements in every step there is no noise of mini-batches left: Gauss-Newton steps on residuals
 and prior lead to the optimum. Parameters follow a bent valley there, in many short steps; functions do not,
 so that the last step is taken by them (`ahnn.dynamics.linearised`): the Gauss-Newton step to the optimum,
-whole, with the prior of the largest evidence there. The covariance of the parameters is the inverse of J^T J, starts eliminated, and the prior (Laplace's
-approximation). Three things that no truth is needed for may widen it:
+whole, with the prior of the largest evidence there. The covariance of the parameters is the inverse of J^T J,
+starts eliminated, and the prior (Laplace's approximation). Three
+things that no truth is needed for may widen it:
 
 - chi-square of the training per degree of freedom, where it exceeds 1: the noise is larger than was said, or
   the model does not reach the data;
@@ -78,7 +79,7 @@ class Place(NamedTuple):
         return cls(theta, loss, degrees, block, prior, factor, count, -factor @ pull, float(pull @ pull))
 
     def linear(self) -> Place:
-        """Return the place with the prior for residuals that are linear in the parameters, to their optimum."""
+        """Return the place with the prior of residuals that are linear in the parameters, at its optimum."""
         prior = by_evidence(self.block.matrix, self.theta, self.prior.sizes, self.block.gradient)
         return self.of(self.theta, self.loss, self.degrees, self.block, prior)
 
