@@ -17,81 +17,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from ahnn.dynamics import Dynamics
-from ahnn.dynamics.linearised import linearised
 from ahnn.measurements import Segment
 from ahnn.shooting.robust import ROBUST, RobustName
 from ahnn.training.acceleration import accelerated
-from ahnn.training.evidence import Prior, by_evidence, determined, log_evidence, posterior_factor
+from ahnn.training.evidence import by_evidence, log_evidence
+from ahnn.training.functions import ARRIVED, whole_step
 from ahnn.training.levenberg_marquardt import ATTEMPTS, LARGEST, SUFFICIENT, adapted
-from ahnn.training.normal_equations import Block, Equations, damped_step, promised_decrease
-from ahnn.training.posterior import WideProblem, with_prior
+from ahnn.training.normal_equations import Equations, damped_step, promised_decrease
+from ahnn.training.posterior import Place, WideProblem, after, with_prior
 from ahnn.uncertainty import Uncertainty
 
-ARRIVED = 0.05
-"""Squared length of the step that is left, or decrease by the last one, that is not worth another step.
-
-As a share of what noise alone gives: 1 for each parameter that the data determine.
-"""
 DAMPING = 1e-6
 """Of the first step: a training in float32 has left what is seen a millionth as well as the rest."""
 HARDER = 10.0
 """Times the damping, for a step that went beyond its bend."""
 REFUSED = 1.645
 """Standard deviations above what a factor of 1 leads to: it is then refused with 95 %, one-sided."""
-
-
-class Place(NamedTuple):
-    """Residuals and prior to second order about some parameters.
-
-    Attributes:
-        theta: (P,).
-        loss, degrees, block: of the residuals, as in `Equations`.
-        prior: the one of the largest evidence.
-        factor: L, (P, P); L L^T is the inverse of the matrix of residuals and prior.
-        determined: number of parameters that the data determine.
-        offset: (P,) the step to the optimum.
-        remaining: its squared length in standard deviations, which is what it promises to gain.
-    """
-
-    theta: Tensor
-    loss: Tensor
-    degrees: int
-    block: Block
-    prior: Prior
-    factor: Tensor
-    determined: float
-    offset: Tensor
-    remaining: float
-
-    @classmethod
-    def of(cls, theta: Tensor, loss: Tensor, degrees: int, block: Block, prior: Prior) -> Place:
-        """Return the place, its factor and optimum worked out."""
-        factor = posterior_factor(block.matrix, prior)
-        pull = factor.mT @ (block.gradient + prior.precision * theta)
-        count = float(determined(factor, prior).sum())
-        return cls(theta, loss, degrees, block, prior, factor, count, -factor @ pull, float(pull @ pull))
-
-    def linear(self) -> Place:
-        """Return the place with the prior of residuals that are linear in the parameters, at its optimum."""
-        prior = by_evidence(self.block.matrix, self.theta, self.prior.sizes, self.block.gradient)
-        return self.of(self.theta, self.loss, self.degrees, self.block, prior)
-
-    @property
-    def chi_square(self) -> float:
-        """Squared residuals per degree of freedom."""
-        return float(self.loss) / max(self.degrees - self.determined, 1.0)
-
-    def left(self, promised: float) -> Place:
-        """Return the place with a step to the optimum that promises no more than this."""
-        part = min(max(promised / self.remaining, 0.0), 1.0) if self.remaining > 0 else 0.0
-        return self._replace(offset=part**0.5 * self.offset, remaining=part * self.remaining)
 
 
 @torch.no_grad()
@@ -151,33 +98,6 @@ def approached(
             problem.follow(theta)
         here = place(problem, theta, sizes)
     return problem, here, gained
-
-
-def whole_step(problem: WideProblem, dynamics: Dynamics, start: Place) -> tuple[Dynamics, Place] | None:
-    """Return dynamics whose functions took the step to the optimum, and the place where they are.
-
-    With the prior that residuals linear in the parameters ask for; where that leads too far, with the one of
-    the parameters as they are. None where functions cannot take it, or where it does not pay.
-    """
-    if start.remaining <= ARRIVED * start.determined:
-        return None
-    for here in (start.linear(), start):
-        found, theta = linearised(dynamics, here.offset), here.theta + here.offset
-        if found is None:
-            return None
-        moved = after(problem, found[0])
-        paid = here.prior.penalty(here.theta) - here.prior.penalty(theta)
-        left = here.remaining - float(here.loss - moved.cost + paid)
-        if not moved.lost and left < (1 - SUFFICIENT) * start.remaining:
-            rest = start.left(left)
-            there = here._replace(theta=theta, loss=moved.cost, offset=rest.offset, remaining=rest.remaining)
-            return found[0], there
-    return None
-
-
-def after(problem: WideProblem, dynamics: Dynamics) -> WideProblem:
-    """Return the same segments for similar dynamics."""
-    return WideProblem(dynamics, problem.batch, problem.robust, starts=problem.starts)
 
 
 def place(problem: WideProblem, theta: Tensor, sizes: Sequence[int]) -> Place | None:

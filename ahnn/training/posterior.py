@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
+from ahnn.dynamics import Dynamics
 from ahnn.shooting.starts import FOLLOWING, SURE, refine
-from ahnn.training.evidence import Prior
+from ahnn.training.evidence import Prior, by_evidence, determined, posterior_factor
 from ahnn.training.normal_equations import Block
 from ahnn.training.shooting import Limit, ShootingProblem, freedom
 
@@ -25,8 +28,77 @@ class WideProblem(ShootingProblem):
         self.starts, self.limit = fitted.starts, Limit.of(fitted.sums, freedom(self.batch))
 
 
+def after(problem: WideProblem, dynamics: Dynamics) -> WideProblem:
+    """Return the same segments for similar dynamics."""
+    return WideProblem(dynamics, problem.batch, problem.robust, starts=problem.starts)
+
+
 def with_prior(block: Block, prior: Prior, theta: Tensor) -> Block:
     """Return the normal equations of residuals and prior at theta, shape (P,)."""
     precision = prior.precision
     matrix = block.matrix + torch.diag(precision)
     return block._replace(matrix=matrix, gradient=block.gradient + precision * theta)
+
+
+class Place(NamedTuple):
+    """Residuals and prior to second order about some parameters.
+
+    Attributes:
+        theta: (P,).
+        loss, degrees, block: of the residuals, as in `Equations`.
+        prior: the one of the largest evidence.
+        factor: L, (P, P); L L^T is the inverse of the matrix of residuals and prior.
+        determined: number of parameters that the data determine.
+        pull: (P,) gradient of half the sum in units of what noise leaves open: theta = ... + L u.
+    """
+
+    theta: Tensor
+    loss: Tensor
+    degrees: int
+    block: Block
+    prior: Prior
+    factor: Tensor
+    determined: float
+    pull: Tensor
+
+    @classmethod
+    def of(cls, theta: Tensor, loss: Tensor, degrees: int, block: Block, prior: Prior) -> Place:
+        """Return the place, its factor and gradient worked out."""
+        factor = posterior_factor(block.matrix, prior)
+        pull = factor.mT @ (block.gradient + prior.precision * theta)
+        return cls(theta, loss, degrees, block, prior, factor, float(determined(factor, prior).sum()), pull)
+
+    @property
+    def offset(self) -> Tensor:
+        """The step (P,) to the optimum."""
+        return -self.factor @ self.pull
+
+    @property
+    def remaining(self) -> float:
+        """Squared length of that step in standard deviations, which is what it promises to gain."""
+        return float(self.pull @ self.pull)
+
+    @property
+    def chi_square(self) -> float:
+        """Squared residuals per degree of freedom."""
+        return float(self.loss) / max(self.degrees - self.determined, 1.0)
+
+    @property
+    def objective(self) -> float:
+        """Sum of squared residuals and of what the prior adds."""
+        return float(self.loss + self.prior.penalty(self.theta))
+
+    def linear(self) -> Place:
+        """Return the place with the prior of residuals that are linear in the parameters, at its optimum."""
+        prior = by_evidence(self.block.matrix, self.theta, self.prior.sizes, self.block.gradient)
+        return self.of(self.theta, self.loss, self.degrees, self.block, prior)
+
+    def moved(self, theta: Tensor, loss: Tensor, gradient: Tensor) -> Place:
+        """Return another place where the matrix is the same, from J^T r there, shape (P,)."""
+        pull = self.factor.mT @ (gradient + self.prior.precision * theta)
+        return self._replace(theta=theta, loss=loss, pull=pull)
+
+    def left(self, promised: float) -> Place:
+        """Return the place with a step to the optimum that promises no more than this."""
+        part = min(max(promised / self.remaining, 0.0), 1.0) if self.remaining > 0 else 0.0
+        return self._replace(pull=part**0.5 * self.pull)

@@ -220,21 +220,17 @@ class ShootingProblem:
         return Rows(limit.cost(here.sums).sum(), (rows * weight[:, None]).flatten(), jacobian)
 
     @torch.no_grad()
+    def gradient(self, theta: Tensor) -> Tensor:
+        """Return J^T r, shape (P,), by reverse mode in float64: no rounding of J, no normal points."""
+        here, now = self._linearised(theta)
+        return self._pulled_back(theta, here, now, now.residuals.flatten(1))
+
+    @torch.no_grad()
     def bend(self, theta: Tensor, step: Tensor, reach: float) -> Tensor:
         """Return J^T r_vv, as in `ahnn.training.acceleration.Bends`; the starts move along with the step."""
-        states, pulls = self._pulls(theta, step, reach)
-        total, own = torch.zeros_like(theta), self._exact.dynamics
-        for part in self._parts(NUMBERS):
-            field = parametrised(own, cast(HasField, own).field, theta.dtype)
-            back = vjp(lambda parameters, field=field, x=states[part]: field(parameters, x), theta)[1]
-            total = total + back(pulls[part])[0]
-        return total
-
-    def _pulls(self, theta: Tensor, step: Tensor, reach: float) -> tuple[Tensor, Tensor]:
-        """Return the paths of all segments, (B, N + 1, D), and how r_vv pulls at the field there."""
         steps, segment, starts = self.steps, self.batch, self.starts
-        (states, sums), now = self._linearised(theta)
-        weight = self.robust.weight(segment.residuals(states[:, steps.ends])).sqrt()
+        here, now = self._linearised(theta)
+        weight = self.robust.weight(segment.residuals(here.states[:, steps.ends])).sqrt()
 
         def rows(share: float, from_starts: Tensor) -> Tensor:
             trial = self.trial(theta + share * step)
@@ -247,11 +243,21 @@ class ShootingProblem:
         moves = reach * moves.squeeze(-1)
         second = rows(reach, starts + moves) - 2 * now.residuals.flatten(1) + rows(-reach, starts - moves)
         finite = second.isfinite().all(1, keepdim=True)  # a start that moves without end says nothing
-        second = (second / reach**2).where(finite, 0.0)
-        second = second - (basis @ (basis.mT @ second.unsqueeze(-1))).squeeze(-1)
-        second = second * self.limit.weight(sums)[:, None]
-        pulls = torch.einsum("bkm,bkmd->bkd", second.view_as(now.residuals), now.of_state)
-        return states, adjoints(now.jacobians.to(states), pulls, steps)
+        return self._pulled_back(theta, here, now, (second / reach**2).where(finite, 0.0))
+
+    def _pulled_back(self, theta: Tensor, here: Fitted, now: Linearised, rows: Tensor) -> Tensor:
+        """Return J^T of rows (B, R), shape (P,), by reverse mode along all paths; starts eliminated."""
+        basis = torch.linalg.qr(now.of_start.flatten(1, 2)).Q
+        rows = rows - (basis @ (basis.mT @ rows.unsqueeze(-1))).squeeze(-1)
+        rows = rows * self.limit.weight(here.sums)[:, None]
+        pulls = torch.einsum("bkm,bkmd->bkd", rows.view_as(now.residuals), now.of_state)
+        pulls = adjoints(now.jacobians.to(here.states), pulls, self.steps)
+        total, own = torch.zeros_like(theta), self._exact.dynamics
+        for part in self._parts(NUMBERS):
+            field = parametrised(own, cast(HasField, own).field, theta.dtype)
+            back = vjp(lambda parameters, field=field, x=here.states[part]: field(parameters, x), theta)[1]
+            total = total + back(pulls[part])[0]
+        return total
 
 
 def freedom(batch: Segment) -> Tensor:
