@@ -28,10 +28,18 @@ class Steps(NamedTuple):
     Attributes:
         lengths: (B, N).
         ends: (K + 1,) the state of a path, from 0 to N, that belongs to each time.
+        quartered: whether steps are quarters of longer ones, so that integrals take Simpson's rule.
     """
 
     lengths: Tensor
     ends: Tensor
+    quartered: bool = False
+
+    @property
+    def shares(self) -> list[tuple[float, float]]:
+        """What an integrand at begin and end of each step counts, as fractions of its length; N pairs."""
+        rule = [(1 / 3, 2 / 3), (2 / 3, 1 / 3)] if self.quartered else [(0.5, 0.5)]
+        return rule * (self.lengths.shape[1] // len(rule))
 
     def rows(self, part: slice | Tensor) -> Steps:
         """Return the steps of some of the segments."""
@@ -40,19 +48,20 @@ class Steps(NamedTuple):
     def first(self, intervals: int) -> Steps:
         """Return the steps of the first intervals."""
         ends = self.ends[: intervals + 1]
-        return Steps(self.lengths[:, : int(ends[-1])], ends)
+        return self._replace(lengths=self.lengths[:, : int(ends[-1])], ends=ends)
 
 
-def steps_between(times: Tensor, longest: float) -> Steps:
-    """Return steps that end on all of the times (B, K + 1), none longer than `longest`.
+def steps_between(times: Tensor, longest: float, *, quartered: bool = False) -> Steps:
+    """Return steps that end on all of the times (B, K + 1), none longer than `longest`, or quarters of such.
 
     An interval has as many steps in every row as its longest one needs.
     """
     gaps = times.diff(dim=1)
     # A gap of 60.000000000000007 is one step of 60, not two of 30.
     counts = torch.ceil(gaps.amax(0) / longest - 1e-9).clamp(min=1).long()
+    counts = 4 * counts if quartered else counts
     ends = torch.cat((counts.new_zeros(1), counts.cumsum(0)))
-    return Steps((gaps / counts).repeat_interleave(counts, dim=1), ends)
+    return Steps((gaps / counts).repeat_interleave(counts, dim=1), ends, quartered)
 
 
 def path(increment: Increment, start: Tensor, lengths: Tensor) -> Tensor:
@@ -96,7 +105,8 @@ def sensitivities(jacobians: Tensor, forcing: Tensor, steps: Steps, first: Tenso
     """Return dx_k/dtheta at the times of measurements, shape (B, K + 1, D, P).
 
     The variational equation dS/dt = f_x S + f_theta, its transition exact and its integral by the trapezoidal
-    rule: the error is a factor 1 + O(dt^2) on what shapes a step, not on the residuals that judge it.
+    rule, or Simpson's: the error is a factor 1 + O(dt^2), or O(dt^4), on what shapes a step, not on the
+    residuals that judge it.
 
     Args:
         jacobians: of the steps, (B, N, D, D).
@@ -110,12 +120,12 @@ def sensitivities(jacobians: Tensor, forcing: Tensor, steps: Steps, first: Tenso
     current = forcing.new_zeros(rows, size, forcing.shape[-1]) if first is None else first
     measured = set(steps.ends.tolist())
     wanted = [current] if 0 in measured else []
-    for k, dt in enumerate(steps.lengths.to(forcing).unbind(1)):
-        half = dt[:, None, None] / 2
+    for k, (before, after) in enumerate(steps.shares):
+        dt = steps.lengths[:, k, None, None].to(forcing)
         kicked = current.clone()
-        kicked[:, driven].addcmul_(half, forcing[:, k])
+        kicked[:, driven].addcmul_(before * dt, forcing[:, k])
         current = jacobians[:, k] @ kicked
-        current[:, driven].addcmul_(half, forcing[:, k + 1])
+        current[:, driven].addcmul_(after * dt, forcing[:, k + 1])
         if k + 1 in measured:
             wanted.append(current)
     return torch.stack(wanted, dim=1)
@@ -135,10 +145,10 @@ def adjoints(jacobians: Tensor, pulls: Tensor, steps: Steps) -> Tensor:
     at = dict(zip(steps.ends.tolist(), pulls.unbind(1), strict=True))
     last = steps.lengths.shape[1]
     pull = at[last]
-    for k in reversed(range(last)):
-        half = steps.lengths[:, k, None] / 2
-        found[:, k + 1] += half * pull
+    for k, (before, after) in reversed([*enumerate(steps.shares)]):
+        dt = steps.lengths[:, k, None]
+        found[:, k + 1] += after * dt * pull
         pull = (pull.unsqueeze(1) @ jacobians[:, k]).squeeze(1)
-        found[:, k] += half * pull
+        found[:, k] += before * dt * pull
         pull = pull + at.get(k, 0.0)
     return found

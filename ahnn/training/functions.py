@@ -1,9 +1,9 @@
 """The last step of a training, taken by the functions that were learned: their residuals hardly bend.
 
-A Gauss-Newton step of networks that are linear in their parameters leads to the optimum, up to three things:
-what normal points and float32 leave out of J, and the bend of paths themselves. So the gradient is found
-again where the step leads, exactly, and steps with the same matrix follow, mixed so that what is left is
-least (Anderson 1965; of linear equations that is GMRES).
+A Gauss-Newton step of networks that are linear in their parameters leads to the optimum, up to what normal
+points leave out of J and what paths themselves bend. So the gradient is found again where the step leads, by
+reverse mode, and steps with the same matrix follow, mixed so that what is left is least (Anderson 1965; of
+linear equations that is GMRES).
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ def whole_step(problem: WideProblem, dynamics: Dynamics, start: Place) -> tuple[
     """
     if start.remaining <= ARRIVED * start.determined:
         return None
+    start = start.moved(start.theta, start.loss, problem.gradient(start.theta))
     for here in (start.linear(), start):
         found = arrived(problem, dynamics, here)
         if found is not None and found[1].remaining < (1 - SUFFICIENT) * start.remaining:
@@ -45,7 +46,7 @@ def whole_step(problem: WideProblem, dynamics: Dynamics, start: Place) -> tuple[
 
 def arrived(problem: WideProblem, dynamics: Dynamics, here: Place) -> tuple[Dynamics, Place] | None:
     """Return dynamics after steps of their functions, and the place; None where residuals and prior rise."""
-    theta, places = here.theta + here.offset, list[Place]()
+    theta, places = here.theta + here.offset, [here]
     best: tuple[Dynamics, Place] | None = None
     for _ in range(STEPS):
         found = linearised(dynamics, theta - here.theta)

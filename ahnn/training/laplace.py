@@ -30,7 +30,7 @@ from ahnn.training.evidence import by_evidence, log_evidence
 from ahnn.training.functions import ARRIVED, whole_step
 from ahnn.training.levenberg_marquardt import ATTEMPTS, LARGEST, SUFFICIENT, adapted
 from ahnn.training.normal_equations import Equations, damped_step, promised_decrease
-from ahnn.training.posterior import Place, WideProblem, after, with_prior
+from ahnn.training.posterior import Place, WideProblem, after, whole_problem, with_prior
 from ahnn.uncertainty import Uncertainty
 
 DAMPING = 1e-6
@@ -63,7 +63,7 @@ def conclude(
     problem, here, gained = approached(dynamics, train, steps, robust)
     if here is None:
         return None
-    unseen = WideProblem(dynamics, held_out, ROBUST[robust])
+    unseen = whole_problem(dynamics, held_out, ROBUST[robust])
     others = unseen.equations(here.theta, [p.numel() for p in dynamics.parameters()])
     names = [name for name, _ in dynamics.named_parameters()]
     taken = whole_step(problem, dynamics, here)
@@ -81,7 +81,7 @@ def approached(
     """Take steps of the parameters; return problem and place where they end, and what the last one gained."""
     parameters = list(dynamics.parameters())
     sizes = [p.numel() for p in parameters]
-    problem = WideProblem(dynamics, train, ROBUST[robust])
+    problem = whole_problem(dynamics, train, ROBUST[robust])
     here = place(problem, parameters_to_vector(parameters), sizes)
     damping, gained = DAMPING, float("inf")
     for _ in range(steps):
@@ -93,7 +93,7 @@ def approached(
         gained = decrease
         vector_to_parameters(theta, parameters)
         if problem.lost:  # what did not converge before may do so now
-            problem = WideProblem(dynamics, train, ROBUST[robust])
+            problem = whole_problem(dynamics, train, ROBUST[robust])
         else:
             problem.follow(theta)
         here = place(problem, theta, sizes)

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor
 
-from ahnn.dynamics import Dynamics
+from ahnn.dynamics import Dynamics, HasField
+from ahnn.measurements import Segment
+from ahnn.shooting.robust import Robust
 from ahnn.shooting.starts import FOLLOWING, SURE, refine
 from ahnn.training.evidence import Prior, by_evidence, determined, posterior_factor
 from ahnn.training.normal_equations import Block
 from ahnn.training.shooting import Limit, ShootingProblem, freedom
 
+COARSE = 3e-3
+"""Error of the trapezoidal rule, as a share of the field, beyond which steps are quartered.
+
+A start undoes up to all but 1e-5 of what parameters do to a path: what a rule leaves of that looks like
+information, about parameters that no measurement determines.
+"""
+
 
 class WideProblem(ShootingProblem):
-    """Segments whose normal equations are summed in float64: badly known directions keep their digits."""
+    """Segments whose normal equations are in float64: badly known directions keep their digits."""
 
     precision = torch.float64
 
@@ -28,9 +37,26 @@ class WideProblem(ShootingProblem):
         self.starts, self.limit = fitted.starts, Limit.of(fitted.sums, freedom(self.batch))
 
 
+def whole_problem(dynamics: Dynamics, batch: Segment, robust: Robust) -> WideProblem:
+    """Return all segments as a problem, with steps quartered where whole ones know J too badly."""
+    problem = WideProblem(dynamics, batch, robust)
+    if rule_error(dynamics, problem.fitted.states[problem.kept]) <= COARSE:
+        return problem
+    return WideProblem(dynamics, batch, robust, starts=problem.fitted.starts, quartered=True)
+
+
 def after(problem: WideProblem, dynamics: Dynamics) -> WideProblem:
     """Return the same segments for similar dynamics."""
-    return WideProblem(dynamics, problem.batch, problem.robust, starts=problem.starts)
+    quartered = problem.steps.quartered
+    return WideProblem(dynamics, problem.batch, problem.robust, starts=problem.starts, quartered=quartered)
+
+
+@torch.no_grad()
+def rule_error(dynamics: Dynamics, states: Tensor) -> float:
+    """Return about what the trapezoidal rule is off by along paths (B, N + 1, D), as a share of the field."""
+    field = cast(HasField, dynamics).field(states)[..., states.shape[-1] // 2 :]
+    bend = field.diff(n=2, dim=1).norm(dim=-1) / 12
+    return float(bend.mean() / field.norm(dim=-1).mean()) if bend.numel() else 0.0
 
 
 def with_prior(block: Block, prior: Prior, theta: Tensor) -> Block:
@@ -96,7 +122,7 @@ class Place(NamedTuple):
     def moved(self, theta: Tensor, loss: Tensor, gradient: Tensor) -> Place:
         """Return another place where the matrix is the same, from J^T r there, shape (P,)."""
         pull = self.factor.mT @ (gradient + self.prior.precision * theta)
-        return self._replace(theta=theta, loss=loss, pull=pull)
+        return self._replace(theta=theta, loss=loss, pull=pull, block=self.block._replace(gradient=gradient))
 
     def left(self, promised: float) -> Place:
         """Return the place with a step to the optimum that promises no more than this."""

@@ -105,6 +105,7 @@ class ShootingProblem:
         robust: the loss of single residuals.
         hopeless: mean squared residual of a segment that is given up.
         starts: (B, D) that nearly fit, of similar dynamics; None finds them from the measurements.
+        quartered: whether steps of the integrator are quarters of those between measurements.
 
     Attributes:
         fitted: all segments from the starts that fit them best.
@@ -129,6 +130,7 @@ class ShootingProblem:
         robust: Robust,
         hopeless: float = HOPELESS,
         starts: Tensor | None = None,
+        quartered: bool = False,
     ) -> None:
         if not isinstance(dynamics, HasField):
             message = (
@@ -136,8 +138,8 @@ class ShootingProblem:
                 f"{type(dynamics).__name__}. Use model=ahnn or model=node"
             )
             raise UserError(message)
-        self.robust, self.forcing = robust, field_jacobian(dynamics)
-        steps = steps_between(batch.times, batch.instrument.longest)
+        self.robust, self.forcing = robust, field_jacobian(dynamics, self.precision)
+        steps = steps_between(batch.times, batch.instrument.longest, quartered=quartered)
         self._exact = Increments(dynamics, PATHS * steps.lengths.shape[1])
         narrow = copy.deepcopy(dynamics).requires_grad_(False)
         self._rough = parametrised(narrow, narrow.increment, torch.float32)
