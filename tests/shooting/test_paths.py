@@ -69,29 +69,32 @@ def test_a_step_that_rounds_above_the_longest_is_still_one():
     assert steps.ends.tolist() == [0, 1, 2]
 
 
-def test_sensitivities_converge_with_the_square_of_the_step():
+@pytest.mark.parametrize(("quartered", "order"), [(False, 2), (True, 4)])
+def test_sensitivities_converge_with_the_order_of_their_rule(quartered, order):
     """dx/dt = A x + theta t^0: dx/dtheta is the integral of an exponential, A^-1 (e^At - 1)."""
     errors = []
-    for count in (8, 16, 32):
-        dt = torch.full((1, count), 1.0 / count, dtype=torch.float64)
-        jacobian = torch.linalg.matrix_exp(A / count).expand(1, count, 2, 2)
-        forcing = torch.eye(2, dtype=torch.float64).expand(1, count + 1, 2, 2)
-        steps = steps_between(torch.tensor([[0.0, 1.0]], dtype=torch.float64), 1.0 / count)
-        assert steps.lengths.shape == dt.shape
+    for count in (4, 8, 16):
+        times = torch.tensor([[0.0, 1.0]], dtype=torch.float64)
+        steps = steps_between(times, 1.0 / count, quartered=quartered)
+        number = 4 * count if quartered else count
+        assert steps.lengths.shape == (1, number)
+        jacobian = torch.linalg.matrix_exp(A / number).expand(1, number, 2, 2)
+        forcing = torch.eye(2, dtype=torch.float64).expand(1, number + 1, 2, 2)
         got = sensitivities(jacobian, forcing, steps)[:, -1]
         expected = torch.linalg.solve(A, torch.linalg.matrix_exp(A) - torch.eye(2))
         errors.append(float((got[0] - expected).abs().max()))
     for coarse, fine in pairwise(errors):
-        assert 3.7 < coarse / fine < 4.3
+        assert coarse / fine == pytest.approx(2**order, rel=0.1)
 
 
-def test_adjoints_are_the_transpose_of_sensitivities():
+@pytest.mark.parametrize("quartered", [False, True])
+def test_adjoints_are_the_transpose_of_sensitivities(quartered):
     """Sum pulls_k S_k v = sum c_k f_theta(x_k) v, for any pulls and any forcing."""
     jacobians, forcing = (
-        torch.randn(3, n, 2, 2, generator=generator(n), dtype=torch.float64) for n in (7, 8)
+        torch.randn(3, n, 2, 2, generator=generator(n), dtype=torch.float64) for n in (8, 9)
     )
     pulls = torch.randn(3, 3, 2, generator=generator(9), dtype=torch.float64)
-    steps = Steps(lengths(), torch.tensor([0, 2, 7]))
+    steps = Steps(lengths(steps=8), torch.tensor([0, 4, 8]), quartered)
     forward = torch.einsum("bkd,bkdp->p", pulls, sensitivities(jacobians, forcing, steps))
     backward = torch.einsum("bnd,bndp->p", adjoints(jacobians, pulls, steps), forcing)
     close(backward, forward, 1e-12)

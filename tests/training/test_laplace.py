@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 from helpers import close, generator
@@ -17,7 +19,7 @@ from ahnn.training.evidence import Prior, by_evidence
 from ahnn.training.functions import ARRIVED, mixed
 from ahnn.training.laplace import conclude, held_out_scale, uncertainty
 from ahnn.training.normal_equations import Block, Equations
-from ahnn.training.posterior import Place, WideProblem, with_prior
+from ahnn.training.posterior import Place, WideProblem, rule_error, whole_problem, with_prior
 from ahnn.training.shooting import ShootingProblem
 
 DOUBLE = {"dtype": torch.float64}
@@ -330,3 +332,42 @@ def test_a_step_beyond_its_bend_is_damped_ten_times_as_much(too_large, damping):
 def test_no_step_is_taken_where_all_go_beyond_their_bend_and_the_damping_stays_in_its_range():
     assert laplace.lower(Line(99, torch.zeros(2, **DOUBLE)), place(), 1e-3) == (None, pytest.approx(1e3), 0.0)
     assert laplace.lower(Line(99, torch.zeros(2, **DOUBLE)), place(), 1e3) == (None, 1e6, 0.0)
+
+
+def test_the_error_of_the_trapezoidal_rule_is_read_off_paths():
+    """Along a harmonic motion second differences of the force are 2 (cos w dt - 1) of it."""
+    still = make_dynamics(
+        "hamiltonian",
+        dof=1,
+        inertia=1.0,
+        hamiltonian="mechanical",
+        mu=None,
+        inputs="cartesian",
+        scaling="none",
+        integrator={"name": "rk4"},
+        network={"width": 2, "depth": 1, "activation": "tanh"},
+    ).double()
+    still.field.force = lambda q: -4.0 * q
+    t = 0.3 * torch.arange(200, **DOUBLE)
+    states = torch.stack(((2 * t).sin(), 2 * (2 * t).cos()), dim=-1).unsqueeze(0)
+    assert rule_error(still, states) == pytest.approx((1 - math.cos(0.6)) / 6, rel=1e-2)
+
+
+@pytest.mark.parametrize(("longest", "quartered"), [(0.05, False), (0.5, True)])
+def test_long_steps_are_quartered_and_know_their_gradient(longest, quartered):
+    batch = batch_of(0, longest=longest)
+    at = (2.003, 0.497)  # so near that no segment is limited
+    problem = whole_problem(Swing(*at), batch, ROBUST["none"])
+    assert problem.steps.quartered == quartered
+    _, _, (block,) = problem.equations(flat(Swing(*at)), [2])
+
+    def cost(shift):
+        moved = Swing(at[0] + float(shift[0]), at[1] + float(shift[1]))
+        return float(
+            WideProblem(moved, batch, ROBUST["none"], starts=problem.starts, quartered=quartered).cost
+        )
+
+    for k, e in enumerate(1e-4 * torch.eye(2, **DOUBLE)):
+        slope = (cost(e) - cost(-e)) / 4e-4
+        assert float(block.gradient[k]) == pytest.approx(slope, rel=2e-3)
+        assert float(problem.gradient(flat(Swing(*at)))[k]) == pytest.approx(slope, rel=2e-3)
