@@ -50,6 +50,12 @@ class Run:
     folder: Path
     uncertainty: Uncertainty | None = None
 
+    @property
+    def trained(self) -> Dynamics:
+        """The dynamics without a last step of functions, which parameters cannot follow."""
+        before = self.uncertainty and self.uncertainty.before
+        return before[0] if before else self.dynamics
+
     def flow(self, x: Numbers, dt: TimeStep | None = None) -> Tensor:
         """Return the states (B, 2n) that x, shape (B, 2n), reaches after dt, or a sampling interval."""
         return self.dynamics(self._states(x, "x"), self.dt if dt is None else dt)

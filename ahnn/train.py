@@ -197,17 +197,13 @@ def announce(label: str, trainer: Trainer, data: WindowDataModule, model: Abstra
 def begin_at(model: AbstractModel, run: str) -> None:
     """Give a model the weights of a run, or of a shipped model, to train on with a schedule of its own.
 
-    Those before a last step of functions: parameters cannot follow it.
-
     Raises:
         UserError: they belong to other dynamics.
     """
     from ahnn.checkpoints import require_same
     from ahnn.runs import load
 
-    found = load(run)
-    before = found.uncertainty and found.uncertainty.before
-    trained = before[0] if before else found.dynamics
+    trained = load(run).trained
     require_same(f"weights {run}", {"dynamics": model.dynamics.spec}, {"dynamics": trained.spec})
     model.dynamics.load_state_dict(trained.state_dict())
 

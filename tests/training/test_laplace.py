@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 import torch
 from helpers import close, generator
 from oscillators import Swing, segment
 from torch.nn.utils import parameters_to_vector
 
-from ahnn.dynamics import make_dynamics
-from ahnn.dynamics.linearised import linearised
 from ahnn.measurements import Position
 from ahnn.shooting.robust import ROBUST
-from ahnn.training import LevenbergMarquardt, functions, laplace
+from ahnn.training import LevenbergMarquardt, laplace
 from ahnn.training.evidence import Prior, by_evidence
-from ahnn.training.functions import ARRIVED, mixed
 from ahnn.training.laplace import conclude, held_out_scale, uncertainty
 from ahnn.training.normal_equations import Block, Equations
-from ahnn.training.posterior import Place, WideProblem, rule_error, whole_problem, with_prior
+from ahnn.training.posterior import Place, WideProblem, with_prior
 from ahnn.training.shooting import ShootingProblem
 
 DOUBLE = {"dtype": torch.float64}
@@ -110,96 +105,6 @@ def test_what_is_left_is_no_more_than_the_last_step_gained_where_that_was_next_t
     assert found.about["remaining"] == pytest.approx(part * promised.about["remaining"], rel=1e-6)
     close(found.offset, part**0.5 * promised.offset, 1e-6)
     close(found.factor, promised.factor, 1e-6)
-
-
-def nearly(rows=60):
-    """Positions that a network for V(q) made, and the network a little beside."""
-    torch.manual_seed(0)
-    options = {"dof": 1, "inertia": 1.0, "hamiltonian": "mechanical", "mu": None, "inputs": "cartesian"}
-    options |= {"scaling": "none", "integrator": {"name": "rk4"}}
-    network = {"width": 6, "depth": 2, "activation": "tanh"}
-    model = make_dynamics("hamiltonian", **options, network=network).double()
-    model.field.potential.network.output.weight.data.mul_(30)
-    _, batch = segment(rows=rows, measurement=Position(1), longest=0.05, dynamics=model)
-    for k, p in enumerate(model.parameters()):
-        p.data.add_(0.01 * torch.randn(p.shape, generator=generator(k), **DOUBLE))
-    return model, batch
-
-
-@pytest.fixture
-def started():
-    """A model, its problem, and the place where it begins."""
-    model, batch = nearly()
-    problem = WideProblem(model, batch, ROBUST["none"])
-    here = laplace.place(problem, flat(model), [p.numel() for p in model.parameters()])
-    assert here.remaining > 20
-    return model, problem, here
-
-
-def test_the_gradient_in_reverse_is_that_of_the_normal_equations(started):
-    model, problem, here = started
-    close(problem.gradient(flat(model)), here.block.gradient, 1e-5)
-
-
-def test_functions_take_the_steps_to_the_optimum_that_parameters_cannot(started):
-    model, problem, here = started
-    found = conclude(model, problem.batch, batch_of(1, rows=10), 0)
-    close(found.step, here.linear().offset, 0.1)
-    assert found.about["remaining"] <= ARRIVED * found.about["determined"]
-    assert found.about["chi_square"] < here.chi_square
-    # Nothing is left by an independent measure: central differences of residuals and prior.
-    learned, known = found.taken(model)
-    strengths = Prior(torch.tensor(list(found.about["strengths"].values()), **DOUBLE), here.prior.sizes)
-
-    def objective(direction, share):
-        wide, _ = linearised(model, found.step + share * direction)
-        moved = WideProblem(wide, problem.batch, ROBUST["none"])
-        return float(moved.cost + strengths.penalty(flat(model) + found.step + share * direction))
-
-    for direction in found.factor.T[:3]:
-        slope = (objective(direction, 1.0) - objective(direction, -1.0)) / 4
-        assert slope**2 < ARRIVED * found.about["determined"]
-    assert known.offset.norm() > 0
-    assert learned.spec["network"]["width"] == 18
-
-
-def test_a_mixture_of_places_solves_linear_equations():
-    """Gradients of a quadratic, whose matrix is other than that of the steps in two directions."""
-    curvature = torch.diag(torch.tensor([1.0, 1.0, 1.8, 0.4], **DOUBLE))
-    best = torch.tensor([1.0, -2.0, 3.0, 0.5], **DOUBLE)
-    block = Block(torch.arange(4), torch.eye(4, **DOUBLE), torch.zeros(4, **DOUBLE))
-    prior = Prior(torch.tensor([1e-12], **DOUBLE), (4,))
-    theta, places = torch.zeros(4, **DOUBLE), []
-    start = Place.of(theta, theta.sum(), 100, block, prior)
-    for _ in range(4):
-        places.append(start.moved(theta, theta.sum(), curvature @ (theta - best)))
-        theta = mixed(places)
-    close(theta, best, 1e-6)
-
-
-def test_steps_of_functions_that_do_not_pay_are_not_taken(started, monkeypatch):
-    model, problem, _ = started
-    wrong = lambda dynamics, step: linearised(dynamics, -step)  # noqa: E731
-    monkeypatch.setattr(functions, "linearised", wrong)
-    monkeypatch.setattr(functions, "STEPS", 1)
-    found = conclude(model, problem.batch, batch_of(1, rows=10), 0)
-    assert found.step is None
-    assert found.about["remaining"] > 20
-
-
-def test_a_step_that_leads_too_far_is_taken_with_the_prior_of_the_parameters(started, monkeypatch):
-    model, problem, here = started
-    far = here._replace(pull=100 * here.pull)
-    monkeypatch.setattr(Place, "linear", lambda self: far)  # noqa: ARG005
-    monkeypatch.setattr(functions, "STEPS", 1)
-    found = conclude(model, problem.batch, batch_of(1, rows=10), 0)
-    close(found.step, here.offset, 1e-6)
-
-
-def test_functions_take_no_step_from_the_optimum(monkeypatch):
-    model, batch = nearly()
-    monkeypatch.setattr(functions, "ARRIVED", 1e6)
-    assert conclude(model, batch, batch_of(1, rows=10), 3).step is None
 
 
 def test_nothing_is_said_where_nothing_is_explained():
@@ -332,42 +237,3 @@ def test_a_step_beyond_its_bend_is_damped_ten_times_as_much(too_large, damping):
 def test_no_step_is_taken_where_all_go_beyond_their_bend_and_the_damping_stays_in_its_range():
     assert laplace.lower(Line(99, torch.zeros(2, **DOUBLE)), place(), 1e-3) == (None, pytest.approx(1e3), 0.0)
     assert laplace.lower(Line(99, torch.zeros(2, **DOUBLE)), place(), 1e3) == (None, 1e6, 0.0)
-
-
-def test_the_error_of_the_trapezoidal_rule_is_read_off_paths():
-    """Along a harmonic motion second differences of the force are 2 (cos w dt - 1) of it."""
-    still = make_dynamics(
-        "hamiltonian",
-        dof=1,
-        inertia=1.0,
-        hamiltonian="mechanical",
-        mu=None,
-        inputs="cartesian",
-        scaling="none",
-        integrator={"name": "rk4"},
-        network={"width": 2, "depth": 1, "activation": "tanh"},
-    ).double()
-    still.field.force = lambda q: -4.0 * q
-    t = 0.3 * torch.arange(200, **DOUBLE)
-    states = torch.stack(((2 * t).sin(), 2 * (2 * t).cos()), dim=-1).unsqueeze(0)
-    assert rule_error(still, states) == pytest.approx((1 - math.cos(0.6)) / 6, rel=1e-2)
-
-
-@pytest.mark.parametrize(("longest", "quartered"), [(0.05, False), (0.5, True)])
-def test_long_steps_are_quartered_and_know_their_gradient(longest, quartered):
-    batch = batch_of(0, longest=longest)
-    at = (2.003, 0.497)  # so near that no segment is limited
-    problem = whole_problem(Swing(*at), batch, ROBUST["none"])
-    assert problem.steps.quartered == quartered
-    _, _, (block,) = problem.equations(flat(Swing(*at)), [2])
-
-    def cost(shift):
-        moved = Swing(at[0] + float(shift[0]), at[1] + float(shift[1]))
-        return float(
-            WideProblem(moved, batch, ROBUST["none"], starts=problem.starts, quartered=quartered).cost
-        )
-
-    for k, e in enumerate(1e-4 * torch.eye(2, **DOUBLE)):
-        slope = (cost(e) - cost(-e)) / 4e-4
-        assert float(block.gradient[k]) == pytest.approx(slope, rel=2e-3)
-        assert float(problem.gradient(flat(Swing(*at)))[k]) == pytest.approx(slope, rel=2e-3)

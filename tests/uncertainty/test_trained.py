@@ -48,7 +48,7 @@ def test_a_training_on_measurements_leaves_the_covariance_of_its_weights(folder)
 def test_a_training_goes_on_from_the_parameters_before_the_step_of_functions(folder, tmp_path):
     more = [*TINY, "system.steps=60", f"weights={folder}", f"run={tmp_path / 'more'}"]
     assert call("ahnn.train", *more) == 0
-    assert ahnn.load(tmp_path / "more").uncertainty.before[0].spec["network"]["width"] == 4
+    assert ahnn.load(tmp_path / "more").trained.spec["network"]["width"] == 4
 
 
 def test_a_run_has_bands_for_any_start(folder):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import json
 from collections.abc import Callable
@@ -11,22 +10,18 @@ from pathlib import Path
 
 import pytest
 import torch
-from hydra import compose, initialize_config_dir
-from omegaconf import DictConfig, OmegaConf
+from evaluating import run
 from scipy.stats import chi2
 
-from ahnn.cli.build import build_all
-from ahnn.cli.commandline import pair
 from ahnn.data.generate import generate
 from ahnn.errors import UserError
 from ahnn.estimation import Setting, simulated
-from ahnn.evaluation import Case, Findings, Who
+from ahnn.evaluation import Case, Who
 from ahnn.evaluation.case import perturbations
 from ahnn.evaluation.open_loop import integrated
 from ahnn.evaluation.results import plain
 from ahnn.integrators import INTEGRATORS
 from ahnn.measurements import Position
-from ahnn.paths import conf_dir
 from ahnn.systems import MassSpring, Molniya, System
 from ahnn.types import Flow
 
@@ -59,21 +54,6 @@ def make_case(tmp_path: Path) -> Callable[..., Case]:
         )
 
     return make
-
-
-@cache
-def composed(group: str, measurement: str) -> DictConfig:
-    """The configuration of a command line, composed once: Hydra takes a third of a second for it."""
-    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
-        return compose("train", [f"plugins={group}", f"measurement={measurement}", "folder=."])
-
-
-def run(case: Case, *overrides: str, group: str = "ukf", measurement: str = "position") -> Findings:
-    """Evaluate a case by the plugin that the YAML and some overrides describe."""
-    cfg = copy.deepcopy(composed(group, measurement))
-    for key, value in map(pair, overrides):
-        OmegaConf.update(cfg, f"plugins.ukf.{key}", value, force_add=True)
-    return build_all(cfg.plugins, "plugins")["ukf"](case)
 
 
 @pytest.fixture
@@ -137,9 +117,7 @@ def test_a_force_error_is_fitted_or_given(spring: Case) -> None:
 def test_parameters_without_covariance_have_a_force_error_in_their_place(
     spring: Case, caplog: pytest.LogCaptureFixture
 ) -> None:
-    found, asked = (
-        run(spring, f"process_noise={noise}").numbers for noise in ("parameter_error", "force_error")
-    )
+    found, asked = (run(spring, f"process_noise={n}").numbers for n in ("parameter_error", "force_error"))
     assert found["process_noise"] == asked["process_noise"]
     assert found["filters"] == asked["filters"]
     assert "force_error takes its place" in caplog.text
