@@ -5,9 +5,8 @@ With residuals r in standard deviations and their Jacobian J, the posterior of t
     N(theta, H^-1),   H = J^T J + diag(alpha),
 
 and the evidence p(data | alpha), the integral over theta, is largest where alpha_g |theta_g|^2 = gamma_g, the
-number of parameters of group g that the data determine (MacKay 1992, Neural Computation 4, 448-472). Where
-residuals are linear in theta, the optimum that moves with alpha is known in closed form. A group is a tensor
-of parameters: weights and biases of each layer have a scale of their own (Neal 1996, chapter 1).
+number of parameters of group g that the data determine (MacKay 1992, Neural Computation 4, 448-472). A group
+is a tensor of parameters: weights and biases of each layer have a scale of their own (Neal 1996, chapter 1).
 """
 
 from __future__ import annotations
@@ -20,10 +19,10 @@ import torch
 from torch import Tensor
 
 BEGIN = 1.0
-"""Strength that the iteration begins with; a group of which the data say nothing keeps what it has."""
+"""Strength that the iteration begins with, and that a group keeps of which the data say nothing."""
 NOTHING = 1e-6
 """Share of its parameters that the data determine in such a group."""
-ROUNDS, SETTLED = 200, 1e-3
+ROUNDS, SETTLED = 200, 1e-4
 """Fixed-point iterations at most, and the relative change of a strength that is none."""
 
 
@@ -69,27 +68,21 @@ def determined(factor: Tensor, prior: Prior) -> Tensor:
     return torch.stack([(1 - part).sum().clamp(min=0) for part in left.split(list(prior.sizes))])
 
 
-def by_evidence(matrix: Tensor, theta: Tensor, sizes: Sequence[int], gradient: Tensor | None = None) -> Prior:
-    """Return the prior that makes the evidence largest.
+def by_evidence(matrix: Tensor, theta: Tensor, sizes: Sequence[int]) -> Prior:
+    """Return the prior that makes the evidence largest, theta held where it is.
 
     Args:
         matrix: J^T J, shape (P, P), float64.
         theta: the parameters, shape (P,).
         sizes: parameters of each group.
-        gradient: J^T r at theta, shape (P,), of residuals that are linear in the parameters: each prior is
-            then judged where it has its optimum. None holds theta where it is.
     """
-    prior = Prior(theta.new_full((len(sizes),), BEGIN), sizes)
-    counts = torch.tensor(list(sizes))
+    squares = torch.stack([part.square().sum() for part in theta.split(list(sizes))])
+    prior = Prior(torch.full_like(squares, BEGIN), sizes)
+    known = squares > 0
     for _ in range(ROUNDS):
-        factor = posterior_factor(matrix, prior)
-        best = theta
-        if gradient is not None:
-            best = theta - factor @ (factor.mT @ (gradient + prior.precision * theta))
-        squares = torch.stack([part.square().sum() for part in best.split(list(sizes))])
-        gamma = determined(factor, prior)
-        told = (squares > 0) & (gamma > NOTHING * counts)
-        wanted = (gamma / squares).where(told, prior.strengths)
+        gamma = determined(posterior_factor(matrix, prior), prior)
+        told = known & (gamma > NOTHING * torch.tensor(list(sizes)))
+        wanted = torch.where(told, gamma / squares.clamp(min=torch.finfo(squares.dtype).tiny), BEGIN)
         # alpha -> gamma(alpha) / |theta|^2 falls with alpha with a slope of at most 1: its mean with alpha
         # does not swing.
         settled = bool(((wanted / prior.strengths).log().abs() <= SETTLED).all())

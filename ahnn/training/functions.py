@@ -31,21 +31,11 @@ STEPS = 4
 def whole_step(problem: WideProblem, dynamics: Dynamics, start: Place) -> tuple[Dynamics, Place] | None:
     """Return dynamics whose functions took the step to the optimum, and the place where they are.
 
-    With the prior that residuals linear in the parameters ask for; where that leads too far, with the one of
-    the parameters as they are. None where functions cannot take it, or where it does not pay.
+    None where functions cannot take it, or where it does not pay.
     """
     if start.remaining <= ARRIVED * start.determined:
         return None
-    start = start.moved(start.theta, start.loss, problem.gradient(start.theta))
-    for here in (start.linear(), start):
-        found = arrived(problem, dynamics, here)
-        if found is not None and found[1].remaining < (1 - SUFFICIENT) * start.remaining:
-            return found
-    return None
-
-
-def arrived(problem: WideProblem, dynamics: Dynamics, here: Place) -> tuple[Dynamics, Place] | None:
-    """Return dynamics after steps of their functions, and the place; None where residuals and prior rise."""
+    here = start.moved(start.theta, start.loss, problem.gradient(start.theta))
     theta, places = here.theta + here.offset, [here]
     best: tuple[Dynamics, Place] | None = None
     for _ in range(STEPS):
@@ -64,7 +54,8 @@ def arrived(problem: WideProblem, dynamics: Dynamics, here: Place) -> tuple[Dyna
         if there.remaining <= ARRIVED * there.determined:
             break
         theta = mixed(places)
-    return best if best is not None and best[1].objective < here.objective else None
+    paid = best is not None and here.objective - best[1].objective > SUFFICIENT * here.remaining
+    return best if paid else None
 
 
 def mixed(places: Sequence[Place]) -> Tensor:

@@ -2,14 +2,13 @@
 
 With all measurements in every step there is no noise of mini-batches left: Gauss-Newton steps on residuals
 and prior lead to the optimum. Parameters follow a bent valley there, in many short steps; functions do not,
-so that the last step is taken by them (`ahnn.dynamics.linearised`): the Gauss-Newton step to the optimum,
-whole, with the prior of the largest evidence there. The covariance of the parameters is the inverse of J^T J,
-starts eliminated, and the prior (Laplace's approximation). Three things that no truth is needed for may
-widen it:
+so that the last steps are taken by them (`ahnn.training.functions`). The covariance of the parameters is the
+inverse of J^T J, starts eliminated, and the prior (Laplace's approximation). Three things that no truth is
+needed for may widen it:
 
 - chi-square of the training per degree of freedom, where it exceeds 1: the noise is larger than was said, or
   the model does not reach the data;
-- what the last step did not gain of what it promised: the training is off by that much of it, too;
+- the step that is left: the training is off by that much, too;
 - held-out measurements: if the model leaves more of them unexplained than both account for, by that ratio.
 """
 

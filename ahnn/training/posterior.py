@@ -11,7 +11,7 @@ from ahnn.dynamics import Dynamics, HasField
 from ahnn.measurements import Segment
 from ahnn.shooting.robust import Robust
 from ahnn.shooting.starts import FOLLOWING, SURE, refine
-from ahnn.training.evidence import Prior, by_evidence, determined, posterior_factor
+from ahnn.training.evidence import Prior, determined, posterior_factor
 from ahnn.training.normal_equations import Block
 from ahnn.training.shooting import Limit, ShootingProblem, freedom
 
@@ -72,7 +72,7 @@ class Place(NamedTuple):
     Attributes:
         theta: (P,).
         loss, degrees, block: of the residuals, as in `Equations`.
-        prior: the one of the largest evidence.
+        prior: the one of the largest evidence where steps of functions begin.
         factor: L, (P, P); L L^T is the inverse of the matrix of residuals and prior.
         determined: number of parameters that the data determine.
         pull: (P,) gradient of half the sum in units of what noise leaves open: theta = ... + L u.
@@ -113,11 +113,6 @@ class Place(NamedTuple):
     def objective(self) -> float:
         """Sum of squared residuals and of what the prior adds."""
         return float(self.loss + self.prior.penalty(self.theta))
-
-    def linear(self) -> Place:
-        """Return the place with the prior of residuals that are linear in the parameters, at its optimum."""
-        prior = by_evidence(self.block.matrix, self.theta, self.prior.sizes, self.block.gradient)
-        return self.of(self.theta, self.loss, self.degrees, self.block, prior)
 
     def moved(self, theta: Tensor, loss: Tensor, gradient: Tensor) -> Place:
         """Return another place where the matrix is the same, from J^T r there, shape (P,)."""
