@@ -12,7 +12,6 @@ from oscillators import DOUBLE, Swing
 from test_ukf_evaluation import SPRING, STIFFER, make_case, run
 from torch.func import functional_call
 
-from ahnn.errors import UserError
 from ahnn.estimation import Belief
 from ahnn.evaluation import Case
 from ahnn.measurements import Position
@@ -124,5 +123,3 @@ def test_the_filter_of_a_model_is_consistent_that_knows_how_well_its_parameters_
     ignorant = run(case, "process_noise=[1e-12,1e-12]").numbers["filters"]["ukf"]["model"]["perturbed"]
     assert told["nees"]["mean"] < 4.0 < ignorant["nees"]["mean"]
     assert told["whole_arc"]["position"] < ignorant["whole_arc"]["position"]
-    with pytest.raises(UserError, match="expected weights with a covariance"):
-        run(dataclasses.replace(case, uncertainty=None), group="ukf_parameter_error")
