@@ -24,6 +24,7 @@ OPEN = {
     "paths",
     "extensions",
     "cores",
+    "jacobians",
     "libraries",
 }
 GROUND = OPEN | {"integrators", "measurements", "metrics", "rollouts", "statistics", "checkpoints"}
@@ -35,6 +36,7 @@ MAY_IMPORT = {
     "numbers": set(),
     "progress": set(),
     "cores": set(),
+    "jacobians": {"cores"},
     "files": {"errors"},
     "memory": {"errors"},
     "libraries": {"files", "types"},

@@ -92,6 +92,18 @@ class Isotropic(LogDistance):
 
         return torch.cat((direction, self.scaled(r)), dim=-1), pullback
 
+    def curvature(self, q: Tensor, gradient: Tensor) -> Tensor:
+        """Return the second derivative of z along the gradient with respect to it, shape (..., n, n)."""
+        r = vector_norm(q, dim=-1, keepdim=True)
+        direction = q / r
+        g, along = gradient.split_with_sizes((self.size - 1, 1), -1)
+        towards, along = (direction * g).sum(-1, keepdim=True), along / self.spread
+        tilt = direction.unsqueeze(-1) * (g - towards * direction).unsqueeze(-2)
+        square = direction.unsqueeze(-1) * direction.unsqueeze(-2)
+        one = torch.eye(q.shape[-1]).to(q)
+        across, outwards = (along - towards).unsqueeze(-1) * (one - square), along.unsqueeze(-1) * square
+        return (across - outwards - tilt - tilt.mT) / r.square().unsqueeze(-1)
+
 
 class Radial(LogDistance):
     """The distance alone, z = s: a force towards the centre that is the same in all directions.
@@ -114,6 +126,13 @@ class Radial(LogDistance):
         """Return s and the way back of gradients from there."""
         square = q.square().sum(-1, keepdim=True)
         return self.scaled(square.sqrt()), lambda gradient: gradient / (self.spread * square) * q
+
+    def curvature(self, q: Tensor, gradient: Tensor) -> Tensor:
+        """Return the second derivative of s times the gradient with respect to it, shape (..., n, n)."""
+        square = q.square().sum(-1, keepdim=True)
+        by = (gradient / (self.spread * square)).unsqueeze(-1)
+        q = q / square.sqrt()
+        return by * (torch.eye(q.shape[-1]).to(q) - 2 * q.unsqueeze(-1) * q.unsqueeze(-2))
 
 
 class Cartesian(nn.Module):
@@ -147,6 +166,11 @@ class Cartesian(nn.Module):
     def linearised(self, q: Tensor) -> tuple[Tensor, Pullback]:
         """Return z at q and the way back of gradients, which is the same everywhere."""
         return self.affine(q), self.affine.pullback
+
+    def curvature(self, q: Tensor, gradient: Tensor) -> Tensor:
+        """Return zeros, shape (..., n, n): the map is affine."""
+        del gradient
+        return q.new_zeros(*q.shape, q.shape[-1])
 
 
 InputMap = Cartesian | Isotropic | Radial

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import copy
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any, NamedTuple, cast
 
 import torch
 from torch import Tensor, nn
 
-from ahnn.dynamics.base import HasField
+from ahnn.dynamics.base import Dynamics, HasField
+from ahnn.dynamics.variations import own_jacobians
 from ahnn.estimation.consistency import band
+from ahnn.jacobians import step_jacobians
 from ahnn.measurements import Segment
 from ahnn.measurements.smoothing import guess
 from ahnn.shooting.paths import Steps, steps_between
 from ahnn.shooting.robust import ROBUST, RobustName
-from ahnn.shooting.starts import Fitted, Trial, fit_starts
-from ahnn.types import TimeStep
+from ahnn.shooting.starts import FOLLOWING, SURE, Fitted, Trial, fit_starts, refine
 
 NORMAL95 = 1.959963984540054
 """Standard deviations within which a normal number lies with 95 %."""
@@ -79,21 +80,12 @@ class Explained(NamedTuple):
         return {**self._asdict(), "band": list(self.band), "consistent": self.consistent}
 
 
-class HalvedSteps(nn.Module):
-    """Dynamics that take two steps for one.
-
-    Args:
-        dynamics: with a method `increment`.
-    """
-
-    def __init__(self, dynamics: nn.Module) -> None:
-        super().__init__()
-        self.dynamics: Any = dynamics
-
-    def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
-        """Return x(t + dt) - x(t), shape (B, D)."""
-        first = self.dynamics.increment(x, dt / 2)
-        return first + self.dynamics.increment(x + first, dt / 2)
+def trial_of(dynamics: nn.Module, robust: RobustName = "none") -> Trial:
+    """Return dynamics, float64 with a method `increment`, to be held against measurements."""
+    increment = cast(Any, dynamics).increment
+    known = isinstance(dynamics, Dynamics)
+    jacobians = own_jacobians(dynamics) if known else partial(step_jacobians, increment)
+    return Trial(increment, jacobians, ROBUST[robust])
 
 
 @torch.no_grad()
@@ -105,11 +97,8 @@ def fit_to(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") -
         segment: measurements that the dynamics were not trained on.
         robust: the loss of single residuals.
     """
-    rough: Any = copy.deepcopy(dynamics).float()
-    exact: Any = dynamics
     steps = steps_between(segment.times, segment.instrument.longest)
-    trial = Trial(exact.increment, rough.increment, ROBUST[robust])
-    return fit_starts(trial, guess(segment), segment, steps), steps
+    return fit_starts(trial_of(dynamics, robust), guess(segment), segment, steps), steps
 
 
 @torch.no_grad()
@@ -139,7 +128,9 @@ def explain(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") 
     chi = float(fitted.sums[met].sum()) / total if total else float("nan")
     part, halved = segment.rows(met), None
     if isinstance(dynamics, HasField) and total:
-        halved = float(fit_to(HalvedSteps(dynamics), part)[0].sums.sum()) / total
+        near, steps_of_half = fitted.starts[met], steps.rows(met).halved()
+        again = refine(trial_of(dynamics), near, part, steps_of_half, FOLLOWING, SURE)
+        halved = float(again.sums.sum()) / total
     residuals = part.residuals(fitted.states[met][:, steps.ends])
     correlation, pairs = serial(residuals.masked_fill(part.values.isnan(), torch.nan))
     # Residuals of a fit correlate by about minus the share of the numbers that it has spent on its unknowns.

@@ -7,7 +7,6 @@ parameters counts `growth` times: the error of a learned force grows there faste
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -17,10 +16,11 @@ from torch.nn.utils import parameters_to_vector
 
 from ahnn.dynamics import Dynamics
 from ahnn.dynamics.derivatives import field_jacobian
+from ahnn.dynamics.variations import own_jacobians
 from ahnn.errors import UserError
 from ahnn.memory import require_memory
 from ahnn.progress import track
-from ahnn.shooting.paths import Steps, sensitivities, step_jacobians, steps_between
+from ahnn.shooting.paths import Steps, sensitivities, steps_between
 from ahnn.uncertainty import Domain, growth
 
 CELLS = 4e6
@@ -133,7 +133,7 @@ class _Path:
         self.dynamics, self.known = dynamics, known
         if known.spread is not None:
             self.theta = parameters_to_vector(dynamics.parameters()).detach()
-            self.rough, self.forcing = copy.deepcopy(dynamics).float(), field_jacobian(dynamics)  # pyright: ignore[reportArgumentType]
+            self.jacobians, self.forcing = own_jacobians(dynamics), field_jacobian(dynamics)  # pyright: ignore[reportArgumentType]
 
     def begin(self, start: Tensor) -> _Rows:
         """Take the starts (B, D), known exactly, and return them as rows."""
@@ -151,7 +151,7 @@ class _Path:
         if self.known.spread is None:
             return _Rows(states[:, 1:], None, later)
         dt = lengths.expand(len(states), -1)
-        jacobians = step_jacobians(self.rough.increment, states[:, :-1].float(), dt.float())
+        jacobians = self.jacobians(states[:, :-1], dt)
         forcing = self.forcing(self.theta, states) @ self.known.spread.float()
         if novelty is not None:
             forcing = forcing * growth(novelty)[..., None, None].float()

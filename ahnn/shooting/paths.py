@@ -11,15 +11,9 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.func import vjp, vmap
-
-from ahnn.cores import each, slices
 
 Increment = Callable[[Tensor, Tensor], Tensor]
 """(x (B, D), dt (B,)) -> x(t + dt) - x(t), shape (B, D)."""
-
-TOGETHER = 12_000
-"""Numbers in states whose Jacobians are formed at once: what they take stays in the cache."""
 
 
 class Steps(NamedTuple):
@@ -44,6 +38,10 @@ class Steps(NamedTuple):
     def rows(self, part: slice | Tensor) -> Steps:
         """Return the steps of some of the segments."""
         return self._replace(lengths=self.lengths[part])
+
+    def halved(self) -> Steps:
+        """Return two steps for each of these."""
+        return self._replace(lengths=self.lengths.repeat_interleave(2, dim=1) / 2, ends=2 * self.ends)
 
     def first(self, intervals: int) -> Steps:
         """Return the steps of the first intervals."""
@@ -70,23 +68,6 @@ def path(increment: Increment, start: Tensor, lengths: Tensor) -> Tensor:
     for dt in lengths.unbind(1):
         states.append(states[-1] + increment(states[-1], dt))
     return torch.stack(states, dim=1)
-
-
-def step_jacobians(increment: Increment, states: Tensor, lengths: Tensor) -> Tensor:
-    """Return dx(t + dt)/dx(t) of each step, shape (B, N, D, D), at the states (B, N, D) where they begin."""
-    x, dt = states.flatten(0, 1), lengths.flatten()
-
-    def rows(part: slice) -> Tensor:
-        return pointwise_jacobian(lambda z: z + increment(z, dt[part]), x[part])
-
-    return torch.cat(each(rows, slices(len(x), TOGETHER // x.shape[1]), x.device)).unflatten(0, lengths.shape)
-
-
-def pointwise_jacobian(function: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:
-    """Return df/dx, shape (..., M, D), of a function that maps each x (..., D) to its own f (..., M)."""
-    value, back = vjp(function, x)  # pyright: ignore[reportAssignmentType] - three with has_aux alone
-    unit = torch.eye(value.shape[-1]).to(value)
-    return vmap(lambda row: back(row.expand_as(value))[0], out_dims=-2)(unit)
 
 
 def transitions(jacobians: Tensor, anew: Collection[int] = ()) -> Tensor:

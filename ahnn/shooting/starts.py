@@ -7,13 +7,15 @@ over growing spans first.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from ahnn.jacobians import pointwise_jacobian
 from ahnn.measurements import Segment
-from ahnn.shooting.paths import Increment, Steps, path, pointwise_jacobian, step_jacobians, transitions
+from ahnn.shooting.paths import Increment, Steps, path, transitions
 from ahnn.shooting.robust import ROBUST, Robust
 
 SHORTEST = 4
@@ -44,12 +46,13 @@ class Trial(NamedTuple):
 
     Attributes:
         exact: increments in float64.
-        rough: in float32, for derivatives. They shape a step; whether it is good, exact increments decide.
+        jacobians: of steps, (B, N, D, D), at states (B, N, D) over lengths (B, N). They shape a move of the
+            starts and may be in float32; whether it is good, exact increments decide.
         robust: the loss of residuals in standard deviations.
     """
 
     exact: Increment
-    rough: Increment
+    jacobians: Callable[[Tensor, Tensor], Tensor]
     robust: Robust
 
 
@@ -96,7 +99,7 @@ class Fitted(NamedTuple):
 
 def linearised(trial: Trial, states: Tensor, segment: Segment, steps: Steps) -> Linearised:
     """Return the residuals of paths (B, N + 1, D), and their derivatives."""
-    jacobians = step_jacobians(trial.rough, states[:, :-1].float(), steps.lengths.float())
+    jacobians = trial.jacobians(states[:, :-1], steps.lengths)
     measured = states[:, steps.ends]
     plain = segment.residuals(measured)
     weight = trial.robust.weight(plain).sqrt()

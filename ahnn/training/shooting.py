@@ -7,7 +7,6 @@ the parameters alone, for which a measurement of any kind serves: a state, a pos
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -21,6 +20,7 @@ from torch.nn.utils import parameters_to_vector
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import field_jacobian, parametrised
 from ahnn.dynamics.recorded import Increments
+from ahnn.dynamics.variations import jacobians_of_steps
 from ahnn.errors import UserError
 from ahnn.measurements import Segment
 from ahnn.measurements.smoothing import guess
@@ -141,8 +141,7 @@ class ShootingProblem:
         self.robust, self.forcing = robust, field_jacobian(dynamics, self.precision)
         steps = steps_between(batch.times, batch.instrument.longest, quartered=quartered)
         self._exact = Increments(dynamics, PATHS * steps.lengths.shape[1])
-        narrow = copy.deepcopy(dynamics).requires_grad_(False)
-        self._rough = parametrised(narrow, narrow.increment, torch.float32)
+        self._jacobians = jacobians_of_steps(dynamics)
         trial = self.trial(parameters_to_vector(dynamics.parameters()).detach())
         if starts is None:
             self.fitted = fit_starts(trial, guess(batch), batch, steps, hopeless)
@@ -163,7 +162,7 @@ class ShootingProblem:
 
     def trial(self, theta: Tensor) -> Trial:
         """Return the flow with parameters theta, shape (P,)."""
-        return Trial(partial(self._exact, theta), partial(self._rough, theta.float()), self.robust)
+        return Trial(partial(self._exact, theta), partial(self._jacobians, theta), self.robust)
 
     def _parts(self, parameters: int) -> Iterator[slice]:
         """Yield the segments in parts whose sensitivities fit into memory."""

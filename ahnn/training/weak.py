@@ -24,8 +24,8 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 from ahnn.cores import each, slices
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import parametrised
+from ahnn.jacobians import TOGETHER, pointwise_jacobian
 from ahnn.measurements import Segment
-from ahnn.shooting.paths import TOGETHER, pointwise_jacobian
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
 from ahnn.training.banded import Factor
 from ahnn.training.discrepancy import share

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterator
 from typing import Any, cast
 
@@ -13,7 +12,8 @@ from torch.nn.utils import parameters_to_vector
 
 from ahnn.dynamics import Dynamics
 from ahnn.dynamics.derivatives import field_jacobian, parametrised
-from ahnn.shooting.paths import Steps, path, sensitivities, step_jacobians
+from ahnn.dynamics.variations import own_jacobians
+from ahnn.shooting.paths import Steps, path, sensitivities
 
 CELLS = 4e7
 """Numbers in the largest tensor of sensitivities; longer batches are cut into parts."""
@@ -49,13 +49,13 @@ def rollout_sensitivities(
         factor: L, shape (P, R).
     """
     theta = parameters_to_vector(dynamics.parameters()).detach()
-    rough, forcing = copy.deepcopy(dynamics).float(), field_jacobian(dynamics)  # pyright: ignore[reportArgumentType]
+    jacobians, forcing = own_jacobians(dynamics), field_jacobian(dynamics)  # pyright: ignore[reportArgumentType]
     ends = torch.arange(lengths.shape[1] + 1)
     rows = max(1, int(CELLS // (len(ends) * start.shape[1] * len(theta))))
     for x, dt in zip(start.split(rows), lengths.split(rows), strict=True):
         states = path(dynamics.increment, x, dt)
-        jacobians = step_jacobians(rough.increment, states[:, :-1].float(), dt.float())
-        yield sensitivities(jacobians, forcing(theta, states) @ factor.float(), Steps(dt, ends))
+        moved = jacobians(states[:, :-1], dt)
+        yield sensitivities(moved, forcing(theta, states) @ factor.float(), Steps(dt, ends))
 
 
 @torch.no_grad()

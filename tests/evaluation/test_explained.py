@@ -7,12 +7,11 @@ import dataclasses
 import pytest
 import torch
 from cases import SPRING, trajectories
-from helpers import close
 from torch import nn
 
 from ahnn.data.segments import Segments
 from ahnn.data.sensor import Sensor
-from ahnn.evaluation.explained import HalvedSteps, explain, serial
+from ahnn.evaluation.explained import explain, serial
 from ahnn.integrators import INTEGRATORS
 
 
@@ -58,13 +57,6 @@ def test_an_integrator_that_shows_beside_the_noise_is_named():
     exact = explain(Spring(SPRING), batch)
     assert exact.halved_steps == pytest.approx(exact.chi_square, rel=1e-6)
     assert "half the length" not in exact.sentence()
-
-
-def test_two_halves_are_two_steps():
-    x = trajectories(SPRING, 3, 1).states[:, 0]
-    own = Spring(SPRING, "euler")
-    there = x + own.increment(x, 0.05)
-    close(HalvedSteps(own).increment(x, 0.1), there + own.increment(there, 0.05) - x, 1e-12)
 
 
 @pytest.mark.parametrize("robust", ["huber", "student"])

@@ -8,12 +8,12 @@ import pytest
 import torch
 from helpers import close, generator
 
+from ahnn.jacobians import step_jacobians
 from ahnn.shooting.paths import (
     Steps,
     adjoints,
     path,
     sensitivities,
-    step_jacobians,
     steps_between,
     transitions,
 )
@@ -67,6 +67,17 @@ def test_steps_end_on_every_time_and_none_is_too_long(parts):
 def test_a_step_that_rounds_above_the_longest_is_still_one():
     steps = steps_between(torch.tensor([[0.0, 60.000000000000007, 120.0]], dtype=torch.float64), 60.0)
     assert steps.ends.tolist() == [0, 1, 2]
+
+
+def test_two_halves_are_two_steps_that_end_where_one_did():
+    dt = lengths()
+    steps = Steps(dt, torch.tensor([0, 2, 7]))
+    halves = steps.halved()
+    close(halves.lengths[:, ::2], dt / 2, 0)
+    close(halves.lengths[:, 1::2], dt / 2, 0)
+    close(
+        path(exact, starts(), halves.lengths)[:, halves.ends], path(exact, starts(), dt)[:, steps.ends], 1e-13
+    )
 
 
 @pytest.mark.parametrize(("quartered", "order"), [(False, 2), (True, 4)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import pytest
 import torch
@@ -10,6 +11,7 @@ from helpers import close, generator
 from oscillators import DOUBLE, Swing, segment
 from torch.nn.utils import parameters_to_vector
 
+from ahnn.jacobians import step_jacobians
 from ahnn.measurements import GroundStation, Instrument, Position, Segment, State
 from ahnn.measurements.smoothing import guess
 from ahnn.shooting.paths import steps_between
@@ -23,7 +25,7 @@ from ahnn.training.shooting import UNMET, Limit, ShootingProblem, near
 def trial(dynamics, robust="none"):
     rough = Swing().float()
     rough.load_state_dict(dynamics.state_dict())
-    return Trial(dynamics.increment, rough.increment, ROBUST[robust])
+    return Trial(dynamics.increment, partial(step_jacobians, rough.increment), ROBUST[robust])
 
 
 @torch.no_grad()
@@ -288,6 +290,6 @@ def test_ranges_and_angles_of_a_station_fit_a_start():
     batch = Segment(values, grid, Instrument(station, sd, 30.0, 3, 1.0))
     close(station.locate(values, grid), states[..., :3], 1e-12)
     drift = lambda z, dt: torch.cat((dt[:, None] * z[:, 3:], torch.zeros_like(z[:, 3:])), -1)  # noqa: E731
-    rough = Trial(drift, drift, ROBUST["none"])
+    rough = Trial(drift, partial(step_jacobians, drift), ROBUST["none"])
     begun = guess(batch) + torch.tensor([30.0, -20.0, 10.0, 0.1, 0.1, -0.1], **DOUBLE)
     close(fit_starts(rough, begun, batch, steps_between(grid, 30.0)).starts, x, 1e-6)

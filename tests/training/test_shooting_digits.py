@@ -11,8 +11,9 @@ from torch.nn.utils import parameters_to_vector
 
 from ahnn.dynamics import make_dynamics
 from ahnn.dynamics.derivatives import field_jacobian
+from ahnn.jacobians import step_jacobians
 from ahnn.measurements import Instrument, Position, Segment
-from ahnn.shooting.paths import path, sensitivities, step_jacobians, steps_between, transitions
+from ahnn.shooting.paths import path, sensitivities, steps_between, transitions
 from ahnn.shooting.robust import ROBUST
 from ahnn.training.posterior import WideProblem
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.consistency import deviations
-from ahnn.shooting.paths import pointwise_jacobian
+from ahnn.jacobians import pointwise_jacobian
 from ahnn.types import Flow
 from ahnn_plugins.ukf.kernel import Sensor
 from ahnn_plugins.ukf.steps import Grid

@@ -1,0 +1,127 @@
+"""Jacobians of steps with respect to the states where they begin.
+
+A one-step method commutes with derivatives: the Jacobian of a step along dx/dt = f is the same step along
+dY/dt = f_x Y beside it (Hairer, Lubich & Wanner, Geometric Numerical Integration, lemma VI.4.1). So the
+methods are those of any other field, whose states carry their variations.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from functools import partial
+
+import torch
+from torch import Tensor, nn
+from torch.nn.utils import parameters_to_vector, vector_to_parameters
+
+from ahnn.cores import each, slices
+from ahnn.dynamics.base import Dynamics
+from ahnn.dynamics.derivatives import parametrised
+from ahnn.dynamics.fields import HamiltonianDynamics
+from ahnn.dynamics.hamiltonians import GenericHamiltonian, SeparableHamiltonian
+from ahnn.dynamics.hessians import gradient_and_hessian, has_hessian
+from ahnn.integrators import ExplicitRungeKutta, SymmetricComposition
+from ahnn.jacobians import step_jacobians
+from ahnn.types import VectorField
+
+SAMPLES = 1000
+"""Steps whose Jacobians are formed at once: what they take stays in the cache."""
+
+StepJacobians = Callable[[Tensor, Tensor, Tensor], Tensor]
+"""(theta (P,), states (B, N, D), lengths (B, N)) -> dx(t + dt)/dx(t) of each step, (B, N, D, D)."""
+
+
+def jacobians_of_steps(dynamics: Dynamics, dtype: torch.dtype = torch.float32) -> StepJacobians:
+    """Return the Jacobians of steps, computed in `dtype`: in closed form where the structure is known."""
+    narrow = copy.deepcopy(dynamics).requires_grad_(False)
+    varied = _varied(narrow)
+    if varied is None:
+        return _mapped(narrow, dtype)
+    assert isinstance(narrow, HamiltonianDynamics)
+    narrow.to(dtype)
+    method = narrow.integrator
+
+    def jacobians(theta: Tensor, states: Tensor, lengths: Tensor) -> Tensor:
+        vector_to_parameters(theta.to(dtype), narrow.parameters())
+        x, dt = states.flatten(0, 1).to(dtype), lengths.flatten().to(dtype).unsqueeze(-1)
+        one = torch.eye(x.shape[1]).to(x)
+
+        def rows(part: slice) -> Tensor:
+            start = torch.cat((x[part].unsqueeze(1), one.expand(len(x[part]), -1, -1)), dim=1)
+            return (one + method.increment(varied, start, dt[part])[:, 1:]).mT
+
+        return torch.cat(each(rows, slices(len(x), SAMPLES), x.device)).unflatten(0, lengths.shape)
+
+    return jacobians
+
+
+def own_jacobians(dynamics: Dynamics) -> Callable[[Tensor, Tensor], Tensor]:
+    """Return (states (B, N, D), lengths (B, N)) -> Jacobians of steps (B, N, D, D), in float32.
+
+    Args:
+        dynamics: whose present parameters are meant.
+    """
+    return partial(jacobians_of_steps(dynamics), parameters_to_vector(dynamics.parameters()).detach())
+
+
+def _mapped(dynamics: Dynamics, dtype: torch.dtype) -> StepJacobians:
+    """Return the Jacobians of steps of any dynamics, by vectorised reverse mode."""
+    increment = parametrised(dynamics, dynamics.increment, dtype)
+
+    def jacobians(theta: Tensor, states: Tensor, lengths: Tensor) -> Tensor:
+        return step_jacobians(partial(increment, theta.to(dtype)), states.to(dtype), lengths.to(dtype))
+
+    return jacobians
+
+
+def _varied(dynamics: Dynamics) -> VectorField | None:
+    """Return the field of states with their variations, (B, 1 + D, D); None where it is not known."""
+    if not isinstance(dynamics, HamiltonianDynamics):
+        return None
+    field, method = dynamics.field, dynamics.integrator
+    if not isinstance(method, ExplicitRungeKutta | SymmetricComposition):
+        return None
+    if isinstance(field, GenericHamiltonian):
+        return GenericVariations(field) if has_hessian(field) else None
+    assert isinstance(field, SeparableHamiltonian)
+    known = has_hessian(field.kinetic) and has_hessian(field.potential)
+    return SeparableVariations(field) if known else None
+
+
+class GenericVariations:
+    """(x, y_1 .. y_D) -> (f, f_x y_1 .. f_x y_D) for the field f of H(q, p)."""
+
+    def __init__(self, field: GenericHamiltonian) -> None:
+        self.energy = field
+
+    def __call__(self, x: Tensor) -> Tensor:
+        """Return the rates, shape (B, 1 + D, D), of states and variations."""
+        of_q, of_p = _slope(self.energy, x).chunk(2, dim=-1)
+        return torch.cat((of_p, -of_q), dim=-1)
+
+
+class SeparableVariations:
+    """The same for H = T(p) + V(q)."""
+
+    def __init__(self, field: SeparableHamiltonian) -> None:
+        self.kinetic, self.potential = field.kinetic, field.potential
+
+    def velocity(self, p: Tensor) -> Tensor:
+        """Return the rates of the positions, shape (B, 1 + D, n), from the momenta."""
+        return _slope(self.kinetic, p)
+
+    def force(self, q: Tensor) -> Tensor:
+        """Return the rates of the momenta, shape (B, 1 + D, n), from the positions."""
+        return -_slope(self.potential, q)
+
+    def __call__(self, x: Tensor) -> Tensor:
+        """Return the rates, shape (B, 1 + D, D), of states and variations."""
+        q, p = x.chunk(2, dim=-1)
+        return torch.cat((self.velocity(p), self.force(q)), dim=-1)
+
+
+def _slope(energy: nn.Module, x: Tensor) -> Tensor:
+    """Return dE/dx of the first row and how it moves with the others, in the shape of x, (B, 1 + D, n)."""
+    gradient, hessian = gradient_and_hessian(energy, x[:, 0])
+    return torch.cat((gradient.unsqueeze(1), x[:, 1:] @ hessian), dim=1)

@@ -1,0 +1,37 @@
+"""Jacobians of functions that map each member of a batch by itself, by vectorised reverse mode."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+from torch.func import vjp, vmap
+
+from ahnn.cores import each, slices
+
+TOGETHER = 12_000
+"""Numbers in states whose Jacobians are formed at once: what they take stays in the cache."""
+
+
+def pointwise_jacobian(function: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:
+    """Return df/dx, shape (..., M, D), of a function that maps each x (..., D) to its own f (..., M)."""
+    value, back = vjp(function, x)  # pyright: ignore[reportAssignmentType] - three with has_aux alone
+    unit = torch.eye(value.shape[-1]).to(value)
+    return vmap(lambda row: back(row.expand_as(value))[0], out_dims=-2)(unit)
+
+
+def step_jacobians(increment: Callable[[Tensor, Tensor], Tensor], states: Tensor, lengths: Tensor) -> Tensor:
+    """Return dx(t + dt)/dx(t) of each step, shape (B, N, D, D), of any flow.
+
+    Args:
+        increment: (x (B, D), dt (B,)) -> x(t + dt) - x(t), shape (B, D).
+        states: (B, N, D) where steps begin.
+        lengths: (B, N).
+    """
+    x, dt = states.flatten(0, 1), lengths.flatten()
+
+    def rows(part: slice) -> Tensor:
+        return pointwise_jacobian(lambda z: z + increment(z, dt[part]), x[part])
+
+    return torch.cat(each(rows, slices(len(x), TOGETHER // x.shape[1]), x.device)).unflatten(0, lengths.shape)
