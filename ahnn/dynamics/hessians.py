@@ -15,7 +15,7 @@ from ahnn.dynamics.gradients import recorded_gradient
 from ahnn.dynamics.hamiltonians import GenericHamiltonian
 from ahnn.dynamics.inputs import Cartesian, InputMap, Pullback
 from ahnn.dynamics.networks import Perceptron
-from ahnn.dynamics.rows import reversed_rows
+from ahnn.dynamics.rows import curvature
 
 
 def has_hessian(energy: nn.Module) -> bool:
@@ -94,10 +94,10 @@ def _of_network(network: Perceptron, inputs: InputMap | _Both, x: Tensor) -> tup
     layers = network.layers()
     gradient, records = recorded_gradient(z.T.contiguous().T, layers, kernels)
     slopes = torch.stack([pullback(unit.expand_as(z)) for unit in torch.eye(z.shape[1]).to(z)], dim=1)
-    _, curved = reversed_rows(slopes.mT, records, layers.weights)
     last = torch.addmm(layers.biases[-1], records[-1].entered, layers.weights[-1].T)
+    second = slopes.mT @ curvature(records, layers.weights) @ slopes
     value = kernels.value(last) @ layers.last.unsqueeze(-1) + network.output.bias
-    return value, pullback(gradient), curved @ slopes + inputs.curvature(x, gradient)
+    return value, pullback(gradient), second + inputs.curvature(x, gradient)
 
 
 def _falling(

@@ -8,6 +8,7 @@ explicit integrators and maps, and no iteration to convergence.
 from __future__ import annotations
 
 import copy
+import threading
 import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -28,6 +29,8 @@ SETTLED = 3
 """Calls after which a recording is as fast as it gets."""
 WORTH = 150
 """Calls that cost what a recording does."""
+_RECORDING = threading.Lock()
+"""Held while operations are recorded: paths side by side share one recording."""
 
 
 def recorded(flow: Flow) -> Flow:
@@ -56,9 +59,10 @@ class _Recorded:
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the states (B, D) after dt."""
         step = torch.as_tensor(dt, dtype=torch.float64)
-        known = self._known.get(x.shape)
-        if known is None:
-            known = self._known[x.shape] = _record(lambda x, dt: self.flow(x, dt), x, step)
+        with _RECORDING:
+            known = self._known.get(x.shape)
+            if known is None:
+                known = self._known[x.shape] = _record(lambda x, dt: self.flow(x, dt), x, step)
         return known(x, step)
 
 
@@ -88,8 +92,9 @@ class Increments:
     def __call__(self, theta: Tensor, x: Tensor, dt: Tensor) -> Tensor:
         """Return x(t + dt) - x(t), (B, D), for the parameters theta, (P,), states x, (B, D), and dt, (B,)."""
         if self._wanted:
-            if self._recorded is None:
-                self._recorded = _recording(self._original, theta, x, dt)
+            with _RECORDING:
+                if self._recorded is None:
+                    self._recorded = _recording(self._original, theta, x, dt)
             return self._recorded(theta, x, dt)
         if theta is not self._theta:
             vector_to_parameters(theta, self.dynamics.parameters())

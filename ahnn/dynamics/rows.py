@@ -57,6 +57,24 @@ def reversed_rows(t: Tensor, records: list[Record], weights: list[Tensor]) -> tu
     return Stage(records, along, back[::-1]), back[-1] @ weights[0]
 
 
+def curvature(records: list[Record], weights: list[Tensor]) -> Tensor:
+    """Return the second derivatives of N with respect to z, shape (B, F, F).
+
+    Args:
+        records: of `recorded_gradient` at z, (B, F).
+        weights: of the hidden layers.
+    """
+    first, *further = weights
+    # What the first layer bends is the same products of its weights for all samples.
+    products = (first.unsqueeze(2) * first.unsqueeze(1)).flatten(1)
+    found = (records[0].bend @ products).unflatten(1, (first.shape[1], -1))
+    if not further:
+        return found
+    seen = first.T * records[0].slope.unsqueeze(1)
+    _, back = reversed_rows(seen, records[1:], further)
+    return found + (back * records[0].slope.unsqueeze(1)) @ first
+
+
 def with_value(stage: Stage, v: Tensor, last: Tensor) -> Stage:
     """Return a stage that holds the reverse of v N(z), too, but for the constant of N.
 

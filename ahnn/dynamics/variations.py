@@ -37,7 +37,7 @@ def jacobians_of_steps(dynamics: Dynamics, dtype: torch.dtype = torch.float32) -
     narrow = copy.deepcopy(dynamics).requires_grad_(False)
     varied = _varied(narrow)
     if varied is None:
-        return _mapped(narrow, dtype)
+        return mapped_jacobians_of_steps(narrow, dtype)
     assert isinstance(narrow, HamiltonianDynamics)
     narrow.to(dtype)
     method = narrow.integrator
@@ -65,7 +65,7 @@ def own_jacobians(dynamics: Dynamics) -> Callable[[Tensor, Tensor], Tensor]:
     return partial(jacobians_of_steps(dynamics), parameters_to_vector(dynamics.parameters()).detach())
 
 
-def _mapped(dynamics: Dynamics, dtype: torch.dtype) -> StepJacobians:
+def mapped_jacobians_of_steps(dynamics: Dynamics, dtype: torch.dtype = torch.float32) -> StepJacobians:
     """Return the Jacobians of steps of any dynamics, by vectorised reverse mode."""
     increment = parametrised(dynamics, dynamics.increment, dtype)
 

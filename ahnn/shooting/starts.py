@@ -13,6 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.cores import each, slices
 from ahnn.jacobians import pointwise_jacobian
 from ahnn.measurements import Segment
 from ahnn.shooting.paths import Increment, Steps, path, transitions
@@ -39,6 +40,8 @@ REFITS = 2
 """Steps that move the starts after the parameters moved, with derivatives of before."""
 FOLLOWING = 4
 """Steps with derivatives of their own, at most, after a last step of a training, which is long."""
+ROWS = 100
+"""Paths that are followed together at least, though two cores could share them."""
 
 
 class Trial(NamedTuple):
@@ -110,7 +113,10 @@ def linearised(trial: Trial, states: Tensor, segment: Segment, steps: Steps) -> 
 
 def followed(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> Fitted:
     """Return the paths from the starts (B, D) and how well they fit."""
-    states = path(trial.exact, start, steps.lengths)
+    halves = slices(len(start), max(ROWS, -(-len(start) // 2)))
+    states = torch.cat(
+        each(lambda part: path(trial.exact, start[part], steps.lengths[part]), halves, start.device)
+    )
     sums = trial.robust.cost(segment.residuals(states[:, steps.ends])).sum((1, 2))
     return Fitted(states, sums.nan_to_num(nan=torch.inf, posinf=torch.inf))
 

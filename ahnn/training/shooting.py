@@ -17,6 +17,7 @@ from torch import Tensor
 from torch.func import vjp
 from torch.nn.utils import parameters_to_vector
 
+from ahnn.cores import each
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import field_jacobian, parametrised
 from ahnn.dynamics.recorded import Increments
@@ -253,12 +254,12 @@ class ShootingProblem:
         rows = rows * self.limit.weight(here.sums)[:, None]
         pulls = torch.einsum("bkm,bkmd->bkd", rows.view_as(now.residuals), now.of_state)
         pulls = adjoints(now.jacobians.to(here.states), pulls, self.steps)
-        total, own = torch.zeros_like(theta), self._exact.dynamics
-        for part in self._parts(NUMBERS):
-            field = parametrised(own, cast(HasField, own).field, theta.dtype)
-            back = vjp(lambda parameters, field=field, x=here.states[part]: field(parameters, x), theta)[1]
-            total = total + back(pulls[part])[0]
-        return total
+        field = parametrised(self._exact.dynamics, cast(HasField, self._exact.dynamics).field, theta.dtype)
+
+        def back(part: slice) -> Tensor:
+            return vjp(lambda parameters: field(parameters, here.states[part]), theta)[1](pulls[part])[0]
+
+        return torch.stack(each(back, self._parts(NUMBERS), theta.device)).sum(0)
 
 
 def freedom(batch: Segment) -> Tensor:

@@ -59,7 +59,7 @@ def no_reverse_mode(monkeypatch):
     def refused(*_):
         raise AssertionError("reverse mode")
 
-    monkeypatch.setattr(variations, "_mapped", refused)
+    monkeypatch.setattr(variations, "mapped_jacobians_of_steps", refused)
     monkeypatch.setattr(variations, "SAMPLES", 4)
 
 

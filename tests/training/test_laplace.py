@@ -169,6 +169,11 @@ def test_a_place_that_was_arrived_at_is_as_far_from_the_optimum_as_the_last_step
     assert (there.remaining, float(there.offset.abs().max())) == (0.0, 0.0)
 
 
+def test_the_objective_is_residuals_and_prior():
+    """26 of the residuals, and 0.5 (3^2 + 1^2) of the prior."""
+    assert place().objective == pytest.approx(31.0, rel=1e-12)
+
+
 @pytest.mark.parametrize(("degrees", "expected"), [(8, 4.0), (3, 26 / 1.5), (2, 26.0), (1, 26.0)])
 def test_chi_square_is_by_the_degrees_that_the_parameters_leave_and_by_one_at_least(degrees, expected):
     assert place(degrees=degrees).chi_square == pytest.approx(expected, rel=1e-12)

@@ -169,6 +169,7 @@ def test_a_frame_that_rotates_is_warned_of(tmp_path, caplog):
             "row 22: expected EPOCH = of a",
         ),
         ("META_STOP\n2017-01-01T01", "2017-01-01T01", "row 40: expected KEYWORD = value"),
+        (TEXT[TEXT.rindex("META_STOP") :], "", "row 39: expected a segment from META_START to its states"),
     ],
 )
 def test_a_fault_is_named_with_its_line(tmp_path, old, new, expected):

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from ahnn.estimation import Setting, initial_belief, simulated
 from ahnn.estimation.consistency import nees
 from ahnn.estimation.scenario import Problem
-from ahnn.measurements import Position
+from ahnn.measurements import Position, State
 from ahnn.types import Trajectories
 from ahnn_plugins.ukf import UnscentedParameters, unscented_filter
 from ahnn_plugins.ukf.assimilation import Filter, assimilate, assimilate_all
@@ -93,6 +93,13 @@ def problem(size, memory, count, steps, seed):
     noise = 0.01 * torch.randn(count, 2, generator=torch.Generator().manual_seed(seed), dtype=F64)
     measured = simulated(setting, truth, DT, seed)
     return setting, Problem(truth, truth[:, 0] + noise, measured, DT), errors
+
+
+@pytest.mark.parametrize("count", [2, 5, 7])
+def test_a_measurement_sees_the_state_alone(count):
+    x = torch.randn(3, count, 9, dtype=F64)
+    error = ForceError(spring, 1e-3, 1.0)
+    assert torch.equal(error.measurement(State(3))(x, 0.0), x[..., :6])
 
 
 def test_a_filter_that_knows_the_error_is_consistent_and_one_that_does_not_is_not():
