@@ -44,12 +44,12 @@ def gradient_and_hessian(energy: nn.Module, x: Tensor) -> tuple[Tensor, Tensor]:
     if isinstance(energy, Quadratic):
         return x / energy.mass, (torch.eye(x.shape[1]).to(x) / energy.mass).expand(len(x), -1, -1)
     if isinstance(energy, GenericHamiltonian):
-        _, gradient, hessian = _of_network(energy.network, _Both(energy.positions, energy.momenta), x)
+        gradient, hessian = _of_network(energy.network, _Both(energy.positions, energy.momenta), x)
         return energy.unit * gradient, energy.unit * hessian
     assert isinstance(energy, NetworkEnergy)
-    value, gradient, hessian = _of_network(energy.network, energy.inputs, x)
+    gradient, hessian = _of_network(energy.network, energy.inputs, x)
     if energy.falloff:
-        gradient, hessian = _falling(energy, x, value, gradient, hessian)
+        gradient, hessian = _falling(energy, x, gradient, hessian)
     return energy.unit * gradient, energy.unit * hessian
 
 
@@ -86,24 +86,21 @@ class _Both(NamedTuple):
         return found  # the momenta enter by an affine map
 
 
-def _of_network(network: Perceptron, inputs: InputMap | _Both, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return N, shape (B, 1), and its derivatives by x, (B, D) and (B, D, D)."""
+def _of_network(network: Perceptron, inputs: InputMap | _Both, x: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the derivatives of N by x, (B, D) and (B, D, D)."""
     z, pullback = inputs.linearised(x)
     kernels = network.activation.kernels
     assert kernels is not None
     layers = network.layers()
     gradient, records = recorded_gradient(z.T.contiguous().T, layers, kernels)
     slopes = torch.stack([pullback(unit.expand_as(z)) for unit in torch.eye(z.shape[1]).to(z)], dim=1)
-    last = torch.addmm(layers.biases[-1], records[-1].entered, layers.weights[-1].T)
     second = slopes.mT @ curvature(records, layers.weights) @ slopes
-    value = kernels.value(last) @ layers.last.unsqueeze(-1) + network.output.bias
-    return value, pullback(gradient), second + inputs.curvature(x, gradient)
+    return pullback(gradient), second + inputs.curvature(x, gradient)
 
 
-def _falling(
-    energy: NetworkEnergy, q: Tensor, value: Tensor, gradient: Tensor, hessian: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Return the derivatives of w N, w = (R / r)^k, from N and those of N."""
+def _falling(energy: NetworkEnergy, q: Tensor, gradient: Tensor, hessian: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the derivatives of w N, w = (R / r)^k, from those of N."""
+    value = energy.network(energy.inputs(q))
     weight, fall = energy.envelope(q)  # w and f = grad log w = -k q / r^2
     square = q.square().sum(-1)[:, None, None]
     bent = -energy.falloff / square * torch.eye(q.shape[1]).to(q)  # df/dq, but for the change of r

@@ -23,7 +23,6 @@ from ahnn.dynamics.hamiltonians import GenericHamiltonian, SeparableHamiltonian
 from ahnn.dynamics.hessians import gradient_and_hessian, has_hessian
 from ahnn.integrators import ExplicitRungeKutta, SymmetricComposition
 from ahnn.jacobians import step_jacobians
-from ahnn.types import VectorField
 
 SAMPLES = 1000
 """Steps whose Jacobians are formed at once: what they take stays in the cache."""
@@ -35,21 +34,19 @@ StepJacobians = Callable[[Tensor, Tensor, Tensor], Tensor]
 def jacobians_of_steps(dynamics: Dynamics, dtype: torch.dtype = torch.float32) -> StepJacobians:
     """Return the Jacobians of steps, computed in `dtype`: in closed form where the structure is known."""
     narrow = copy.deepcopy(dynamics).requires_grad_(False)
-    varied = _varied(narrow)
-    if varied is None:
+    if not isinstance(narrow, HamiltonianDynamics):
         return mapped_jacobians_of_steps(narrow, dtype)
-    assert isinstance(narrow, HamiltonianDynamics)
+    field, method = varied(narrow.field), narrow.integrator
+    if field is None or not isinstance(method, ExplicitRungeKutta | SymmetricComposition):
+        return mapped_jacobians_of_steps(narrow, dtype)
     narrow.to(dtype)
-    method = narrow.integrator
 
     def jacobians(theta: Tensor, states: Tensor, lengths: Tensor) -> Tensor:
         vector_to_parameters(theta.to(dtype), narrow.parameters())
         x, dt = states.flatten(0, 1).to(dtype), lengths.flatten().to(dtype).unsqueeze(-1)
-        one = torch.eye(x.shape[1]).to(x)
 
         def rows(part: slice) -> Tensor:
-            start = torch.cat((x[part].unsqueeze(1), one.expand(len(x[part]), -1, -1)), dim=1)
-            return (one + method.increment(varied, start, dt[part])[:, 1:]).mT
+            return jacobian_along(lambda z: z + method.increment(field, z, dt[part]), x[part])
 
         return torch.cat(each(rows, slices(len(x), SAMPLES), x.device)).unflatten(0, lengths.shape)
 
@@ -75,16 +72,18 @@ def mapped_jacobians_of_steps(dynamics: Dynamics, dtype: torch.dtype = torch.flo
     return jacobians
 
 
-def _varied(dynamics: Dynamics) -> VectorField | None:
+def jacobian_along(function: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:
+    """Return df/dx, shape (B, M, D), at x, shape (B, D), of a function of x and its variations."""
+    one = torch.eye(x.shape[1]).to(x).expand(len(x), -1, -1)
+    return function(torch.cat((x.unsqueeze(1), one), dim=1))[:, 1:].mT
+
+
+def varied(field: nn.Module) -> GenericVariations | SeparableVariations | None:
     """Return the field of states with their variations, (B, 1 + D, D); None where it is not known."""
-    if not isinstance(dynamics, HamiltonianDynamics):
-        return None
-    field, method = dynamics.field, dynamics.integrator
-    if not isinstance(method, ExplicitRungeKutta | SymmetricComposition):
-        return None
     if isinstance(field, GenericHamiltonian):
         return GenericVariations(field) if has_hessian(field) else None
-    assert isinstance(field, SeparableHamiltonian)
+    if not isinstance(field, SeparableHamiltonian):
+        return None
     known = has_hessian(field.kinetic) and has_hessian(field.potential)
     return SeparableVariations(field) if known else None
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import field_jacobian
@@ -14,6 +14,7 @@ from ahnn.dynamics.energies import Quadratic
 from ahnn.dynamics.hamiltonians import SeparableHamiltonian
 from ahnn.errors import UserError
 from ahnn.measurements import Instrument, Position, State
+from ahnn.types import SeparableField
 
 
 class Motion(NamedTuple):
@@ -28,7 +29,7 @@ class Motion(NamedTuple):
 
     order: int
     kinds: int
-    right: Callable[[nn.Module], Callable[[Tensor], Tensor]]
+    right: Callable[[Any], Callable[[Tensor], Tensor]]
     rows: Callable[[Tensor, Tensor], Tensor]
 
 
@@ -60,9 +61,8 @@ def _of_positions(dynamics: HasField) -> Motion:
     """Return d^2 q/dt^2 = -V'(q) / m."""
     rows, known = field_jacobian(dynamics), cast(SeparableHamiltonian, dynamics.field)
 
-    def right(field: nn.Module) -> Callable[[Tensor], Tensor]:
-        own = cast(SeparableHamiltonian, field)
-        return lambda q: own.velocity(own.force(q))
+    def right(field: SeparableField) -> Callable[[Tensor], Tensor]:
+        return lambda q: field.velocity(field.force(q))
 
     def of_parameters(theta: Tensor, q: Tensor) -> Tensor:
         return known.velocity(rows(theta, torch.cat((q, torch.zeros_like(q)), -1)))  # both are linear

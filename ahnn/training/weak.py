@@ -24,6 +24,7 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 from ahnn.cores import each, slices
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import parametrised
+from ahnn.dynamics.variations import jacobian_along, varied
 from ahnn.jacobians import TOGETHER, pointwise_jacobian
 from ahnn.measurements import Segment
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
@@ -111,7 +112,7 @@ class WeakProblem:
             return Factor.of([nearest + torch.diag_embed(missed * self.tests.there.unsqueeze(-1)), *further])
 
         def of(part: slice) -> Factor:
-            return Factor.of(self._bands(part, self._rates(field, part)))
+            return Factor.of(self._bands(part, self._rates(part)))
 
         return Factor.joined(each(of, slices(len(self.values), SEGMENTS), self.values.device))
 
@@ -133,12 +134,15 @@ class WeakProblem:
             missed.append(share(residual, square, variance, self.tests.there) ** 2 * square)
         return torch.cat(missed, -1)
 
-    def _rates(self, field: Function, part: slice) -> Tensor:
+    def _rates(self, part: slice) -> Tensor:
         """Return the derivatives of the field at some samples, in deviations, (B, K + 1, D, D)."""
-        x = self.values[part]
-        rows = [pointwise_jacobian(field, few) for few in x.split(1 + TOGETHER // x[0].numel())]
+        x, field = self.values[part].flatten(0, 1), cast(HasField, self._exact).field
+        along = varied(field)
+        of_some = pointwise_jacobian if along is None else jacobian_along
+        right = self.motion.right(field if along is None else along)
+        rows = torch.cat([of_some(right, few) for few in x.split(TOGETHER // x.shape[1])])
         deviations = self.batch.instrument.deviations.to(x)
-        return torch.cat(rows) * deviations / deviations.unsqueeze(-1)
+        return (rows * deviations / deviations.unsqueeze(-1)).unflatten(0, self.values[part].shape[:2])
 
     def _sums(self, field: Function | None, part: slice) -> Tensor:
         """Return the sums of some of the segments in deviations, (B, J, D); without a field those of data."""
