@@ -109,7 +109,14 @@ def test_no_key_has_two_owners():
             assert owners.get(key[:k], owners[key]) == owners[key], f"{key[:k]} holds {key}"
 
 
-ON_MEASUREMENTS = ("shooting", "shooting_bodies", "weak", "weak_dense", "weak_positions")
+ON_MEASUREMENTS = (
+    "shooting",
+    "shooting_bodies",
+    "shooting_functions",
+    "weak",
+    "weak_dense",
+    "weak_positions",
+)
 """Losses that compare measurements: their keys are others than those of windows of states."""
 
 

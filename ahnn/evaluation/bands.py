@@ -13,7 +13,7 @@ from ahnn.dynamics import Dynamics
 from ahnn.evaluation import style
 from ahnn.evaluation.case import Case
 from ahnn.metrics import errors
-from ahnn.uncertainty import Uncertainty, rollout_covariances
+from ahnn.uncertainty import Uncertainty, rollout_sensitivities
 
 SIGMAS = (1, 2, 3)
 """Half widths of the bands, in standard deviations."""
@@ -57,10 +57,12 @@ def banded(case: Case, uncertainty: Uncertainty, prediction: Tensor) -> Band:
     count, samples = case.test.times.shape
     lengths = torch.as_tensor(case.dt, dtype=torch.float64).expand(count, samples - 1)
     dynamics, start = cast(Dynamics, case.flow), case.test.states[:, 0]
-    deviations, alone = (
-        rollout_covariances(dynamics, start, lengths, factor).diagonal(dim1=-2, dim2=-1).sqrt()
-        for factor in (uncertainty.spread, uncertainty.factor)
-    )
+    parts = [
+        (moved.double().square().sum(-1), moved[..., :-1].double().square().sum(-1))
+        for moved in rollout_sensitivities(dynamics, start, lengths, uncertainty.spread)
+    ]
+    deviations, alone = (torch.cat(some).sqrt() for some in zip(*parts, strict=True))
+    alone = alone / uncertainty.inflation**0.5  # the last column is the offset, and both are inflated
     off = errors(prediction, case.test.states)
     bound = norms(alone.where(off.isfinite(), torch.nan), case.space.inertia)
     real = norms(off, case.space.inertia)

@@ -52,8 +52,8 @@ def rollout_sensitivities(
     jacobians, forcing = own_jacobians(dynamics), field_jacobian(dynamics)  # pyright: ignore[reportArgumentType]
     ends = torch.arange(lengths.shape[1] + 1)
     rows = max(1, int(CELLS // (len(ends) * start.shape[1] * len(theta))))
-    for x, dt in zip(start.split(rows), lengths.split(rows), strict=True):
-        states = path(dynamics.increment, x, dt)
+    together = path(dynamics.increment, start, lengths)
+    for states, dt in zip(together.split(rows), lengths.split(rows), strict=True):
         moved = jacobians(states[:, :-1], dt)
         yield sensitivities(moved, forcing(theta, states) @ factor.float(), Steps(dt, ends))
 
