@@ -8,7 +8,7 @@ import pytest
 import torch
 from helpers import close, generator
 
-from ahnn.jacobians import step_jacobians
+from ahnn.jacobians import pointwise_jacobian, step_jacobians
 from ahnn.shooting.paths import (
     Steps,
     adjoints,
@@ -51,6 +51,11 @@ def test_jacobians_of_a_nonlinear_step_are_central_differences():
         shift = e * torch.eye(2, dtype=torch.float64)[j]
         numeric = (move(x + shift, dt[:, 0]) - move(x - shift, dt[:, 0])) / (2 * e) + shift / e
         close(got[..., j], numeric, 1e-9)
+
+
+def test_a_function_that_does_not_depend_on_its_argument_has_no_slope():
+    x = starts()
+    close(pointwise_jacobian(lambda _: torch.ones(3, 4, dtype=torch.float64), x), torch.zeros(3, 4, 2), 0)
 
 
 @pytest.mark.parametrize("parts", [1, 2])

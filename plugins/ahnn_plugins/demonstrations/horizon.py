@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple, final
 
 import torch
@@ -11,6 +12,7 @@ from torch import Tensor
 from ahnn.arguments import Count, Positive, Seed, checked
 from ahnn.errors import UserError
 from ahnn.evaluation import Case, Findings, Row, Who, style
+from ahnn.jacobians import step_jacobians
 from ahnn.measurements import Instrument, Position, Segment
 from ahnn.measurements.smoothing import guess
 from ahnn.rollouts import rollout
@@ -133,10 +135,11 @@ def fitted_start(flow: Flow, segment: Segment) -> Tensor:
     """Return the starts (B, 6) from which a flow meets measurements best."""
 
     def increment(x: Tensor, dt: Tensor) -> Tensor:
-        return flow(x.double(), dt.double()).to(x) - x
+        return flow(x, dt) - x
 
     steps = steps_between(segment.times, segment.instrument.longest)
-    return fit_starts(Trial(increment, increment, ROBUST["none"]), guess(segment), segment, steps).starts
+    trial = Trial(increment, partial(step_jacobians, increment), ROBUST["none"])
+    return fit_starts(trial, guess(segment), segment, steps).starts
 
 
 def off(states: Tensor, case: Case) -> Tensor:
