@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from ahnn.dynamics.energies import CentralBody, NetworkEnergy, Quadratic
 from ahnn.dynamics.gradients import recorded_gradient
 from ahnn.dynamics.hamiltonians import GenericHamiltonian
-from ahnn.dynamics.inputs import Cartesian, InputMap, Pullback
+from ahnn.dynamics.inputs import Cartesian, InputMap, Pullback, slopes
 from ahnn.dynamics.networks import Perceptron
 from ahnn.dynamics.rows import curvature
 
@@ -93,8 +93,8 @@ def _of_network(network: Perceptron, inputs: InputMap | _Both, x: Tensor) -> tup
     assert kernels is not None
     layers = network.layers()
     gradient, records = recorded_gradient(z.T.contiguous().T, layers, kernels)
-    slopes = torch.stack([pullback(unit.expand_as(z)) for unit in torch.eye(z.shape[1]).to(z)], dim=1)
-    second = slopes.mT @ curvature(records, layers.weights) @ slopes
+    moved = slopes(z, pullback)
+    second = moved.mT @ curvature(records, layers.weights) @ moved
     return pullback(gradient), second + inputs.curvature(x, gradient)
 
 

@@ -20,6 +20,11 @@ Pullback = Callable[[Tensor], Tensor]
 """From the gradient with respect to the inputs of a network to the one with respect to the coordinates."""
 
 
+def slopes(z: Tensor, pullback: Pullback) -> Tensor:
+    """Return dz/dq, shape (B, F, n), from the way back of gradients at z, shape (B, F)."""
+    return torch.stack([pullback(unit.expand_as(z)) for unit in torch.eye(z.shape[-1]).to(z)], dim=-2)
+
+
 class LogDistance(nn.Module):
     """The logarithm of the distance from the origin, scaled to [-1, 1]: equal ratios become equal steps."""
 

@@ -11,6 +11,7 @@ from ahnn.cores import each, slices
 from ahnn.dynamics.energies import CentralBody, NetworkEnergy, Quadratic
 from ahnn.dynamics.gradients import recorded_gradient
 from ahnn.dynamics.hamiltonians import SeparableHamiltonian
+from ahnn.dynamics.inputs import slopes
 from ahnn.dynamics.networks import Perceptron
 from ahnn.dynamics.rows import layers_at, reversed_rows, with_value, write_rows
 
@@ -79,9 +80,8 @@ def _write(energy: nn.Module, theta: Tensor, q: Tensor, factors: Tensor, out: Te
         energy = energy.remainder
     network_energy = cast(NetworkEnergy, energy)
     z, pullback = network_energy.inputs.linearised(q)
-    inputs = torch.eye(z.shape[-1]).to(z)
     # dV/dq is linear in the gradient of the network: row i of each sample is a cotangent of it.
-    linear = torch.stack([pullback(unit.expand_as(z)) for unit in inputs], dim=-1)
+    linear = slopes(z, pullback).mT
     factors, on_value = factors * network_energy.unit, None
     if network_energy.falloff:
         weight, fall = network_energy.envelope(q)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 from helpers import close, generator
+from planar import planar
 from torch.nn.utils import parameters_to_vector
 
 from ahnn.dynamics import HamiltonianDynamics, separable_rows
@@ -27,21 +28,7 @@ WIDE = torch.float64
 )
 def test_rows_of_a_separable_field(monkeypatch, structure, mu, falloff, rows, inputs):
     monkeypatch.setattr(separable_rows, "SAMPLES", 4)
-    torch.manual_seed(0)
-    own = HamiltonianDynamics(
-        2,
-        hamiltonian=structure,
-        inertia=2.0,
-        mu=mu,
-        falloff=falloff,
-        inputs=inputs,
-        scaling="block",
-        network={"width": 5, "depth": 2, "activation": "gelu"},
-        integrator={"name": "rk4"},
-    ).double()
-    for name, buffer in own.named_buffers():
-        if name.endswith(("unit", "spread", "scale", "nearest")):
-            buffer.copy_(torch.rand(buffer.shape, generator=generator(3), dtype=WIDE) + 0.5)
+    own = planar(structure, mu=mu, falloff=falloff, inputs=inputs)
     assert has_separable_rows(own.field)
     theta = parameters_to_vector(own.parameters()).detach()
     x = torch.randn(7, 3, 4, generator=generator(1), dtype=WIDE)

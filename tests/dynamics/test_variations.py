@@ -9,10 +9,11 @@ import torch
 from helpers import close, generator
 from hypothesis import given
 from hypothesis import strategies as st
+from planar import planar
 from torch.func import jacrev, vmap
 from torch.nn.utils import parameters_to_vector
 
-from ahnn.dynamics import HamiltonianDynamics, variations
+from ahnn.dynamics import variations
 from ahnn.dynamics.activations import ACTIVATIONS
 from ahnn.dynamics.derivatives import parametrised
 from ahnn.dynamics.hessians import gradient_and_hessian
@@ -20,25 +21,6 @@ from ahnn.dynamics.variations import jacobians_of_steps, own_jacobians
 from ahnn.jacobians import step_jacobians
 
 WIDE = torch.float64
-
-
-def dynamics(structure="mechanical", *, mu=None, falloff=0.0, inputs="isotropic", method="dopri5", **network):
-    torch.manual_seed(0)
-    own = HamiltonianDynamics(
-        2,
-        hamiltonian=structure,
-        inertia=2.0,
-        mu=mu,
-        falloff=falloff,
-        inputs=inputs,
-        scaling="block",
-        network={"width": 5, "depth": 2, "activation": "gelu", **network},
-        integrator={"name": method},
-    ).double()
-    for name, buffer in own.named_buffers():
-        if name.endswith(("unit", "spread", "scale", "nearest", "middle", "shift")):
-            buffer.copy_(torch.rand(buffer.shape, generator=generator(3), dtype=WIDE) + 0.5)
-    return own
 
 
 def far_from_the_centre(*shape, seed=1):
@@ -77,7 +59,7 @@ def no_reverse_mode(monkeypatch):
 )
 @pytest.mark.usefixtures("no_reverse_mode")
 def test_structures_and_inputs(structure, mu, falloff, inputs):
-    close(*both_ways(dynamics(structure, mu=mu, falloff=falloff, inputs=inputs)), 1e-12)
+    close(*both_ways(planar(structure, mu=mu, falloff=falloff, inputs=inputs)), 1e-12)
 
 
 @pytest.mark.parametrize(
@@ -85,19 +67,19 @@ def test_structures_and_inputs(structure, mu, falloff, inputs):
 )
 @pytest.mark.usefixtures("no_reverse_mode")
 def test_methods(method):
-    close(*both_ways(dynamics(method=method)), 1e-12)
+    close(*both_ways(planar(method=method)), 1e-12)
 
 
 @pytest.mark.parametrize("activation", ACTIVATIONS)
 @pytest.mark.parametrize("depth", [1, 3])
 @pytest.mark.usefixtures("no_reverse_mode")
 def test_networks(activation, depth):
-    close(*both_ways(dynamics(activation=activation, depth=depth, falloff=3.0)), 1e-12)
+    close(*both_ways(planar(activation=activation, depth=depth, falloff=3.0)), 1e-12)
 
 
 @pytest.mark.usefixtures("no_reverse_mode")
 def test_parameters_are_those_asked_for():
-    own = dynamics()
+    own = planar()
     theta = parameters_to_vector(own.parameters()).detach()
     x, dt = far_from_the_centre(2, 3, 4), torch.full((2, 3), 0.2, dtype=WIDE)
     given_to = jacobians_of_steps(own, WIDE)
@@ -112,15 +94,15 @@ def test_parameters_are_those_asked_for():
 
 
 def test_methods_that_iterate_take_reverse_mode():
-    own = dynamics(method="gl4")
+    own = planar(method="gl4")
     found, expected = both_ways(own)
     close(found, expected, 1e-12)
-    close(found, both_ways(dynamics(method="dopri8"))[0], 1e-2)
+    close(found, both_ways(planar(method="dopri8"))[0], 1e-2)
 
 
 @given(st.integers(0, 10_000), st.sampled_from(["cartesian", "isotropic", "radial"]), st.floats(0.5, 6))
 def test_hessians_are_those_of_automatic_derivatives(seed, inputs, falloff):
-    energy = dynamics("central_body", mu=1.3, falloff=falloff, inputs=inputs).field.potential
+    energy = planar("central_body", mu=1.3, falloff=falloff, inputs=inputs).field.potential
     q = far_from_the_centre(6, 2, seed=seed)
     gradient, found = gradient_and_hessian(energy, q)
     close(gradient, energy.gradient(q), 1e-12)
