@@ -25,7 +25,7 @@ MISTAKES = {
     "optimizer=null": "optimizer: expected one of adamw,",
     "callbacks=null": "callbacks: expected one of default,",
     "integrator=null": "integrator: expected one of dopri5,",
-    "loss=3": "shooting_functions, weak, weak_dense, weak_positions; received 'loss=3'",
+    "loss=3": "shooting_bodies, weak, weak_dense, weak_positions; received 'loss=3'",
     "budget=null": "budget: expected one of laptop,",
     "=3": "'=3': expected KEY=VALUE, for example seed=7",
     # names

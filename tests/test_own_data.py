@@ -61,7 +61,7 @@ def test_states_of_a_file_train_resume_and_are_known_again(tmp_path, capfd):
 def test_recorded_positions_are_measurements_and_chi_square_is_the_verdict(tmp_path):
     data = swings(tmp_path / "swings.csv", 3, SD)
     given = ["model=ahnn", "hamiltonian=mechanical", "recipe=measurements", f"data.noise={SD}"]
-    given += ["loss.stages=[[16, 1.0]]", "loss.closing=0", "trainer.max_epochs=6"]
+    given += ["loss.stages=[[16, 1.0]]", "trainer.max_epochs=6"]
     folder = tmp_path / "run"
     assert call("ahnn.train", *SMALL, f"system.path={data}", *given, f"run={folder}") == 0
     results = ahnn.load(folder).results

@@ -112,7 +112,6 @@ def test_no_key_has_two_owners():
 ON_MEASUREMENTS = (
     "shooting",
     "shooting_bodies",
-    "shooting_functions",
     "weak",
     "weak_dense",
     "weak_positions",

@@ -38,7 +38,7 @@ class SegmentOptions:
             which they hold, and, where these are not `data.batch_size`, the stretches of a step. Short ones
             first: over long ones a model that is still wrong never meets them.
         robust: the loss of single residuals: none (squares), huber or student.
-        closing: steps on all measurements, at most, that follow the last epoch.
+        closing: steps of the parameters on all measurements, at most, before functions take what is left.
         balance: 0, since standard deviations weigh measurements.
 
     Raises:
@@ -47,7 +47,7 @@ class SegmentOptions:
 
     stages: list[list[int | float | str]]
     robust: RobustName = "none"
-    closing: Annotated[int, Within(0, 100)] = 2
+    closing: Annotated[int, Within(0, 100)] = 0
     balance: Annotated[float, Within(0, 0)] = 0.0
 
     def __post_init__(self) -> None:
@@ -97,7 +97,7 @@ class Curriculum:
         phases: in their order, the last until 1.
         judge: the objective of validations.
         span: steps that a window of any phase must have; None for stretches of measurements.
-        closing: steps on all measurements, at most, that follow the last phase.
+        closing: steps of the parameters on all measurements, at most, after the last phase.
     """
 
     phases: Sequence[Phase]
