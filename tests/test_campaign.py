@@ -12,7 +12,7 @@ import torch
 CAMPAIGN = Path(__file__).parent / "campaign"
 
 
-@pytest.mark.parametrize("cases", [10, pytest.param(1500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [6, pytest.param(1500, marks=pytest.mark.slow)])
 def test_no_case_of_a_campaign_fails(cases):
     words = [sys.executable, str(CAMPAIGN / "run.py"), "--seed", "1", "--cases", str(cases)]
     done = subprocess.run(words, capture_output=True, text=True, check=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from inspect import Parameter, signature
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -78,8 +79,14 @@ def test_every_option_of_the_core_can_be_built(tmp_path, group, option):
     assert model.optimisation is not None
 
 
-@pytest.mark.parametrize("system", GROUPS["system"])
-@pytest.mark.parametrize("model", GROUPS["model"])
+PAIRS = [
+    pytest.param(model, system, marks=() if (i + j) % 2 == 0 else pytest.mark.slow)
+    for (i, model), (j, system) in product(enumerate(GROUPS["model"]), enumerate(GROUPS["system"]))
+]
+"""Every other pair is built each time, each model and system in several; the slow suite builds all."""
+
+
+@pytest.mark.parametrize(("model", "system"), PAIRS)
 def test_every_model_is_built_for_every_system(tmp_path, model, system):
     given = [SWINGS] if system == "files" else []
     data, built = build_parts(composed(tmp_path, f"model={model}", f"system={system}", *given))

@@ -9,7 +9,8 @@ needed for may widen it:
 - chi-square of the training per degree of freedom, where it exceeds 1: the noise is larger than was said, or
   the model does not reach the data;
 - the step that is left: the training is off by that much, too;
-- held-out measurements: if the model leaves more of them unexplained than both account for, by that ratio.
+- held-out measurements: where the model leaves more of them unexplained than both account for, by the least
+  factor that they do not refuse.
 """
 
 from __future__ import annotations
@@ -36,8 +37,11 @@ DAMPING = 1e-6
 """Of the first step: a training in float32 has left what is seen a millionth as well as the rest."""
 HARDER = 10.0
 """Times the damping, for a step that went beyond its bend."""
-REFUSED = 1.645
-"""Standard deviations above what a factor of 1 leads to: it is then refused with 95 %, one-sided."""
+REFUSED = 3.0902
+"""Standard deviations above what a factor leads to: it is then refused with 99.9 %, one-sided.
+
+With 95 % the noise of held-out measurements would widen the bands of one right model in twenty.
+"""
 
 
 @torch.no_grad()
@@ -155,10 +159,11 @@ def uncertainty(here: Place, held_out: Equations, names: Sequence[str]) -> Uncer
 
 
 def held_out_scale(factor: Tensor, test: Equations, noise: float) -> float:
-    """Return the factor on a covariance L L^T that held-out measurements ask for; 1 unless they refuse it.
+    """Return the least factor on a covariance L L^T, from 1 on, that held-out measurements do not refuse.
 
     If theta is off by N(0, f L L^T), the squares of n residuals with noise of variance v add up to
-    n v + f tr(A L L^T), with A = J^T J: their excess over n v gives f.
+    n v + f tr M, M = L^T J^T J L, with the variance 2 (n v^2 + 2 v f tr M + f^2 tr M^2). What was found is
+    `REFUSED` standard deviations above that for the f returned.
 
     Args:
         factor: L, shape (P, R).
@@ -168,7 +173,11 @@ def held_out_scale(factor: Tensor, test: Equations, noise: float) -> float:
     if not test.blocks:
         return 1.0
     told = factor.mT @ test.blocks[0].matrix @ factor
-    expected = float(told.diagonal().sum())
-    variance = test.degrees * noise**2 + 2 * noise * expected + float(told.square().sum())
+    expected, squares = float(told.diagonal().sum()), float(told.square().sum())
     excess = float(test.loss) - test.degrees * noise
-    return excess / expected if excess > expected + REFUSED * (2 * variance) ** 0.5 else 1.0
+    beyond = excess**2 - 2 * REFUSED**2 * test.degrees * noise**2
+    if excess <= 0 or beyond <= 0:
+        return 1.0
+    # The root of a f^2 - 2 b f + c = 0 below which the noise alone explains more than was found.
+    a, b = expected**2 - 2 * REFUSED**2 * squares, expected * (excess + 2 * REFUSED**2 * noise)
+    return max(1.0, beyond / (b + (b**2 - a * beyond) ** 0.5))

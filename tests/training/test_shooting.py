@@ -204,7 +204,7 @@ def test_the_gradient_for_first_order_optimisers_is_that_of_the_best_starts(robu
 
 
 def test_outliers_do_not_move_a_robust_fit():
-    _, batch = segment(rows=100, intervals=30, measurement=Position(1), missing=0.0)
+    _, batch = segment(rows=50, intervals=20, measurement=Position(1), missing=0.0)
     wild = torch.rand(batch.values.shape, generator=generator(9)) < 0.05
     wild[:, :6] = False
     spoilt = batch._replace(values=torch.where(wild, batch.values + 0.5, batch.values))
@@ -212,7 +212,7 @@ def test_outliers_do_not_move_a_robust_fit():
     def fitted(data, robust):
         model = Swing(1.9, 0.6)
         optimizer = LevenbergMarquardt(model.parameters(), damping=1e-4)
-        for _ in range(6):
+        for _ in range(4):
             optimizer.step(lambda: (Shooting(None, robust).problem(model, data), None))
         return float((model.field.stiffness.detach() - torch.tensor([2.0, 0.5], **DOUBLE)).norm())
 

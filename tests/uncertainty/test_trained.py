@@ -17,7 +17,7 @@ from ahnn.uncertainty import load_uncertainty
 from ahnn.uncertainty.posterior import FILE
 
 TINY = ["data.trajectories=20", "data.windows_per_epoch=20", "data.batch_size=10", "data.val_windows=3"]
-TINY += ["loss.stages=[[whole,1.0]]", "model.network.width=4", "trainer.max_epochs=1", "loss.closing=1"]
+TINY += ["loss.stages=[[whole,1.0]]", "model.network.width=4", "trainer.max_epochs=1"]
 TINY += ["experiment=pendulum_angles", "plugins=none", "logger=none", "callbacks.rollout.count=0"]
 
 
