@@ -23,12 +23,10 @@ from omegaconf import OmegaConf
 from ahnn import load
 from ahnn.cli.parts import build_sensor, build_source, robust_of
 from ahnn.data import SplitData
-from ahnn.data.segments import Segments
-from ahnn.data.splits import Split
+from ahnn.data.segments import whole
 from ahnn.evaluation.bands import banded
 from ahnn.evaluation.explained import explain
 from ahnn.evaluation.prepare import make_case
-from ahnn.measurements import Segment
 from ahnn.rollouts import rollout
 from ahnn.runs import Run
 from ahnn.training.laplace import conclude
@@ -60,12 +58,6 @@ class Drawn(NamedTuple):
         return self.band[0] <= self.chi_square <= self.band[1]
 
 
-def whole(data: SplitData, split: Split) -> Segment:
-    """Return all measurements of a split, a stretch for each trajectory."""
-    segments = Segments(data.measured(split), None, data.instrument())
-    return segments.gather(torch.arange(len(segments)))
-
-
 def drawn(run: Run, seed: int) -> Drawn | None:
     """Return what the measurements of another seed lead to; None where they explain no trajectory."""
     cfg, robust = OmegaConf.create(run.config), robust_of(run)
@@ -73,7 +65,8 @@ def drawn(run: Run, seed: int) -> Drawn | None:
     cfg.data.seed = seed
     data = SplitData(source, list(cfg.data.split), build_sensor(cfg, source))
     dynamics = copy.deepcopy(run.trained).requires_grad_(True)
-    found = conclude(dynamics, whole(data, "train"), whole(data, "val"), 0, robust)
+    train, val = (whole(data.measured(split), data.instrument()) for split in ("train", "val"))
+    found = conclude(dynamics, train, val, 0, robust)
     if found is None:
         return None
     learned, found = found.taken(dynamics)

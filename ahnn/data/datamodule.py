@@ -13,7 +13,7 @@ from ahnn.arguments import Count, Seed, Within, checked
 from ahnn.data.loader import SegmentLoader, WindowLoader
 from ahnn.data.measured import EXAMPLES, measured_statistics
 from ahnn.data.noise_floor import remark_on
-from ahnn.data.segments import Segments
+from ahnn.data.segments import Segments, whole
 from ahnn.data.sensor import Sensor
 from ahnn.data.sources import Source
 from ahnn.data.splits import Split, SplitData
@@ -160,14 +160,13 @@ class WindowDataModule(LightningDataModule):
         """Return the validation batches, the same in every epoch."""
         if self.stages is None:
             return self._loader("val", self.window, self.val_windows, None)
-        whole = self.trajectories("val").part(slice(self.val_windows))
-        segments = Segments(whole, None, self.instrument)
+        judged = self.trajectories("val").part(slice(self.val_windows))
+        segments = Segments(judged, None, self.instrument)
         return SegmentLoader(lambda _: (segments, len(segments)), 0, 0)
 
     def whole(self, split: Split) -> Segment:
         """Return all measurements of a split, a stretch for each trajectory."""
-        segments = Segments(self.trajectories(split), None, self.instrument)
-        return segments.gather(torch.arange(len(segments)))
+        return whole(self.trajectories(split), self.instrument)
 
     def _stage(self, epoch: int) -> tuple[Segments, int]:
         """Return the stretches of an epoch, and how many a step takes."""

@@ -66,6 +66,12 @@ class Segments:
         return Segment(values, self.times[row, columns], self.instrument)
 
 
+def whole(measured: Trajectories, instrument: Instrument) -> Segment:
+    """Return all of each trajectory, from its first good start on, as one batch; raises as `Segments`."""
+    segments = Segments(measured, None, instrument)
+    return segments.gather(torch.arange(len(segments)))
+
+
 def ahead(there: Tensor, count: int) -> Tensor:
     """Return how many of so many samples from each one on are there, (B, T) from (B, T) bool."""
     padded = torch.nn.functional.pad(there.long(), (0, count))

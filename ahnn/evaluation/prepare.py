@@ -10,7 +10,7 @@ from torch.nn.functional import pad
 
 from ahnn.data import SplitData
 from ahnn.data.recorded import Recorded
-from ahnn.data.segments import Segments
+from ahnn.data.segments import whole
 from ahnn.dynamics import Dynamics, HasEnergy
 from ahnn.evaluation.case import Case, perturbations
 from ahnn.evaluation.explained import fit_to
@@ -81,5 +81,4 @@ def measured_test(data: SplitData) -> Segment | None:
     """Return the measurements of whole test trajectories; None where states are known."""
     if data.sensor is None:
         return None
-    segments = Segments(data.measured("test"), None, data.instrument())
-    return segments.gather(torch.arange(len(segments)))
+    return whole(data.measured("test"), data.instrument())
