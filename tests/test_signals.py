@@ -11,6 +11,8 @@ import pytest
 from entry import SMALL, started
 
 from ahnn.checkpoints import read_checkpoint
+from ahnn.cli import stops
+from ahnn.errors import Stopped
 
 FIRST = [*SMALL, "recipe=first_order", "evaluation=scores"]
 
@@ -72,6 +74,12 @@ def test_what_fails_after_a_signal_that_a_library_swallowed_is_the_stop():
     job = subprocess.run([sys.executable, "-c", SWALLOWED], capture_output=True, text=True, check=False)
     assert job.returncode == 143
     assert job.stderr.startswith("ahnn: stopped by SIGTERM; ")
+
+
+def test_work_that_keeps_its_state_does_not_begin_after_a_signal_that_a_library_swallowed(monkeypatch):
+    monkeypatch.setattr(stops, "_arrived", [signal.SIGINT])
+    with pytest.raises(Stopped, match=r"^stopped by Ctrl-C; go on so$"), stops.ended(lambda: "go on so"):
+        pytest.fail("it began")
 
 
 @pytest.mark.parametrize("moment", [0.02, 0.1, 0.3, 1.0, 2.0])

@@ -69,6 +69,8 @@ def ended(how_to_go_on: Callable[[], str], *, speaks: bool = True) -> Iterator[N
     Lightning answers Ctrl-C with an exit of its own, code 1.
     """
     try:
+        if stop := arrived():  # a library swallowed what it raised
+            raise stop
         yield
     except (KeyboardInterrupt, SystemExit, Stopped) as stop:
         by_ctrl_c = isinstance(stop, KeyboardInterrupt) or isinstance(stop.__context__, KeyboardInterrupt)
