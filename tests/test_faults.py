@@ -134,7 +134,10 @@ def test_a_training_that_ends_before_its_first_validation_is_judged(tmp_path):
     assert call("ahnn.train", *FIRST, "callbacks.best=null", f"run={tmp_path / 'none'}") == 0
 
 
-@pytest.mark.parametrize("odd", ["MPLBACKEND=nonsense", "RANK=x", "TORCH_LOGS="])
+ODD = ("MPLBACKEND=nonsense", "RANK=x", "TORCH_LOGS=")
+
+
+@pytest.mark.parametrize("odd", [*ODD, pytest.param("LOCAL_RANK=x", marks=pytest.mark.slow)])
 def test_a_library_that_cannot_be_imported_is_one_message(tmp_path, monkeypatch, odd):
     monkeypatch.setenv(*odd.split("="))
     job = started(tmp_path, *FIRST, f"run={tmp_path / 'run'}")

@@ -14,7 +14,7 @@ from ahnn.errors import UserError
 from ahnn.systems.truth import ACCURACY, exact_flow, substeps
 
 
-@pytest.mark.parametrize("dt", [0.05, 0.1])
+@pytest.mark.parametrize("dt", [pytest.param(0.01, marks=pytest.mark.slow), 0.05, 0.1])
 def test_the_truth_of_a_spring_is_its_closed_form(dt):
     system = dataclasses.replace(SPRING, dt=dt, steps=round(10 / dt))
     states, times = generate(system, 20, 3)
