@@ -31,6 +31,7 @@ from ahnn.training.functions import ARRIVED, whole_step
 from ahnn.training.levenberg_marquardt import ATTEMPTS, LARGEST, SUFFICIENT, adapted
 from ahnn.training.normal_equations import Equations, damped_step, promised_decrease
 from ahnn.training.posterior import Place, WideProblem, after, whole_problem, with_prior
+from ahnn.training.shooting import freedom
 from ahnn.uncertainty import Uncertainty
 
 DAMPING = 1e-6
@@ -69,13 +70,14 @@ def conclude(
     unseen = whole_problem(dynamics, held_out, ROBUST[robust])
     others = unseen.equations(here.theta, [p.numel() for p in dynamics.parameters()])
     names = [name for name, _ in dynamics.named_parameters()]
+    noise = scatter(problem.limit.cost(problem.refitted(here.theta).sums), freedom(problem.batch))
     taken = whole_step(problem, dynamics, here)
     if taken is None:
         there = here.left(gained) if gained <= ARRIVED * here.determined else here
-        return uncertainty(there, others, names)
+        return uncertainty(there, others, names, noise)
     wide, there = taken
     others = others._replace(loss=after(unseen, wide).cost)
-    return replace(uncertainty(there, others, names), step=there.theta - here.theta)
+    return replace(uncertainty(there, others, names, noise), step=there.theta - here.theta)
 
 
 def approached(
@@ -135,17 +137,33 @@ def lower(problem: WideProblem, here: Place, damping: float) -> tuple[Tensor | N
     return None, damping, 0.0
 
 
-def uncertainty(here: Place, held_out: Equations, names: Sequence[str]) -> Uncertainty:
+def scatter(sums: Tensor, degrees: Tensor) -> float:
+    """Return the variance of what a residual adds to the sum, as that of whole segments tells it.
+
+    It is 2 v^2 for squares of normal residuals of variance v, and no less is returned: a few segments could
+    agree by chance. Outliers make it several times as large, in a robust loss too.
+
+    Args:
+        sums: of segments, (B,).
+        degrees: of freedom, (B,).
+    """
+    typical = sums.sum() / degrees.sum()
+    found = (sums - typical * degrees).square().sum() / degrees.sum()
+    return float(torch.maximum(found, 2 * typical**2))
+
+
+def uncertainty(here: Place, held_out: Equations, names: Sequence[str], scatter: float) -> Uncertainty:
     """Return the covariance at a place, as wide as the held-out measurements ask for.
 
     Args:
         here: where the training ends.
         held_out: the held-out measurements to second order.
         names: of the groups of parameters.
+        scatter: variance of what a residual adds to the sum.
     """
     inflation = max(here.chi_square, 1.0)
     spread = Uncertainty(here.factor, here.offset, inflation, {}).spread
-    unexplained = held_out_scale(spread, held_out, here.chi_square)
+    unexplained = held_out_scale(spread, held_out, here.chi_square, scatter)
     about = {
         "parameters": len(here.theta),
         "determined": here.determined,
@@ -158,24 +176,25 @@ def uncertainty(here: Place, held_out: Equations, names: Sequence[str]) -> Uncer
     return Uncertainty(here.factor, here.offset, inflation * unexplained, about)
 
 
-def held_out_scale(factor: Tensor, test: Equations, noise: float) -> float:
+def held_out_scale(factor: Tensor, test: Equations, noise: float, scatter: float) -> float:
     """Return the least factor on a covariance L L^T, from 1 on, that held-out measurements do not refuse.
 
     If theta is off by N(0, f L L^T), the squares of n residuals with noise of variance v add up to
-    n v + f tr M, M = L^T J^T J L, with the variance 2 (n v^2 + 2 v f tr M + f^2 tr M^2). What was found is
-    `REFUSED` standard deviations above that for the f returned.
+    n v + f tr M, M = L^T J^T J L, with the variance n s + 2 (2 v f tr M + f^2 tr M^2), s being that of a
+    square. What was found is `REFUSED` standard deviations above that for the f returned.
 
     Args:
         factor: L, shape (P, R).
         test: the held-out measurements to second order.
         noise: v, as the training found it.
+        scatter: s, likewise.
     """
     if not test.blocks:
         return 1.0
     told = factor.mT @ test.blocks[0].matrix @ factor
     expected, squares = float(told.diagonal().sum()), float(told.square().sum())
     excess = float(test.loss) - test.degrees * noise
-    beyond = excess**2 - 2 * REFUSED**2 * test.degrees * noise**2
+    beyond = excess**2 - REFUSED**2 * test.degrees * scatter
     if excess <= 0 or beyond <= 0:
         return 1.0
     # The root of a f^2 - 2 b f + c = 0 below which the noise alone explains more than was found.

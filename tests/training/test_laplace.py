@@ -12,7 +12,7 @@ from ahnn.measurements import Position
 from ahnn.shooting.robust import ROBUST
 from ahnn.training import LevenbergMarquardt, laplace
 from ahnn.training.evidence import Prior, by_evidence
-from ahnn.training.laplace import conclude, held_out_scale, uncertainty
+from ahnn.training.laplace import conclude, held_out_scale, scatter, uncertainty
 from ahnn.training.normal_equations import Block, Equations
 from ahnn.training.posterior import Place, WideProblem, with_prior
 from ahnn.training.shooting import ShootingProblem
@@ -123,12 +123,12 @@ def test_held_out_measurements_find_the_scale_of_a_covariance(factor, noise):
     off = factor**0.5 * lower @ torch.randn(size, generator=generator(2), **DOUBLE)
     rows = jacobian @ off + noise**0.5 * torch.randn(count, generator=generator(3), **DOUBLE)
     block = Block(torch.arange(size), jacobian.T @ jacobian, jacobian.T @ rows)
-    found = held_out_scale(lower, Equations(rows @ rows, count, [block]), noise)
+    found = held_out_scale(lower, Equations(rows @ rows, count, [block]), noise, 2 * noise**2)
     assert found == 1.0 if factor == 1 else 0.4 * factor < found < 1.2 * factor
 
 
 def test_no_held_out_measurements_ask_for_nothing():
-    assert held_out_scale(torch.eye(2, **DOUBLE), Equations(torch.ones(()), 1, []), 1.0) == 1.0
+    assert held_out_scale(torch.eye(2, **DOUBLE), Equations(torch.ones(()), 1, []), 1.0, 2.0) == 1.0
 
 
 def test_a_prior_adds_the_derivatives_of_its_penalty():
@@ -187,30 +187,51 @@ def test_the_covariance_is_widened_by_chi_square_and_by_what_is_held_out(
     asked = []
     monkeypatch.setattr(laplace, "held_out_scale", lambda *given: asked.append(given) or unexplained)
     held_out = Equations(torch.ones(()), 1, [])
-    found = uncertainty(place(loss=torch.tensor(loss, **DOUBLE)), held_out, {"a": 0.5})
+    found = uncertainty(place(loss=torch.tensor(loss, **DOUBLE)), held_out, {"a": 0.5}, 7.0)
     wide = max(chi_square, 1.0)
     assert found.inflation == pytest.approx(wide * unexplained, rel=1e-12)
     offset = torch.tensor([[4.0, 0.0], [0.0, 0.0]], **DOUBLE)
     close(found.covariance, wide * unexplained * (torch.eye(2, **DOUBLE) + offset), 1e-12)
-    (spread, test, noise), *_ = asked
+    (spread, test, noise, scattered), *_ = asked
     close(spread @ spread.T, wide * (torch.eye(2, **DOUBLE) + offset), 1e-12)
-    assert (test, noise) == (held_out, pytest.approx(chi_square, rel=1e-12))
+    assert (test, noise, scattered) == (held_out, pytest.approx(chi_square, rel=1e-12), 7.0)
     assert found.about["held_out"] == unexplained
 
 
 @pytest.mark.parametrize("noise", [0.7, 3.0])
 @pytest.mark.parametrize("factor", [1.0, 1.02, 7.0, 400.0])
 @pytest.mark.parametrize("told", [[0.3, 2.0, 11.0], [5.0, 0.0, 0.0]])
-def test_held_out_measurements_widen_a_covariance_until_they_do_not_refuse_it(noise, factor, told):
-    """Squares of n + R normal numbers: n of variance v, and by each direction its own variance more."""
+@pytest.mark.parametrize("tails", [0.0, 40.0])
+def test_held_out_measurements_widen_a_covariance_until_they_do_not_refuse_it(noise, factor, told, tails):
+    """Squares of n + R normal numbers: n of variance v, and by each direction its own variance more.
+
+    The squares of a noise with tails vary by more than those of a normal one.
+    """
     told = torch.tensor(told, **DOUBLE)
     lower = torch.diag(torch.tensor([2.0, 0.5, 0.1], **DOUBLE))
     block = Block(torch.arange(3), torch.diag(told / lower.diagonal() ** 2), torch.zeros(3, **DOUBLE))
-    variance = 2 * ((noise + factor * told).square().sum() + (50 - 3) * noise**2)
+    variance = 2 * ((noise + factor * told).square().sum() + (50 - 3) * noise**2) + 50 * tails
     excess = factor * float(told.sum()) + 3.0902 * float(variance) ** 0.5
     for share, least in ((1.0, factor), (0.9 / factor, 1.0), (-1.0, 1.0)):
         test = Equations(torch.tensor(50 * noise + share * excess, **DOUBLE), 50, [block])
-        assert held_out_scale(lower, test, noise) == pytest.approx(least, rel=1e-9)
+        found = held_out_scale(lower, test, noise, 2 * noise**2 + tails)
+        assert found == pytest.approx(least, rel=1e-9)
+
+
+@pytest.mark.parametrize(("tails", "expected"), [(0.0, 4.5), (0.1, 0.9 * 4.5 + 0.1 * 0.9 * 50**2)])
+def test_sums_of_segments_tell_how_residuals_scatter(tails, expected):
+    """Squares of normal numbers of variance 1.5, some of which give way to outliers whose cost is 51.5."""
+    rng = generator(0)
+    count = torch.randint(10, 90, (4000,), generator=rng)
+    squares = 1.5 * torch.randn(4000, 90, generator=rng, **DOUBLE).square()
+    squares[torch.rand(4000, 90, generator=rng) < tails] = 51.5
+    sums = torch.where(torch.arange(90) < count.unsqueeze(1), squares, 0.0).sum(1)
+    assert scatter(sums, count.double()) == pytest.approx(expected, rel=0.07)
+
+
+def test_few_segments_that_agree_scatter_as_normal_residuals_do():
+    sums = torch.full((3,), 60.0, **DOUBLE)
+    assert scatter(sums, torch.full((3,), 20.0, **DOUBLE)) == pytest.approx(2 * 3.0**2, rel=1e-12)
 
 
 class Line:
