@@ -26,11 +26,13 @@ class Robust(NamedTuple):
     Attributes:
         cost: e -> 2 rho(e), e^2 for squares.
         weight: e -> rho'(e) / e.
+        slope: e -> rho''(e).
         approach: name of the convex loss that a fit begins with, where this one has minima that depend on it.
     """
 
     cost: Callable[[Tensor], Tensor]
     weight: Callable[[Tensor], Tensor]
+    slope: Callable[[Tensor], Tensor]
     approach: RobustName | None = None
 
 
@@ -40,11 +42,30 @@ def _huber(e: Tensor) -> Tensor:
 
 
 ROBUST: dict[str, Robust] = {
-    "none": Robust(torch.square, torch.ones_like),
-    "huber": Robust(_huber, lambda e: HUBER / e.abs().clamp(min=HUBER)),
+    "none": Robust(torch.square, torch.ones_like, torch.ones_like),
+    "huber": Robust(
+        _huber, lambda e: HUBER / e.abs().clamp(min=HUBER), lambda e: (e.abs() <= HUBER).to(e.dtype)
+    ),
     "student": Robust(
         lambda e: (FREEDOM + 1) * torch.log1p(e * e / FREEDOM),
         lambda e: (FREEDOM + 1) / (FREEDOM + e * e),
+        lambda e: (FREEDOM + 1) * (FREEDOM - e * e) / (FREEDOM + e * e) ** 2,
         approach="huber",
     ),
 }
+
+
+def variance(robust: Robust, e: Tensor) -> float:
+    """Return the factor that makes (J^T W J)^-1 a covariance, in units of the mean cost.
+
+    W are the weights. A fit by rho has the covariance E rho'^2 / (E rho'')^2 (J^T J)^-1 (Huber 1981, section
+    7.6); of squares it is (J^T J)^-1 times their mean, and 1 is returned.
+
+    Args:
+        robust: the loss, rho.
+        e: residuals in standard deviations; those that are 0 were not measured.
+    """
+    e = e[e != 0]
+    weight = robust.weight(e)
+    spread = (weight * e).square().mean() * weight.mean() / robust.slope(e).mean().square()
+    return float(spread / robust.cost(e).mean())

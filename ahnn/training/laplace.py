@@ -7,7 +7,7 @@ inverse of J^T J, starts eliminated, and the prior (Laplace's approximation). Th
 needed for may widen it:
 
 - chi-square of the training per degree of freedom, where it exceeds 1: the noise is larger than was said, or
-  the model does not reach the data;
+  the model does not reach the data. Of a robust loss it is what that loss makes of the noise;
 - the step that is left: the training is off by that much, too;
 - held-out measurements: where the model leaves more of them unexplained than both account for, by the least
   factor that they do not refuse.
@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -24,7 +25,7 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from ahnn.dynamics import Dynamics
 from ahnn.measurements import Segment
-from ahnn.shooting.robust import ROBUST, RobustName
+from ahnn.shooting.robust import ROBUST, RobustName, variance
 from ahnn.training.acceleration import accelerated
 from ahnn.training.evidence import by_evidence, log_evidence
 from ahnn.training.functions import ARRIVED, whole_step
@@ -51,9 +52,6 @@ def conclude(
 ) -> Uncertainty | None:
     """Take the last steps of a training and return the covariance of the parameters that it ended at.
 
-    With a robust loss its mean takes the place of chi-square, which outliers raise: the covariance is then on
-    the safe side.
-
     Args:
         dynamics: with a field, float64; their parameters are moved.
         train: all measurements of the training.
@@ -70,7 +68,7 @@ def conclude(
     unseen = whole_problem(dynamics, held_out, ROBUST[robust])
     others = unseen.equations(here.theta, [p.numel() for p in dynamics.parameters()])
     names = [name for name, _ in dynamics.named_parameters()]
-    noise = scatter(problem.limit.cost(problem.refitted(here.theta).sums), freedom(problem.batch))
+    noise = Noise.of(problem, here.theta)
     taken = whole_step(problem, dynamics, here)
     if taken is None:
         there = here.left(gained) if gained <= ARRIVED * here.determined else here
@@ -137,6 +135,26 @@ def lower(problem: WideProblem, here: Place, damping: float) -> tuple[Tensor | N
     return None, damping, 0.0
 
 
+class Noise(NamedTuple):
+    """What the residuals of a training are like, beside their mean cost per degree of freedom.
+
+    Attributes:
+        widening: factor on the covariance, 1 for squares (`ahnn.shooting.robust.variance`).
+        scatter: variance of what a residual adds to the sum.
+    """
+
+    widening: float
+    scatter: float
+
+    @classmethod
+    def of(cls, problem: WideProblem, theta: Tensor) -> Noise:
+        """Return the noise of a problem at theta, shape (P,)."""
+        fitted = problem.refitted(theta)
+        residuals = problem.batch.residuals(fitted.states[:, problem.steps.ends])
+        sums = problem.limit.cost(fitted.sums)
+        return cls(variance(problem.robust, residuals), scatter(sums, freedom(problem.batch)))
+
+
 def scatter(sums: Tensor, degrees: Tensor) -> float:
     """Return the variance of what a residual adds to the sum, as that of whole segments tells it.
 
@@ -152,18 +170,18 @@ def scatter(sums: Tensor, degrees: Tensor) -> float:
     return float(torch.maximum(found, 2 * typical**2))
 
 
-def uncertainty(here: Place, held_out: Equations, names: Sequence[str], scatter: float) -> Uncertainty:
+def uncertainty(here: Place, held_out: Equations, names: Sequence[str], noise: Noise) -> Uncertainty:
     """Return the covariance at a place, as wide as the held-out measurements ask for.
 
     Args:
         here: where the training ends.
         held_out: the held-out measurements to second order.
         names: of the groups of parameters.
-        scatter: variance of what a residual adds to the sum.
+        noise: of the training.
     """
-    inflation = max(here.chi_square, 1.0)
+    inflation = max(here.chi_square * noise.widening, 1.0)
     spread = Uncertainty(here.factor, here.offset, inflation, {}).spread
-    unexplained = held_out_scale(spread, held_out, here.chi_square, scatter)
+    unexplained = held_out_scale(spread, held_out, here.chi_square, noise.scatter)
     about = {
         "parameters": len(here.theta),
         "determined": here.determined,

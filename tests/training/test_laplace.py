@@ -12,7 +12,7 @@ from ahnn.measurements import Position
 from ahnn.shooting.robust import ROBUST
 from ahnn.training import LevenbergMarquardt, laplace
 from ahnn.training.evidence import Prior, by_evidence
-from ahnn.training.laplace import conclude, held_out_scale, scatter, uncertainty
+from ahnn.training.laplace import Noise, conclude, held_out_scale, scatter, uncertainty
 from ahnn.training.normal_equations import Block, Equations
 from ahnn.training.posterior import Place, WideProblem, with_prior
 from ahnn.training.shooting import ShootingProblem
@@ -181,14 +181,15 @@ def test_chi_square_is_by_the_degrees_that_the_parameters_leave_and_by_one_at_le
 
 @pytest.mark.parametrize(("loss", "chi_square"), [(26.0, 4.0), (3.25, 0.5)])
 @pytest.mark.parametrize("unexplained", [1.0, 3.0])
+@pytest.mark.parametrize("widening", [1.0, 0.4])
 def test_the_covariance_is_widened_by_chi_square_and_by_what_is_held_out(
-    loss, chi_square, unexplained, monkeypatch
+    loss, chi_square, unexplained, widening, monkeypatch
 ):
     asked = []
     monkeypatch.setattr(laplace, "held_out_scale", lambda *given: asked.append(given) or unexplained)
     held_out = Equations(torch.ones(()), 1, [])
-    found = uncertainty(place(loss=torch.tensor(loss, **DOUBLE)), held_out, {"a": 0.5}, 7.0)
-    wide = max(chi_square, 1.0)
+    found = uncertainty(place(loss=torch.tensor(loss, **DOUBLE)), held_out, {"a": 0.5}, Noise(widening, 7.0))
+    wide = max(chi_square * widening, 1.0)
     assert found.inflation == pytest.approx(wide * unexplained, rel=1e-12)
     offset = torch.tensor([[4.0, 0.0], [0.0, 0.0]], **DOUBLE)
     close(found.covariance, wide * unexplained * (torch.eye(2, **DOUBLE) + offset), 1e-12)
