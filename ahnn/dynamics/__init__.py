@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ahnn.dynamics.base import Dynamics, HasEnergy, HasField
+from ahnn.dynamics.base import Dynamics, HasEnergy, HasField, has_field
 from ahnn.dynamics.fields import HamiltonianDynamics, NeuralODE
 from ahnn.dynamics.maps import NextState
 from ahnn.errors import UserError
@@ -48,5 +48,6 @@ __all__ = [
     "HasField",
     "NeuralODE",
     "NextState",
+    "has_field",
     "make_dynamics",
 ]

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from torch import Tensor, nn
 
 from ahnn.statistics import Statistics
 from ahnn.types import TimeStep
+
+if TYPE_CHECKING:
+    from typing_extensions import TypeIs
 
 
 class Dynamics(nn.Module, ABC):
@@ -44,7 +47,6 @@ class Dynamics(nn.Module, ABC):
         return copy.deepcopy(self).double().eval().requires_grad_(False)
 
 
-@runtime_checkable
 class HasField(Protocol):
     """Dynamics that have a vector field: x -> dx/dt, shape (..., D)."""
 
@@ -52,6 +54,15 @@ class HasField(Protocol):
     def field(self) -> nn.Module:
         """The vector field."""
         ...
+
+
+def has_field(dynamics: object) -> TypeIs[HasField]:
+    """Return whether dynamics have a field.
+
+    A protocol that is checked at run time would not find it: from Python 3.12 on these look past
+    `__getattr__`, by which a module of torch gives its parts.
+    """
+    return isinstance(getattr(dynamics, "field", None), nn.Module)
 
 
 @runtime_checkable

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, cast
 import torch
 from torch import Tensor, nn
 
-from ahnn.dynamics.base import Dynamics, HasField
+from ahnn.dynamics.base import Dynamics, has_field
 from ahnn.dynamics.variations import own_jacobians
 from ahnn.estimation.consistency import band
 from ahnn.jacobians import step_jacobians
@@ -127,7 +127,7 @@ def explain(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") 
     total = float(degrees[met].sum())
     chi = float(fitted.sums[met].sum()) / total if total else float("nan")
     part, halved = segment.rows(met), None
-    if isinstance(dynamics, HasField) and total:
+    if total and has_field(dynamics):
         near, steps_of_half = fitted.starts[met], steps.rows(met).halved()
         again = refine(trial_of(dynamics), near, part, steps_of_half, FOLLOWING, SURE)
         halved = float(again.sums.sum()) / total

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, cast
 import torch
 from torch import Tensor
 
-from ahnn.dynamics import Dynamics, HasField
+from ahnn.dynamics import Dynamics, HasField, has_field
 from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.dynamics.energies import Quadratic
 from ahnn.dynamics.hamiltonians import SeparableHamiltonian
@@ -40,10 +40,10 @@ def equation_of_motion(dynamics: Dynamics, instrument: Instrument) -> Motion:
         UserError: other measurements, or dynamics whose field does not say how these move.
     """
     measurement = instrument.measurement
-    if isinstance(dynamics, HasField) and isinstance(measurement, State):
+    if has_field(dynamics) and isinstance(measurement, State):
         return Motion(1, 2, lambda field: field, field_jacobian(dynamics))
     if (
-        isinstance(dynamics, HasField)
+        has_field(dynamics)
         and isinstance(measurement, Position)
         and isinstance(dynamics.field, SeparableHamiltonian)
         and isinstance(dynamics.field.kinetic, Quadratic)

@@ -18,7 +18,7 @@ from torch.func import vjp
 from torch.nn.utils import parameters_to_vector
 
 from ahnn.cores import each
-from ahnn.dynamics import Dynamics, HasField
+from ahnn.dynamics import Dynamics, HasField, has_field
 from ahnn.dynamics.derivatives import field_jacobian, parametrised
 from ahnn.dynamics.recorded import Increments
 from ahnn.dynamics.variations import jacobians_of_steps
@@ -133,7 +133,7 @@ class ShootingProblem:
         starts: Tensor | None = None,
         quartered: bool = False,
     ) -> None:
-        if not isinstance(dynamics, HasField):
+        if not has_field(dynamics):
             message = (
                 "loss.stages: expected dynamics with a field, whose rates shape the steps; received "
                 f"{type(dynamics).__name__}. Use model=ahnn or model=node"
