@@ -13,8 +13,9 @@ from hydra.utils import get_object
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from ahnn.cli.build import build, build_all
-from ahnn.cli.parts import SENSOR, SIMULATION, build_data, build_model, build_source
+from ahnn.cli.parts import SENSOR, SIMULATION, build_data, build_model, build_source, build_trainer
 from ahnn.data.splits import split_sizes
+from ahnn.errors import UserError
 from ahnn.integrators import GaussLegendre4
 from ahnn.paths import conf_dir
 
@@ -133,3 +134,15 @@ def test_build_offers_only_what_a_target_takes():
 )
 def test_a_sensor_brings_its_recipe_unless_another_is_named(tmp_path, overrides, loss):
     assert composed(tmp_path, *overrides).hydra.runtime.choices.loss == loss
+
+
+def test_measurements_are_learned_from_on_the_cpu_where_there_is_a_gpu(tmp_path, monkeypatch):
+    """Everything else would be trained on the GPU, which this machine has not."""
+    for part in ("fabric", "pytorch"):
+        accelerator = f"lightning.{part}.accelerators.CUDAAccelerator"
+        monkeypatch.setattr(f"{accelerator}.is_available", staticmethod(lambda: True))
+    parts = ["logger=none"]
+    trainer = build_trainer(composed(tmp_path, "experiment=pendulum_angles", *parts))
+    assert trainer.strategy.root_device.type == "cpu"
+    with pytest.raises(UserError, match=r"^trainer: .*(gpu|cuda|GPU|CUDA)"):
+        build_trainer(composed(tmp_path, *parts))

@@ -21,6 +21,7 @@ HINTS = (
     ".*isinstance.treespec, LeafSpec.*",
     ".*did not find any unused parameters.*",
     ".*srun. command is available on your system but is not used.*",
+    "GPU available but not used.*",
 )
 """What Lightning warns of though it is intended, such as short epochs or a login node without `srun`."""
 

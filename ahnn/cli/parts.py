@@ -192,7 +192,10 @@ def build_trainer(cfg: DictConfig) -> Trainer:
     callbacks = list(build_all(cfg.callbacks, "callbacks", Callback).values())
     logger = list(build_all(cfg.logger, "logger", Logger).values())
     parts = {"callbacks": callbacks, "logger": logger, "default_root_dir": cfg.folder}
-    trainer = build(cfg.trainer, "trainer", Trainer, plugins=[AtomicCheckpointIO()], **parts)
+    own = cfg.trainer.copy()
+    if cfg.loss.get("stages") and own.accelerator == "auto":
+        own.accelerator = "cpu"  # where measurements are learned from
+    trainer = build(own, "trainer", Trainer, plugins=[AtomicCheckpointIO()], **parts)
     EpochLoop.take(trainer)
     environment = getattr(trainer.strategy, "cluster_environment", None)
     own = environment is not None and environment.creates_processes_externally
