@@ -47,8 +47,13 @@ def each(work: Callable[[P], T], parts: Iterable[P], device: torch.device) -> li
     return list(_pool(cores()).map(torch.no_grad()(work), given))
 
 
-def slices(count: int, size: int) -> list[slice]:
-    """Return parts of so many rows, `size` in each or, in the last, fewer; of none, one without rows."""
+def slices(count: int, size: int, device: torch.device | None = None) -> list[slice]:
+    """Return parts of so many rows, `size` in each or, in the last, fewer; of none, one without rows.
+
+    What is not on the CPU is one part: the parts of a GPU are its own.
+    """
+    if device is not None and device.type != "cpu":
+        return [slice(0, count)]
     return [slice(first, min(first + size, count)) for first in range(0, max(1, count), size)]
 
 

@@ -161,8 +161,10 @@ def fit(
     model.about["dt"] = statistics.dt
     if cfg.weights is not None and checkpoint is None:
         begin_at(model, cfg.weights)
-    choose_steps(cfg, trainer, data, model, checkpoint)
     model.about["domain"] = find_domain(model.dynamics.frozen(), data.examples()).about()
+    data.trainer = trainer  # steps are tried, and their time told, where they will be taken
+    model.to(trainer.strategy.root_device)
+    choose_steps(cfg, trainer, data, model, checkpoint)
     if trainer.is_global_zero:
         write_atomically(folder / "config.yaml", stored(cfg))
         done = 0 if checkpoint is None else read_checkpoint(checkpoint)["global_step"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -14,6 +15,7 @@ from torch import Tensor
 from ahnn.dynamics import HamiltonianDynamics
 from ahnn.rollouts import rollout
 from ahnn.training import FirstOrder, LossOptions, Stepper
+from ahnn.training.compilation import compiled
 from ahnn.training.compiled import Compiled
 from ahnn.training.loss import Loss
 from ahnn.training.objectives import Recursive
@@ -76,7 +78,8 @@ def training(repeats: int) -> Iterator[Row]:
         targets = 0.01 * torch.randn(batch, window, SIZE, generator=generator)
         steps = max(1, 10 * 256 // (batch * window))
         own = width, depth, activation, Window(start, targets, DT), steps
-        works = {"ahnn": own_step(*own), "compiled": own_step(*own, Compiled(batch, CACHE))}
+        stepper = Compiled(batch, partial(compiled, cache=CACHE))
+        works = {"ahnn": own_step(*own), "compiled": own_step(*own, stepper)}
         for peer, follow in torch_peers():
             net = torch_peer.network(width, depth, activation, SIZE)
             works[peer] = torch_peer.training_step(net, follow, start, targets, DT, steps)

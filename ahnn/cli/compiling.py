@@ -17,14 +17,9 @@ if TYPE_CHECKING:
 def choose_steps(
     cfg: DictConfig, trainer: Trainer, data: WindowDataModule, model: AbstractModel, checkpoint: Path | None
 ) -> None:
-    """Let a calibrated model compile its optimiser steps, or not.
-
-    Compiled steps round differently: a resumed training takes those that it began with.
-    """
+    """Let a calibrated model compile its optimiser steps, or not; a resumed training as it began."""
     from ahnn.checkpoints import read_checkpoint
     from ahnn.training.payback import choose
 
-    asked = cfg.compile
-    if asked == "auto" and checkpoint is not None:
-        asked = read_checkpoint(checkpoint)["ahnn"].get("compiled") is True
-    choose(asked, trainer, data, model, Path(cfg.data.cache))
+    before = None if checkpoint is None else read_checkpoint(checkpoint)["ahnn"].get("compiled") is True
+    choose(cfg.compile, trainer, data, model, Path(cfg.data.cache), before)

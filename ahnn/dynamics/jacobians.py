@@ -97,7 +97,7 @@ def field_rows(field: GenericHamiltonian, theta: Tensor, x: Tensor, factors: Ten
         stage, _ = at.reverse(torch.diag_embed(factors[part] * at.scale), records)
         write_rows([stage], out[part])
 
-    each(write, _parts(len(x)), x.device)
+    each(write, _parts(x), x.device)
     return out
 
 
@@ -114,12 +114,12 @@ def increment_rows(
         write_rows(stages, out[part])
         return by_state
 
-    return out, torch.cat(each(of_state, _parts(len(x)), x.device))
+    return out, torch.cat(each(of_state, _parts(x), x.device))
 
 
-def _parts(count: int) -> list[slice]:
-    """Return the parts of so many samples."""
-    return slices(count, min(LARGEST, max(1, -(-count // PARTS))))
+def _parts(x: Tensor) -> list[slice]:
+    """Return the parts of the samples x."""
+    return slices(len(x), min(LARGEST, max(1, -(-len(x) // PARTS))), x.device)
 
 
 def _reversed_step(at: Scaled, tableau: ButcherTableau, x: Tensor, h: TimeStep) -> tuple[list[Stage], Tensor]:

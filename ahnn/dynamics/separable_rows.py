@@ -66,7 +66,7 @@ def separable_rows(field: SeparableHamiltonian, theta: Tensor, x: Tensor, factor
             _write(energy, theta[own], at[part], by[part], found)
             rows[:, block, own] = found
 
-    each(write, slices(len(x), SAMPLES), x.device)
+    each(write, slices(len(x), SAMPLES, x.device), x.device)
     return out
 
 

@@ -1,4 +1,4 @@
-"""Optimiser steps whose loss and gradient are one compiled function.
+"""Optimiser steps whose loss and gradient are one function, compiled or, on a GPU, recorded.
 
 Autograd then has one node between parameters and loss, and nothing is dispatched operation by operation.
 """
@@ -6,32 +6,32 @@ Autograd then has one node between parameters and loss, and nothing is dispatche
 from __future__ import annotations
 
 import logging
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any, cast
 
 from torch import Tensor, nn
 from torch.autograd import Function
 
 from ahnn.dynamics import Dynamics
-from ahnn.training.compilation import Program, compiled
+from ahnn.training.compilation import Program
 from ahnn.training.objectives import Objective
 from ahnn.training.steppers import FirstOrder
-from ahnn.training.tracing import Compared, tensors, traced
+from ahnn.training.tracing import Compared, Traced, tensors, traced
 from ahnn.types import Window
 
 log = logging.getLogger(__name__)
 
 
 class Compiled(FirstOrder):
-    """Steps by the gradient of a compiled loss; batches of another size, and failures, are left to autograd.
+    """Steps by the gradient of such a loss; batches of another size, and failures, are left to autograd.
 
     Args:
-        batch_size: of the batches that are worth a compilation, all but the last of an epoch.
-        cache: folder of generated data, in which compiled code is kept.
+        batch_size: of the batches that are worth a program, all but the last of an epoch.
+        make: what turns the graph of such a loss into a program.
     """
 
-    def __init__(self, batch_size: int, cache: Path) -> None:
-        self.batch_size, self.cache = batch_size, cache
+    def __init__(self, batch_size: int, make: Callable[[Traced], Program]) -> None:
+        self.batch_size, self.make = batch_size, make
         self.programs: dict[Any, Program] = {}
         self.failed = False
 
@@ -54,7 +54,7 @@ class Compiled(FirstOrder):
         """Return the compiled loss of such batches; None, with a warning, where it cannot be had."""
         if key not in self.programs:
             try:
-                self.programs[key] = compiled(traced(compared, batch), self.cache)
+                self.programs[key] = self.make(traced(compared, batch))
             except Exception as error:  # a missing compiler, or what a compiler makes of the graph
                 self.failed = True
                 log.warning(
@@ -75,13 +75,12 @@ class _Known(Function):
         value, *gradients = program.call(*inputs)
         found = iter(gradients)
         ctx.gradients = [next(found) if touched else None for touched in program.touched]
-        return value
+        return value.clone()  # what is recorded is written over by the next step
 
     @staticmethod
     def backward(ctx: Any, *cotangents: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        by = float(cotangents[0])
-        scaled = (g if g is None or by == 1 else g * by for g in ctx.gradients)
-        return None, None, *scaled
+        by = cotangents[0]
+        return None, None, *(g if g is None else g * by for g in ctx.gradients)
 
 
 def _key(objective: Objective, batch: Window) -> Any:

@@ -143,6 +143,6 @@ def _all_residuals(
         part: which samples -> their residuals.
         x: states of all samples, (B, D).
     """
-    parts = slices(len(x), SAMPLES)
+    parts = slices(len(x), SAMPLES, x.device)
     function = parametrised(module, lambda: torch.cat(each(part, parts, x.device)), x.dtype)
     return lambda theta: function(theta).flatten()

@@ -140,7 +140,7 @@ def gram(jacobian: Tensor) -> Tensor:
         torch.mm(jacobian[:, own].T, jacobian[:, : own.stop], out=panel)
         matrix[: own.start, own] = panel[:, : own.start].T
 
-    each(write, slices(count, PANEL)[::-1], jacobian.device)  # the largest panels first
+    each(write, slices(count, PANEL, jacobian.device)[::-1], jacobian.device)  # the largest panels first
     return matrix
 
 

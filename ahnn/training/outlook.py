@@ -127,5 +127,7 @@ def _median(work: Callable[[], Any], repeats: int = 1) -> float:
     while len(times) < 2 or (len(times) <= repeats and sum(times[1:]) < ENOUGH):
         begin = time.perf_counter()
         work()
+        if torch.cuda.is_initialized():
+            torch.cuda.synchronize()
         times.append(time.perf_counter() - begin)
     return median(times[1:])

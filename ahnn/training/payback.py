@@ -1,9 +1,13 @@
-"""Whether a training compiles its optimiser steps: what it needs for that, and whether it pays back."""
+"""Whether a training compiles its optimiser steps: what it needs for that, and whether it pays back.
+
+On a GPU it records them instead, which takes a second or two.
+"""
 
 from __future__ import annotations
 
 import logging
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -11,10 +15,11 @@ from ahnn.data.datamodule import WindowDataModule
 from ahnn.dynamics import Dynamics, HamiltonianDynamics
 from ahnn.errors import UserError
 from ahnn.integrators import GaussLegendre4
-from ahnn.training.compilation import price
+from ahnn.training.compilation import compiled, price
 from ahnn.training.compiled import Compiled
 from ahnn.training.objectives import Derivative, Objective, Recursive
 from ahnn.training.outlook import step_seconds
+from ahnn.training.replayed import replayed
 from ahnn.training.tracing import Compared, traced
 from ahnn.types import Window
 
@@ -24,6 +29,7 @@ SAVED = 0.4
 """Part of an optimiser step that compiled code saves, at least (docs/benchmarks.md)."""
 SAVED_IN_C = 0.1
 """The same where the step is in C anyway."""
+DEVICE = "trainer.accelerator"
 WORTH = 60.0
 """Seconds below which nothing is tried: the compiler's modules alone take some to load."""
 
@@ -52,7 +58,7 @@ def _conditions(trainer: Any, model: Any) -> list[tuple[str, bool, str, Any]]:
         ("loss", known, "recursive predictions or derivatives", ", ".join(k.__name__ for k in objectives)),
         ("model", fixed, "dynamics of ahnn, whose operations are always the same,", type(dynamics).__name__),
         ("integrator", not isinstance(integrator, GaussLegendre4), "an explicit method", "gl4"),
-        ("trainer.accelerator", device == "cpu", "cpu", device),
+        (DEVICE, device == "cpu", "cpu", device),
         ("trainer.devices", trainer.world_size == 1, "one", trainer.world_size),
         ("trainer.precision", trainer.precision == "32-true", "its default", trainer.precision),
     ]
@@ -63,7 +69,12 @@ def _is_own(part: object) -> bool:
 
 
 def choose(
-    asked: Literal["auto"] | bool, trainer: Any, data: WindowDataModule, model: Any, cache: Path
+    asked: Literal["auto"] | bool,
+    trainer: Any,
+    data: WindowDataModule,
+    model: Any,
+    cache: Path,
+    before: bool | None = None,
 ) -> None:
     """Let a model compile its optimiser steps, if that is asked for or pays back within the training.
 
@@ -73,16 +84,22 @@ def choose(
         data: of the training.
         model: calibrated.
         cache: folder of generated data, in which compiled code is kept.
+        before: whether steps were compiled where this training began, if it is resumed; they round
+            differently.
     """
-    if asked is True or (asked == "auto" and _pays_back(trainer, data, model, cache)):
-        model.compiled = Compiled(len(data.train_dataloader().batches()[0]), cache)
-    model.about["compiled"] = model.compiled is not None
+    failing = [name for name, fits, *_ in _conditions(trainer, model) if not fits]
+    on_gpu, make = trainer.strategy.root_device.type == "cuda", partial(compiled, cache=cache)
+    if asked == "auto" and failing == [DEVICE] and on_gpu:
+        asked, make = False, replayed
+    elif asked == "auto":
+        asked = before if before is not None else not failing and _pays_back(trainer, data, model, cache)
+    if asked or make is replayed:
+        model.compiled = Compiled(len(data.train_dataloader().batches()[0]), make)
+    model.about["compiled"] = asked
 
 
 def _pays_back(trainer: Any, data: WindowDataModule, model: Any, cache: Path) -> bool:
     """Return whether compiled steps save more time than their compilation takes, and say so."""
-    if not all(fits for _, fits, *_ in _conditions(trainer, model)):
-        return False
     per_epoch = len(data.train_dataloader())
     epochs = int(trainer.max_epochs or 1)
     counts = Counter(model.curriculum.at(epoch, epochs) for epoch in range(epochs))

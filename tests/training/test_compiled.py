@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import os
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -16,11 +17,12 @@ from helpers import close
 
 from ahnn.checkpoints import read_checkpoint
 from ahnn.dynamics import HamiltonianDynamics, make_dynamics
-from ahnn.training import FirstOrder, LossOptions, compilation, compiled, payback
-from ahnn.training.compilation import Program, kept_in
+from ahnn.training import FirstOrder, LossOptions, compilation, payback
+from ahnn.training.compilation import Program, compiled, kept_in
 from ahnn.training.compiled import Compiled
 from ahnn.training.loss import Loss
 from ahnn.training.objectives import Derivative, Recursive
+from ahnn.training.replayed import replayed
 from ahnn.training.tracing import Compared, traced
 from ahnn.types import Window
 
@@ -50,14 +52,10 @@ def gradients(stepper, objective, loss, dynamics, batch):
     return value, [p.grad for p in dynamics.parameters()]
 
 
-def interpreted(graph, _cache):
+def interpreted(graph, cache=None):
     """In place of a compilation: the graph itself."""
+    del cache
     return Program(graph.graph, graph.touched)
-
-
-@pytest.fixture
-def uncompiled(monkeypatch):
-    monkeypatch.setattr(compiled, "compiled", interpreted)
 
 
 def assert_agree(stepper, objective, loss, dynamics, batch, rtol: float) -> None:
@@ -81,10 +79,9 @@ DYNAMICS = {
 @pytest.mark.parametrize(
     ("name", "uneven"), [*((name, False) for name in DYNAMICS), ("written out, gelu", True)]
 )
-@pytest.mark.usefixtures("uncompiled")
-def test_the_traced_step_is_that_of_autograd(name, uneven, tmp_path):
+def test_the_traced_step_is_that_of_autograd(name, uneven):
     dynamics, loss = hamiltonian(torch.float64, **DYNAMICS[name]), Loss(4, LossOptions(delta=0.5)).double()
-    stepper, objective = Compiled(6, tmp_path), Recursive(loss, 2)
+    stepper, objective = Compiled(6, interpreted), Recursive(loss, 2)
     batch = windows(torch.float64, uneven=uneven)
     assert_agree(stepper, objective, loss, dynamics, batch, 1e-12)
     with torch.no_grad():  # weights, windows and the unit of the loss are no constants of the graph
@@ -95,23 +92,21 @@ def test_the_traced_step_is_that_of_autograd(name, uneven, tmp_path):
     assert not stepper.failed
 
 
-@pytest.mark.usefixtures("uncompiled")
-def test_other_dynamics_and_objectives(tmp_path):
+def test_other_dynamics_and_objectives():
     loss = Loss(4, LossOptions(balance=0.5)).double()
     network = {"width": 8, "depth": 2, "activation": "silu"}
     node = make_dynamics(
         "node", dof=2, scaling="block", network=network, integrator={"name": "euler"}
     ).double()
-    stepper = Compiled(6, tmp_path)
+    stepper = Compiled(6, interpreted)
     assert_agree(stepper, Recursive(loss, 3), loss, node, windows(torch.float64, 3), 1e-12)
     assert_agree(stepper, Derivative(loss, 4), loss, node, windows(torch.float64, 4), 1e-12)
     assert len(stepper.programs) == 2
 
 
-@pytest.mark.usefixtures("uncompiled")
-def test_batches_of_another_size_are_left_to_autograd(tmp_path):
+def test_batches_of_another_size_are_left_to_autograd():
     dynamics, loss = hamiltonian(torch.float64), Loss(4, LossOptions()).double()
-    stepper = Compiled(7, tmp_path)
+    stepper = Compiled(7, interpreted)
     assert_agree(stepper, Recursive(loss, 2), loss, dynamics, windows(torch.float64), 0.0)
     assert not stepper.programs
 
@@ -122,7 +117,7 @@ def test_without_a_compiler_a_training_goes_on(monkeypatch, tmp_path, caplog):
     monkeypatch.delenv("CXX", raising=False)
     dynamics, loss = hamiltonian(torch.float64, integrator="euler"), Loss(4, LossOptions()).double()
     monkeypatch.setattr("torch._inductor.config.cpp.cxx", (None, str(tmp_path / "g++")))
-    stepper, objective = Compiled(6, tmp_path), Recursive(loss, 1)
+    stepper, objective = Compiled(6, partial(compiled, cache=tmp_path)), Recursive(loss, 1)
     with caplog.at_level(logging.WARNING):
         for _ in range(2):
             assert_agree(stepper, objective, loss, dynamics, windows(torch.float64), 0.0)
@@ -170,25 +165,40 @@ def test_prices_are_those_measured_here(monkeypatch, tmp_path):
     assert compilation.price(graphs[1], tmp_path) == pytest.approx(count * 0.3)  # the middle of five
 
 
-def announced(cost: float, monkeypatch) -> tuple[bool, list[str]]:
-    """Whether a training of 1,000 steps of 1 s compiles at such a price, and what it says."""
+def chosen(monkeypatch, asked, cost: float = 0.0, device: str = "cpu", before: bool | None = None):
+    """The model, and what is said, of a training of 1,000 steps of 1 s that compiles at such a price."""
     objective = Recursive(Loss(4, LossOptions()), 1)
     curriculum = SimpleNamespace(phases=[SimpleNamespace(objective=objective)], at=lambda *_: objective)
     dynamics = hamiltonian(torch.float32)
     model = SimpleNamespace(
         dynamics=dynamics, curriculum=curriculum, automatic_optimization=True, compiled=None, about={}
     )
-    device = SimpleNamespace(root_device=torch.device("cpu"))
-    trainer = SimpleNamespace(strategy=device, world_size=1, precision="32-true", max_epochs=10)
+    strategy = SimpleNamespace(root_device=torch.device(device))
+    trainer = SimpleNamespace(strategy=strategy, world_size=1, precision="32-true", max_epochs=10)
     loader = type("Loader", (), {"__len__": lambda _: 100, "batches": lambda _: [torch.arange(16)]})()
     monkeypatch.setattr(payback, "step_seconds", lambda *_: 1.0)
     monkeypatch.setattr(payback, "_price", lambda *_: cost)
     said: list[str] = []
     monkeypatch.setattr(payback.log, "info", lambda text, *values: said.append(text % values))
     data = SimpleNamespace(train_dataloader=lambda: loader)
-    payback.choose("auto", trainer, data, model, "/nowhere")  # pyright: ignore[reportArgumentType]
+    payback.choose(asked, trainer, data, model, "/nowhere", before)  # pyright: ignore[reportArgumentType]
+    return model, said
+
+
+def announced(cost: float, monkeypatch) -> tuple[bool, list[str]]:
+    """Whether such a training compiles, and what is said."""
+    model, said = chosen(monkeypatch, "auto", cost)
     assert model.about["compiled"] == (model.compiled is not None)
     return model.about["compiled"], said
+
+
+@pytest.mark.parametrize("before", [None, True, False])
+@pytest.mark.parametrize("asked", ["auto", False])
+def test_on_a_gpu_steps_are_recorded_unless_they_shall_not(asked, before, monkeypatch):
+    model, said = chosen(monkeypatch, asked, device="cuda", before=before)
+    assert not model.about["compiled"]
+    assert not said
+    assert (model.compiled.make is replayed) if asked else (model.compiled is None)
 
 
 @pytest.mark.parametrize(("in_c", "saved"), [(False, 400), (True, 100)])
@@ -196,16 +206,16 @@ def test_auto_compiles_where_it_pays_back(in_c, saved, monkeypatch):
     monkeypatch.setattr(HamiltonianDynamics, "in_c", lambda _: in_c)
     told = f"compile: auto compiles the optimiser steps: about {saved - 1} s of compilation, "
     assert announced(saved - 1, monkeypatch) == (True, [f"{told}about {saved} s saved"])
-    chosen, said = announced(saved + 1, monkeypatch)
-    assert not chosen
+    compiles, said = announced(saved + 1, monkeypatch)
+    assert not compiles
     assert "does not compile" in said[0]
     monkeypatch.setattr(payback, "WORTH", saved + 1)
     assert announced(0.0, monkeypatch) == (False, [])  # a short training tries and says nothing
 
 
-@pytest.mark.usefixtures("uncompiled")
 def test_a_cut_training_ends_with_the_same_bits(monkeypatch, tmp_path):
     """Under auto a resumed training takes compiled steps as the first did, though they pay back no more."""
+    monkeypatch.setattr(payback, "compiled", interpreted)
     monkeypatch.setattr("ahnn.train.judge", lambda *_, **__: 0.0)
     steps = []
     monkeypatch.setattr(Compiled, "_program", counting(Compiled._program, steps))
@@ -232,8 +242,8 @@ def counting(function, calls):
     return counted
 
 
-@pytest.mark.usefixtures("uncompiled")
 def test_another_setting_is_another_training(monkeypatch, tmp_path, capfd):
+    monkeypatch.setattr(payback, "compiled", interpreted)
     monkeypatch.setattr("ahnn.train.judge", lambda *_, **__: 0.0)
     options = [*FIRST, f"run={tmp_path / 'run'}", "trainer.max_epochs=1"]
     assert call("ahnn.train", *options, "compile=true") == 0
@@ -263,7 +273,7 @@ def test_compiled_steps_are_those_of_autograd(dtype, rtol, tmp_path, monkeypatch
     monkeypatch.delenv(compilation.PLACE, raising=False)
     dynamics = hamiltonian(dtype, "gelu", "midpoint")
     loss = Loss(4, LossOptions()).to(dtype)
-    stepper = Compiled(6, tmp_path)
+    stepper = Compiled(6, partial(compiled, cache=tmp_path))
     assert_agree(stepper, Recursive(loss, 2), loss, dynamics, windows(dtype), rtol)
     assert not stepper.failed
     assert any((tmp_path / "compiled").rglob("*.so"))
