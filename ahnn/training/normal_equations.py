@@ -67,21 +67,26 @@ class Rows(NamedTuple):
 def accumulated(
     rows: Callable[[slice], Rows], parts: Iterable[slice], theta: Tensor, degrees: int
 ) -> Equations:
-    """Return the equations of all parts, side by side, in the parameters theta, shape (P,), in one block."""
+    """Return the equations of all parts, one at least, side by side, in one block.
+
+    Args:
+        rows: part -> its residuals.
+        parts: of the problem.
+        theta: gives the type and device of the equations; the parameters are the columns of the Jacobians.
+        degrees: of freedom.
+    """
 
     def summed(part: slice) -> tuple[Tensor, Tensor, Tensor]:
         own = rows(part)
         gradient = own.jacobian.T @ own.residuals.to(own.jacobian)
         return own.loss, gradient.to(theta), gram(own.jacobian).to(theta)
 
-    count = len(theta)
-    loss, gradient, matrix = theta.new_zeros(()), theta.new_zeros(count), theta.new_zeros(count, count)
-    every = iter(parts)
+    every, total = iter(parts), list[Tensor]()
     while some := list(islice(every, TOGETHER)):
-        for own_loss, own_gradient, own_matrix in each(summed, some, theta.device):
-            loss, gradient = loss + own_loss, gradient + own_gradient
-            matrix += own_matrix
-    return Equations(loss, degrees, [Block(torch.arange(count), matrix, gradient)])
+        for own in each(summed, some, theta.device):
+            total = [one.add_(other) for one, other in zip(total, own, strict=True)] if total else [*own]
+    loss, gradient, matrix = total
+    return Equations(loss, degrees, [Block(torch.arange(len(gradient)), matrix, gradient)])
 
 
 def normal_equations(jacobian: Tensor, residuals: Tensor, sizes: Sequence[int]) -> list[Block]:

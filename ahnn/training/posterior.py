@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from ahnn.dynamics import Dynamics, HasField
+from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.measurements import Segment
 from ahnn.shooting.robust import Robust
 from ahnn.shooting.starts import FOLLOWING, SURE, refine
@@ -49,6 +50,23 @@ def after(problem: WideProblem, dynamics: Dynamics) -> WideProblem:
     """Return the same segments for similar dynamics."""
     quartered = problem.steps.quartered
     return WideProblem(dynamics, problem.batch, problem.robust, starts=problem.starts, quartered=quartered)
+
+
+@torch.no_grad()
+def of_functions(problem: WideProblem, dynamics: Dynamics, origin: Tensor, weights: Tensor) -> Block:
+    """Return the normal equations in a step of parameters that functions are linear in, P of them.
+
+    Args:
+        problem: of the functions.
+        dynamics: what they are linearised about.
+        origin: its parameters, shape (P,).
+        weights: those of the functions.
+    """
+    own, rows = problem.forcing, field_jacobian(cast(HasField, dynamics), problem.precision)
+    problem.forcing = lambda _, states: rows(origin, states)
+    _, _, (block,) = problem.equations(weights, [])
+    problem.forcing = own
+    return block
 
 
 @torch.no_grad()

@@ -19,7 +19,14 @@ from ahnn.training.evidence import Prior
 from ahnn.training.functions import ARRIVED, mixed
 from ahnn.training.laplace import conclude
 from ahnn.training.normal_equations import Block
-from ahnn.training.posterior import Place, WideProblem, rule_error, whole_problem
+from ahnn.training.posterior import (
+    Place,
+    WideProblem,
+    after,
+    of_functions,
+    rule_error,
+    whole_problem,
+)
 
 DOUBLE = {"dtype": torch.float64}
 
@@ -32,7 +39,7 @@ def batch_of(seed, rows=40, longest=0.05):
     return segment(rows=rows, intervals=20, measurement=Position(1), seed=seed, longest=longest)[1]
 
 
-def nearly(rows=60):
+def nearly(rows=60, beside=0.01):
     """Positions that a network for V(q) made, and the network a little beside."""
     torch.manual_seed(0)
     options = {"dof": 1, "inertia": 1.0, "hamiltonian": "mechanical", "mu": None, "inputs": "cartesian"}
@@ -42,7 +49,7 @@ def nearly(rows=60):
     model.field.potential.network.output.weight.data.mul_(30)
     _, batch = segment(rows=rows, measurement=Position(1), longest=0.05, dynamics=model)
     for k, p in enumerate(model.parameters()):
-        p.data.add_(0.01 * torch.randn(p.shape, generator=generator(k), **DOUBLE))
+        p.data.add_(beside * torch.randn(p.shape, generator=generator(k), **DOUBLE))
     return model, batch
 
 
@@ -81,6 +88,32 @@ def test_functions_take_the_steps_to_the_optimum_that_parameters_cannot(started)
         assert slope**2 < ARRIVED * found.about["determined"]
     assert known.offset.norm() > 0
     assert learned.spec["network"]["width"] == 18
+
+
+def test_equations_of_functions_are_in_the_step_that_they_are_linear_in(started):
+    """Their gradient is the exact one, of the parameters at the places of theta."""
+    model, problem, here = started
+    wide, own = linearised(model, 0.5 * here.offset)
+    there, weights = after(problem, wide), flat(wide)
+    block = of_functions(there, model, here.theta, weights)
+    assert block.matrix.shape == (len(own), len(own))
+    exact = there.gradient(weights)[own]
+    close(block.gradient, exact, 1e-4)
+    assert (exact - here.block.gradient).norm() > 0.1 * exact.norm()  # the half of the step is not nothing
+    close(
+        there.equations(weights, [])[2][0].matrix[own][:, own], block.matrix, 1e-4
+    )  # ordinary columns again
+
+
+def test_a_long_step_has_equations_of_its_own(monkeypatch):
+    """Beside by three times as much paths bend so that one matrix leads nowhere."""
+    model, batch = nearly(beside=0.2)
+    other, ends = batch_of(1, rows=10), []
+    for matrices in (1, 3):
+        monkeypatch.setattr(functions, "MATRICES", matrices)
+        ends.append(conclude(model, batch, other, 0).about)
+    assert ends[0]["remaining"] > ARRIVED * ends[0]["determined"]
+    assert ends[1]["remaining"] <= ARRIVED * ends[1]["determined"]
 
 
 def test_a_mixture_of_places_solves_linear_equations():
