@@ -62,7 +62,7 @@ def has_field(dynamics: object) -> TypeIs[HasField]:
     A protocol that is checked at run time would not find it: from Python 3.12 on these look past
     `__getattr__`, by which a module of torch gives its parts.
     """
-    return isinstance(getattr(dynamics, "field", None), nn.Module)
+    return callable(getattr(dynamics, "field", None))
 
 
 @runtime_checkable
