@@ -21,12 +21,10 @@ os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
 import torch
 import torch_peer
 from timing import Work, has, in_turn, markdown, ratio, shown
-from works import DT, NEEDS, SIZE, dynamics
+from works import DT, NEEDS, SIZE, own_step
 
-from ahnn.training import FirstOrder, LossOptions, Stepper
+from ahnn.training import FirstOrder
 from ahnn.training.compiled import Compiled
-from ahnn.training.loss import Loss
-from ahnn.training.objectives import Recursive
 from ahnn.training.replayed import replayed
 from ahnn.types import Window
 
@@ -34,22 +32,6 @@ SHAPES = ((64, 2, 1, 256), (64, 2, 5, 256), (256, 4, 5, 256), (256, 4, 5, 8192))
 """Width, hidden layers, window and batch."""
 SECONDS = 0.2
 """Of steps in one repeat, about."""
-
-
-def own_steps(width: int, depth: int, batch: Window, stepper: Stepper, steps: int) -> Work:
-    """Return work: optimiser steps of ahnn, without Lightning."""
-    learned, loss = dynamics(width, depth, "gelu").cuda(), Loss(SIZE, LossOptions()).cuda()
-    objective = Recursive(loss, batch.increments.shape[1])
-    optimizer = torch.optim.AdamW(learned.parameters(), lr=1e-3, fused=True)
-
-    def step() -> None:
-        for _ in range(steps):
-            optimizer.zero_grad()
-            stepper.step(objective, loss, learned, batch, optimizer).backward()
-            optimizer.step()
-        torch.cuda.synchronize()
-
-    return step
 
 
 def waited(work: Work) -> Work:
@@ -69,12 +51,13 @@ def row(width: int, depth: int, window: int, size: int, repeats: int) -> list[st
     targets = 0.01 * torch.randn(size, window, SIZE, generator=rng)
     batch = Window(start.cuda(), targets.cuda(), DT)
     steppers = {"recorded": Compiled(size, replayed), "eager": FirstOrder()}
-    once = own_steps(width, depth, batch, steppers["recorded"], 1)
+    own = width, depth, "gelu", batch
+    once = waited(own_step(*own, 1, steppers["recorded"]))
     once()
     began = time.perf_counter()
     once()
     steps = max(3, min(100, int(SECONDS / (time.perf_counter() - began))))
-    works = {name: own_steps(width, depth, batch, stepper, steps) for name, stepper in steppers.items()}
+    works = {name: waited(own_step(*own, steps, stepper)) for name, stepper in steppers.items()}
     net = torch_peer.network(width, depth, "gelu", SIZE).cuda()
     plain = torch_peer.training_step(net, torch_peer.increment, batch.start, batch.increments, DT, steps)
     works["autograd.grad"] = waited(plain)

@@ -55,9 +55,12 @@ def dynamics(width: int, depth: int, activation: str) -> HamiltonianDynamics:
 def own_step(
     width: int, depth: int, activation: str, batch: Window, steps: int, stepper: Stepper | None = None
 ) -> Work:
-    """Return work: optimiser steps of ahnn, as `recipe=first_order` takes them, without Lightning."""
-    learned = dynamics(width, depth, activation)
-    loss = Loss(SIZE, LossOptions())
+    """Return work: optimiser steps of ahnn, as `recipe=first_order` takes them, without Lightning.
+
+    They are taken where the batch is.
+    """
+    learned = dynamics(width, depth, activation).to(batch.start.device)
+    loss = Loss(SIZE, LossOptions()).to(batch.start.device)
     objective, stepper = Recursive(loss, batch.increments.shape[1]), stepper or FirstOrder()
     optimizer = torch.optim.AdamW(learned.parameters(), lr=1e-3, fused=True)
 

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import logging
-
 import pytest
 import torch
 from entry import SMALL, call
 from helpers import close, generator
 
 from ahnn.dynamics import HamiltonianDynamics
-from ahnn.errors import TrainingError
 from ahnn.estimation import initial_belief
 from ahnn.evaluation import load_results
 from ahnn.measurements import Position
-from ahnn.models.module import LOOKS
 from ahnn.rollouts import rollout
 from ahnn.training import FirstOrder, LevenbergMarquardt, LossOptions
 from ahnn.training.compiled import Compiled
@@ -136,15 +132,12 @@ def test_a_training_ends_as_on_the_cpu(recipe, tmp_path):
 
 
 def test_a_lost_loss_ends_a_training(tmp_path, capsys):
-    """The host looks at losses now and then."""
-    assert LOOKS <= 100
+    """Though the host looks at losses and gradients now and then."""
     lost = ["recipe=first_order", *SMALL, *GPU, "optimizer.lr=1e18", "data.windows_per_epoch=1600"]
     assert call("ahnn.train", *lost, f"run={tmp_path}") == 3
     assert "the last good checkpoint is kept" in capsys.readouterr().err
-    assert issubclass(TrainingError, Exception)
 
 
-def test_measurements_are_learned_from_on_the_cpu(tmp_path, caplog):
+def test_measurements_are_learned_from(tmp_path):
     short = ["budget=smoke", "plugins=none", "trainer.max_epochs=1", "data.trajectories=40"]
-    with caplog.at_level(logging.INFO):
-        assert call("ahnn.train", "experiment=pendulum_angles", *short, f"run={tmp_path}") == 0
+    assert call("ahnn.train", "experiment=pendulum_angles", *short, f"run={tmp_path}") == 0
