@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from ahnn.uncertainty.bands import rollout_covariances, rollout_sensitivities, sampled_rollouts
-from ahnn.uncertainty.directions import field_columns, leading_directions
 from ahnn.uncertainty.domain import BEYOND, Domain, domain_of, find_domain, growth
 from ahnn.uncertainty.force import force_deviation
 from ahnn.uncertainty.posterior import Uncertainty, load_uncertainty, save_uncertainty
@@ -13,11 +12,9 @@ __all__ = [
     "Domain",
     "Uncertainty",
     "domain_of",
-    "field_columns",
     "find_domain",
     "force_deviation",
     "growth",
-    "leading_directions",
     "load_uncertainty",
     "rollout_covariances",
     "rollout_sensitivities",

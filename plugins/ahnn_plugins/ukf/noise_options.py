@@ -17,11 +17,12 @@ from ahnn.estimation.scenario import Problem, Setting
 from ahnn.evaluation import Case
 from ahnn.statistics import Statistics
 from ahnn.types import Space
-from ahnn.uncertainty import Uncertainty, field_columns, growth, leading_directions
+from ahnn.uncertainty import Uncertainty, growth
 from ahnn_plugins.ukf.assimilation import Filter
+from ahnn_plugins.ukf.directions import filtered_directions
 from ahnn_plugins.ukf.force_error import ForceError
 from ahnn_plugins.ukf.force_error_fit import fitted_force_error
-from ahnn_plugins.ukf.parameter_error import ParameterError
+from ahnn_plugins.ukf.parameter_error import ParameterError, field_columns
 from ahnn_plugins.ukf.process_noise import fitted_process_noise
 
 log = logging.getLogger(__name__)
@@ -136,7 +137,7 @@ def with_process_noise(
         option = ForceOptions()
     if isinstance(option, ParameterOptions):
         assert case.uncertainty is not None
-        error = parameter_error(case, case.uncertainty, grown(case.novelty, rate))
+        error = parameter_error(case, setting, case.uncertainty, grown(case.novelty, rate))
         about = {"from": "parameter_error", "directions": error.added, "novelty": rate}
         return plain._replace(force_error=error), about
     if isinstance(option, ForceOptions):
@@ -171,12 +172,16 @@ def grown(
 
 
 def parameter_error(
-    case: Case, uncertainty: Uncertainty, growth: Callable[[Tensor], Tensor] | None = None
+    case: Case,
+    setting: Setting,
+    uncertainty: Uncertainty,
+    growth: Callable[[Tensor], Tensor] | None = None,
 ) -> ParameterError:
     """Return the parameters of a case as states.
 
     Args:
         case: the model.
+        setting: measurements and P0.
         uncertainty: of its parameters.
         growth: factor on what the parameters do at a state; None is 1 everywhere.
     """
@@ -184,8 +189,8 @@ def parameter_error(
     states = case.train.states
     starts = states[:: max(1, len(states) // ARCS), 0]
     starts = starts[starts.isfinite().all(-1)]
-    lengths = starts.new_full((len(starts), states.shape[1] - 1), float(Statistics.of(case.train).dt))
-    directions = leading_directions(dynamics, known.spread, starts, lengths, DIRECTIONS)
+    dt, steps = float(Statistics.of(case.train).dt), states.shape[1] - 1
+    directions = filtered_directions(dynamics, known.spread, starts, dt, steps, setting, DIRECTIONS)
     plain = field_columns(dynamics, directions)
 
     def columns(x: Tensor) -> Tensor:

@@ -9,11 +9,14 @@ every orbit, and measurements tell it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor
+from torch.nn.utils import parameters_to_vector
 
+from ahnn.dynamics import Dynamics, HasField
+from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.estimation.belief import Belief
 from ahnn.measurements.base import Measurement
 from ahnn.types import Flow, TimeStep
@@ -74,3 +77,17 @@ class ParameterError(NamedTuple):
     def measurement(self, measurement: Measurement) -> Measurement:
         """Return a measurement model of augmented states: it sees their first D components."""
         return OfStates(measurement, lambda x: x[..., : -self.added])
+
+
+def field_columns(dynamics: Dynamics, directions: Tensor) -> Callable[[Tensor], Tensor]:
+    """Return x (..., D) -> how the field moves along directions (P, K) of the parameters, (..., D, K)."""
+    theta = parameters_to_vector(dynamics.parameters()).detach()
+    forcing, along = field_jacobian(cast(HasField, dynamics)), directions.float()
+
+    @torch.no_grad()
+    def columns(x: Tensor) -> Tensor:
+        learned = (forcing(theta, x) @ along).to(x)
+        known = learned.new_zeros(*x.shape[:-1], x.shape[-1] - learned.shape[-2], learned.shape[-1])
+        return torch.cat((known, learned), dim=-2)
+
+    return columns
