@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from pathlib import Path
 
@@ -73,6 +74,36 @@ def test_recorded_positions_are_measurements_and_chi_square_is_the_verdict(tmp_p
     pooled = results.rows[0].scores.position_pooled
     assert explained["chi_square"] == pytest.approx(61 * (pooled / SD) ** 2 / 59, rel=1e-6)
     assert (folder / "figures" / "error.png").exists()
+
+
+def test_a_model_of_recorded_positions_filters_as_well_as_its_covariance_says(tmp_path, capfd):
+    data = swings(tmp_path / "swings.csv", 3, SD)
+    given = ["model=ahnn", "hamiltonian=mechanical", "recipe=measurements", f"data.noise={SD}"]
+    given += ["loss.stages=[[16, 1.0]]", "trainer.max_epochs=6", "plugins=none"]
+    run = f"run={tmp_path / 'run'}"
+    assert call("ahnn.train", *SMALL, f"system.path={data}", *given, run) == 0
+    draw = torch.Generator().manual_seed(1)
+    lines = ["t [s],q [m]"]
+    for k in range(1, 60):
+        noise = SD * torch.randn(1, generator=draw).item()
+        lines.append(f"{0.05 * k:.2f},{0.8 * math.cos(0.1 * k) + noise!r}")
+    fixes = tmp_path / "fixes.csv"
+    fixes.write_text("\n".join(lines) + "\n")
+    stream = [f"measurements={fixes}", f"measurement.sd={SD}", "start=[0.8,0.0]", "start_sd=[0.1,0.1]"]
+    assert call("ahnn.assimilate", run, *stream, f"output={tmp_path / 'none.csv'}") == 2
+    told = capfd.readouterr().err
+    assert "received fitted. Use plugins=ukf_parameter_error or plugins.ukf.process_noise=[...]" in told
+    means, covariances = [], []
+    for plugin in ("plugins=ukf_parameter_error", "plugins.ukf.process_noise=[1e-9,1e-9]"):
+        output = tmp_path / f"{len(means)}.csv"
+        assert call("ahnn.assimilate", run, *stream, plugin, f"output={output}") == 0
+        last = list(csv.DictReader(output.read_text().splitlines()))[-1]
+        a, b, c = (float(last[name]) for name in ("cov_q_q", "cov_pq_q", "cov_pq_pq"))
+        means.append(torch.tensor([float(last["q"]), float(last["pq"])], dtype=torch.float64))
+        covariances.append(torch.tensor([[a, b], [b, c]], dtype=torch.float64))
+    assert bool((covariances[0].diagonal() > 1.05 * covariances[1].diagonal()).all())
+    off = means[0] - torch.tensor([0.8 * math.cos(5.9), -1.6 * math.sin(5.9)], dtype=torch.float64)
+    assert float(off @ torch.linalg.solve(covariances[0], off)) < 13.8  # 0.999 of chi-square, two degrees
 
 
 @pytest.mark.parametrize(

@@ -123,7 +123,7 @@ def build_assimilation(asked: Asked, nodes: DictConfig, cfg: DictConfig, run: Ru
     def case() -> Case:
         splits = SplitData(source(), list(cfg.data.split), build_sensor(cfg, source()))
         about = {"label": cfg.label, "seed": cfg.evaluation.seed, "folder": run.folder}
-        return make_case(run.dynamics, splits, **about, uncertainty=run.uncertainty)
+        return make_case(run.dynamics, splits, **about, uncertainty=run.uncertainty, domain=run.domain)
 
     limits = {"window": asked.window, "lines": asked.lines, "gap": asked.gap}
     return Assimilation(build_process(cfg, run, case), sensors, start, time=asked.time, **limits)

@@ -36,7 +36,7 @@ LEAST = 1e-9
 def filtered_directions(
     dynamics: Dynamics, spread: Tensor, start: Tensor, dt: float, steps: int, setting: Setting, count: int
 ) -> Tensor:
-    """Return directions of the parameters, (P, K), the most important to a filter first.
+    """Return directions of the parameters, (P, K), the most important to a filter first, largest part > 0.
 
     Args:
         dynamics: with a field, float64.
@@ -59,7 +59,10 @@ def filtered_directions(
 
     arc = _Arc(states, own_jacobians(dynamics)(states[:, :-1], lengths), lengths, driven)
     gram = _grams(arc, setting, dt, spread.shape[1])
-    return spread @ torch.linalg.eigh(gram).eigenvectors.flip(1)[:, :count].to(spread)
+    directions = spread @ torch.linalg.eigh(gram).eigenvectors.flip(1)[:, :count].to(spread)
+    # A saved filter goes on with the same signs, on whatever processor.
+    largest = directions.gather(0, directions.abs().argmax(0, keepdim=True))
+    return directions * largest.sign()
 
 
 class _Arc(NamedTuple):

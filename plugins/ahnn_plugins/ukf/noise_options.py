@@ -15,7 +15,7 @@ from ahnn.dynamics import Dynamics
 from ahnn.errors import UserError
 from ahnn.estimation.scenario import Problem, Setting
 from ahnn.evaluation import Case
-from ahnn.statistics import Statistics
+from ahnn.statistics import sampling_interval
 from ahnn.types import Space
 from ahnn.uncertainty import Uncertainty, growth
 from ahnn_plugins.ukf.assimilation import Filter
@@ -35,6 +35,8 @@ DIRECTIONS = 50
 """Directions of the parameters that a filter has as states, at most."""
 
 Deviation = Annotated[float, Within(0)]
+Noise = tuple[Tensor, ForceError | ParameterError | None]
+"""Q of one step, (D, D), and the error of the force or of the parameters besides."""
 
 
 @checked
@@ -87,7 +89,7 @@ def without_parameters(option: NoiseOption) -> NoiseOption:
 
 def given_noise(
     option: NoiseOption, space: Space, growth: Callable[[Tensor], Tensor] | None = None
-) -> tuple[Tensor, ForceError | None] | None:
+) -> Noise | None:
     """Return Q of one step and the force error where an option says all of them; None where data must."""
     nothing = torch.zeros(2 * space.dof, 2 * space.dof, dtype=torch.float64)
     if isinstance(option, ForceOptions):
@@ -186,14 +188,46 @@ def parameter_error(
         growth: factor on what the parameters do at a state; None is 1 everywhere.
     """
     dynamics, known = uncertainty.before or (cast(Dynamics, case.flow), uncertainty)
-    states = case.train.states
-    starts = states[:: max(1, len(states) // ARCS), 0]
+    starts = case.train.states[:, 0] if case.fitted is None else case.fitted
     starts = starts[starts.isfinite().all(-1)]
-    dt, steps = float(Statistics.of(case.train).dt), states.shape[1] - 1
-    directions = filtered_directions(dynamics, known.spread, starts, dt, steps, setting, DIRECTIONS)
+    dt, steps = (
+        float(torch.as_tensor(sampling_interval(case.train)).nanmedian()),
+        case.train.states.shape[1] - 1,
+    )
+    paths = starts[:: max(1, len(starts) // ARCS)], dt, steps
+    directions = filtered_directions(dynamics, known.spread, *paths, setting, DIRECTIONS)
     plain = field_columns(dynamics, directions)
 
     def columns(x: Tensor) -> Tensor:
         return plain(x) if growth is None else growth(x)[..., None, None] * plain(x)
 
-    return ParameterError(columns, directions.shape[1])
+    sds = torch.cat((setting.measurement_sd, setting.start_sd))
+    made_for = (*sds.tolist(), float(setting.first), float(len(setting.updates)))
+    return ParameterError(columns, directions.shape[1], made_for=made_for)
+
+
+def noise_without_truth(option: NoiseOption, case: Case, rate: float | None = None) -> Noise:
+    """Return Q of one step and the error where no equations of the data are known, and no true states.
+
+    Parameters that were learned from measurements are known as well as their covariance says: directions are
+    chosen for a filter that sees what the training saw, from starts as uncertain as they are large.
+
+    Raises:
+        UserError: what is asked for is fitted to true states, or the covariance is not known.
+    """
+    if not isinstance(option, ParameterOptions) or (known := case.uncertainty) is None:
+        received = "fitted" if isinstance(option, str) else type(option).__name__
+        message = (
+            "process_noise: expected standard deviations [position, velocity], or parameter_error after a "
+            "training on measurements, for data whose true states are not known; received "
+            f"{received}. Use plugins=ukf_parameter_error or plugins.ukf.process_noise=[...]"
+        )
+        raise UserError(message)
+    assert case.learned_from is not None, "a covariance comes from measurements"
+    assert case.fitted is not None, "recorded measurements have starts that are fitted to them"
+    instrument, steps = case.learned_from.instrument, case.train.states.shape[1] - 1
+    sizes = case.fitted.unflatten(-1, (2, -1)).square().nanmean((0, 2)).sqrt()
+    start_sd = sizes.repeat_interleave(instrument.dof)
+    setting = Setting(instrument.measurement, instrument.deviations, start_sd, tuple(range(1, steps + 1)))
+    nothing = torch.zeros(2 * instrument.dof, 2 * instrument.dof, dtype=torch.float64)
+    return nothing, parameter_error(case, setting, known, grown(case.novelty, rate))

@@ -30,16 +30,18 @@ class ParameterError(NamedTuple):
         columns: x (..., D) -> C(x), (..., D, K).
         added: K.
         size: standard deviation of each component of eta, a number or (B,).
+        made_for: numbers of the filter that its directions were chosen for.
     """
 
     columns: Callable[[Tensor], Tensor]
     added: int
     size: Tensor | float = 1.0
+    made_for: tuple[float, ...] = ()
 
     @property
     def about(self) -> list[float]:
         """Plain numbers that tell one error from another, of the same weights."""
-        return [float(self.added), float(self.size)]
+        return [float(self.added), float(self.size), *self.made_for]
 
     def numbers(self, states: Tensor) -> Tensor:
         """Return numbers that tell one error from another, at states (B, T, D)."""

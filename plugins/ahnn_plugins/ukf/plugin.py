@@ -24,21 +24,21 @@ from ahnn.types import Flow, Space
 from ahnn_plugins.ukf.assimilation import Filter, assimilate, assimilate_all, shown
 from ahnn_plugins.ukf.estimator import UnscentedKalmanFilter
 from ahnn_plugins.ukf.figures import ukf_figures
-from ahnn_plugins.ukf.force_error import ForceError
 from ahnn_plugins.ukf.noise_options import (
     ForceOptions,
     GivenNoise,
+    Noise,
     NoiseOption,
     ParameterOptions,
     given_noise,
     grown,
     noise_option,
+    noise_without_truth,
     with_process_noise,
     without_parameters,
 )
 from ahnn_plugins.ukf.online import online_process, weights_hash
 from ahnn_plugins.ukf.outcome import Outcome, filtered, fitted, iterated, numbers, rows, smoothed
-from ahnn_plugins.ukf.parameter_error import ParameterError
 from ahnn_plugins.ukf.regression import regression_weights
 from ahnn_plugins.ukf.series import moving_averages
 from ahnn_plugins.ukf.setting import make_setting, near_system, require_measurement
@@ -75,8 +75,7 @@ class UKFEvaluation:
         form: how covariances are carried.
         gate: probability beyond which a measurement is refused as an outlier; None takes all.
         patience: refusals in a row after which a member has diverged.
-        smoother: whether to add the rows of the Rauch-Tung-Striebel smoother; `iterated` adds those of the
-            iterated smoother too.
+        smoother: whether to add the rows of the smoother; `iterated` adds those of the iterated one too.
         least_squares: whether to add the rows of batch least squares.
         tuning: options of `Tuning`, to add the rows of a tuned filter; None leaves them out.
         seed: of measurement noise and of the validation arcs.
@@ -206,13 +205,15 @@ class UKFEvaluation:
         estimator = UnscentedKalmanFilter(self.parameters, self.form, self.gate)
         noise = given_noise(self.process_noise, space, grown(novelty, self.novelty))
         if noise is None:
-            noise = self._fitted(case())
+            noise = self._found(case())
         about = {"space": space.name, "flow": weights_hash(flow), "novelty": self.novelty}
         return online_process(estimator, flow, interval, *noise, about)
 
     @torch.no_grad()
-    def _fitted(self, case: Case) -> tuple[Tensor, ForceError | ParameterError | None]:
-        """Return Q of one step and the force error, fitted to validation data."""
+    def _found(self, case: Case) -> Noise:
+        """Return the process noise, fitted to validation data where their true states are known."""
+        if case.truth is None and self.beside is None:
+            return noise_without_truth(self.process_noise, case, self.novelty)
         shortest = int(case.validation.present.sum(-1).min()) - 1
         setting = self._setting(near_system(case.truth, self.beside, case.space), shortest)
         (_, model), *_ = self._filters(case, setting, Findings())

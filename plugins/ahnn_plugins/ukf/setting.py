@@ -147,6 +147,9 @@ def near_system(truth: System | None, beside: System | None, space: Space) -> Sy
         message = f"beside: expected data without known equations, in {beside.units}; received {received}"
         raise UserError(message)
     if (system := truth or beside) is None:
-        message = f"system: expected one whose equations are known; received data of {space.name}"
+        message = (
+            f"system: expected one whose equations are known; received data of {space.name}. "
+            "Use python -m ahnn.assimilate, which filters measurements and needs none"
+        )
         raise UserError(message)
     return system

@@ -64,6 +64,7 @@ def test_directions_are_those_that_a_consider_filter_does_not_tell_from_measurem
         found = directions(2, asked=asked)
         expected = FACTOR @ axes.flip(1)
         close(found * (found * expected).sum(0).sign(), expected, 0.01)
+        assert bool((found.amax(0) == found.abs().amax(0)).all())  # a sign of its own, for saved filters
 
 
 @torch.no_grad()
