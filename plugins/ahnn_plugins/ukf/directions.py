@@ -11,7 +11,7 @@ prediction without any ends up.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from typing import NamedTuple, cast
 
@@ -29,14 +29,28 @@ from ahnn.shooting.paths import Steps, path, sensitivities, transitions
 
 SAMPLES = 100
 """Samples of a path at which directions are weighed, at least where it is as long."""
+LEFT_OUT = 0.01
+"""What directions that are left out may add to the NEES at any time, as a fraction of D."""
 LEAST = 1e-9
 """Added to a correlation matrix, which rounding may leave singular."""
 
 
+class Chosen(NamedTuple):
+    """Directions of the parameters for a filter.
+
+    Attributes:
+        directions: S, (P, K), the most important first, the largest part of each positive.
+        left_out: what those that are left out add to the NEES at most, along the paths that were looked at.
+    """
+
+    directions: Tensor
+    left_out: float
+
+
 def filtered_directions(
-    dynamics: Dynamics, spread: Tensor, start: Tensor, dt: float, steps: int, setting: Setting, count: int
-) -> Tensor:
-    """Return directions of the parameters, (P, K), the most important to a filter first, largest part > 0.
+    dynamics: Dynamics, spread: Tensor, start: Tensor, dt: float, steps: int, setting: Setting, most: int
+) -> Chosen:
+    """Return as few directions of the parameters as leave out next to nothing.
 
     Args:
         dynamics: with a field, float64.
@@ -45,7 +59,7 @@ def filtered_directions(
         dt: length of a step.
         steps: of each path.
         setting: measurements and P0.
-        count: K, at most; there are no more than R.
+        most: directions, at most.
     """
     lengths = start.new_full((len(start), steps), dt)
     states = path(dynamics.increment, start, lengths)
@@ -58,11 +72,14 @@ def filtered_directions(
         return forcing(theta, states[:, part]) @ spread.float()
 
     arc = _Arc(states, own_jacobians(dynamics)(states[:, :-1], lengths), lengths, driven)
-    gram = _grams(arc, setting, dt, spread.shape[1])
-    directions = spread @ torch.linalg.eigh(gram).eigenvectors.flip(1)[:, :count].to(spread)
+    rows = torch.cat([*_whitened_rows(arc, setting, dt, spread.shape[1])])
+    axes = torch.linalg.eigh(torch.einsum("bdi,bdj->ij", rows, rows)).eigenvectors.flip(1)
+    beyond = (rows @ axes).square().sum(1).flip(1).cumsum(1).flip(1).amax(0).tolist()
+    count = min(max(1, sum(left > LEFT_OUT * rows.shape[1] for left in beyond)), most)
+    directions = spread @ axes[:, :count].to(spread)
     # A saved filter goes on with the same signs, on whatever processor.
-    largest = directions.gather(0, directions.abs().argmax(0, keepdim=True))
-    return directions * largest.sign()
+    signs = directions.gather(0, directions.abs().argmax(0, keepdim=True)).sign()
+    return Chosen(directions * signs, [*beyond, 0.0][count])
 
 
 class _Arc(NamedTuple):
@@ -81,25 +98,23 @@ class _Arc(NamedTuple):
     driven: Callable[[slice], Tensor]
 
 
-def _grams(arc: _Arc, setting: Setting, dt: float, columns: int) -> Tensor:
-    """Return the sum of S^T P^-1 S over paths and times, (R, R)."""
+def _whitened_rows(arc: _Arc, setting: Setting, dt: float, columns: int) -> Iterator[Tensor]:
+    """Yield P^-1/2 S of paths at some times, (M, D, R): what each column adds to the NEES is its square."""
     batch, samples, size = arc.states.shape
     steps, apart = samples - 1, max(1, (samples - 1) // SAMPLES)
     updates = [k for k in setting.updates if k <= steps]
     own = setting.start_covariance.to(arc.states).expand(batch, -1, -1)
-    moved, gram = arc.jacobians.new_zeros(batch, size, columns), arc.states.new_zeros(columns, columns)
+    moved = arc.jacobians.new_zeros(batch, size, columns)
     for begin, end in pairwise(sorted({0, *updates, steps})):
         ends = torch.tensor([*range(apart, end - begin, apart), end - begin])
         span, jacobians = Steps(arc.lengths[:, begin:end], ends), arc.jacobians[:, begin:end]
         on_the_way = sensitivities(jacobians, arc.driven(slice(begin, end + 1)), span, moved)
         carried = transitions(jacobians)[:, ends].to(own)
         before = carried @ own.unsqueeze(1) @ carried.mT
-        whitened = _whitened(on_the_way.to(own), before).flatten(0, 2)
-        gram += whitened.mT @ whitened
+        yield _whitened(on_the_way.to(own), before).flatten(0, 1).to(moved)
         moved, own = on_the_way[:, -1], before[:, -1]
         if end in updates:
             moved, own = _updated(moved, own, arc.states[:, end], end * dt, setting)
-    return gram
 
 
 def _whitened(moved: Tensor, own: Tensor) -> Tensor:

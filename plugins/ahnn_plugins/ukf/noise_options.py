@@ -140,7 +140,8 @@ def with_process_noise(
     if isinstance(option, ParameterOptions):
         assert case.uncertainty is not None
         error = parameter_error(case, setting, case.uncertainty, grown(case.novelty, rate))
-        about = {"from": "parameter_error", "directions": error.added, "novelty": rate}
+        about = {"from": "parameter_error", "directions": error.added, "left_out": error.left_out}
+        about["novelty"] = rate
         return plain._replace(force_error=error), about
     if isinstance(option, ForceOptions):
         given = {"size": option.size, "memory": option.memory, "growth": grown(case.novelty, rate)}
@@ -195,7 +196,7 @@ def parameter_error(
         case.train.states.shape[1] - 1,
     )
     paths = starts[:: max(1, len(starts) // ARCS)], dt, steps
-    directions = filtered_directions(dynamics, known.spread, *paths, setting, DIRECTIONS)
+    directions, left_out = filtered_directions(dynamics, known.spread, *paths, setting, DIRECTIONS)
     plain = field_columns(dynamics, directions)
 
     def columns(x: Tensor) -> Tensor:
@@ -203,7 +204,7 @@ def parameter_error(
 
     sds = torch.cat((setting.measurement_sd, setting.start_sd))
     made_for = (*sds.tolist(), float(setting.first), float(len(setting.updates)))
-    return ParameterError(columns, directions.shape[1], made_for=made_for)
+    return ParameterError(columns, directions.shape[1], left_out=left_out, made_for=made_for)
 
 
 def noise_without_truth(option: NoiseOption, case: Case, rate: float | None = None) -> Noise:

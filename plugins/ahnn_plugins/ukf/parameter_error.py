@@ -30,12 +30,14 @@ class ParameterError(NamedTuple):
         columns: x (..., D) -> C(x), (..., D, K).
         added: K.
         size: standard deviation of each component of eta, a number or (B,).
+        left_out: what other directions add to the NEES of a filter, at most.
         made_for: numbers of the filter that its directions were chosen for.
     """
 
     columns: Callable[[Tensor], Tensor]
     added: int
     size: Tensor | float = 1.0
+    left_out: float = 0.0
     made_for: tuple[float, ...] = ()
 
     @property

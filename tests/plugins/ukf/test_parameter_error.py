@@ -112,7 +112,7 @@ def test_the_filter_of_a_model_is_consistent_that_knows_how_well_its_parameters_
     case = dataclasses.replace(make_case(SPRING, Swing(STIFFER.stiffness, 0.0)), uncertainty=known)
     findings = run(case, group="ukf_parameter_error")
     noise = findings.numbers["process_noise"]
-    assert (noise["from"], noise["directions"]) == ("parameter_error", 2)
+    assert (noise["from"], noise["directions"], noise["left_out"]) == ("parameter_error", 1, 0.0)
     told = findings.numbers["filters"]["ukf"]["model"]["perturbed"]
     assert told["status"]["OK"] == 6
     ignorant = run(case, "process_noise=[1e-12,1e-12]").numbers["filters"]["ukf"]["model"]["perturbed"]
