@@ -92,7 +92,10 @@ def test_a_model_of_recorded_positions_filters_as_well_as_its_covariance_says(tm
     stream = [f"measurements={fixes}", f"measurement.sd={SD}", "start=[0.8,0.0]", "start_sd=[0.1,0.1]"]
     assert call("ahnn.assimilate", run, *stream, f"output={tmp_path / 'none.csv'}") == 2
     told = capfd.readouterr().err
-    assert "received fitted. Use plugins=ukf_parameter_error or plugins.ukf.process_noise=[...]" in told
+    assert (
+        "received fitted. Use plugins=ukf_parameter_error or plugins.ukf.process_noise=[POSITION,VELOCITY]"
+        in told
+    )
     means, covariances = [], []
     for plugin in ("plugins=ukf_parameter_error", "plugins.ukf.process_noise=[1e-9,1e-9]"):
         output = tmp_path / f"{len(means)}.csv"

@@ -14,7 +14,7 @@ from ahnn.assimilation.start import start_of
 from ahnn.cli.again import GROUPS, KEYS, NODES, OWN, Request
 from ahnn.cli.build import blaming, build, build_all, plain_config
 from ahnn.cli.compose import composed
-from ahnn.cli.parts import build_sensor, build_source
+from ahnn.cli.parts import build_sensor, build_source, robust_of
 from ahnn.data import SplitData
 from ahnn.errors import UserError
 from ahnn.evaluation import Case, EvaluationPlugin
@@ -123,7 +123,8 @@ def build_assimilation(asked: Asked, nodes: DictConfig, cfg: DictConfig, run: Ru
     def case() -> Case:
         splits = SplitData(source(), list(cfg.data.split), build_sensor(cfg, source()))
         about = {"label": cfg.label, "seed": cfg.evaluation.seed, "folder": run.folder}
-        return make_case(run.dynamics, splits, **about, uncertainty=run.uncertainty, domain=run.domain)
+        learned = {"uncertainty": run.uncertainty, "domain": run.domain, "robust": robust_of(run)}
+        return make_case(run.dynamics, splits, **about, **learned)
 
     limits = {"window": asked.window, "lines": asked.lines, "gap": asked.gap}
     return Assimilation(build_process(cfg, run, case), sensors, start, time=asked.time, **limits)

@@ -12,7 +12,7 @@ prediction without any ends up.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from itertools import pairwise
+from functools import partial
 from typing import NamedTuple, cast
 
 import torch
@@ -22,62 +22,82 @@ from torch.nn.utils import parameters_to_vector
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.dynamics.variations import own_jacobians
-from ahnn.estimation.scenario import Setting
+from ahnn.errors import UserError
 from ahnn.jacobians import pointwise_jacobian
-from ahnn.measurements import observe
-from ahnn.shooting.paths import Steps, path, sensitivities, transitions
+from ahnn.measurements import Segment
+from ahnn.shooting.paths import Steps, path, sensitivities, steps_between, transitions
 
 SAMPLES = 100
-"""Samples of a path at which directions are weighed, at least where it is as long."""
-LEFT_OUT = 0.01
-"""What directions that are left out may add to the NEES at any time, as a fraction of D."""
+"""Times of a path at which directions are weighed, about."""
 LEAST = 1e-9
 """Added to a correlation matrix, which rounding may leave singular."""
+
+
+class Watched(NamedTuple):
+    """Paths that a filter follows.
+
+    Attributes:
+        start: where they begin, (B, D).
+        start_sd: (D,) what is known of that, standard deviations.
+        segment: times, which numbers are measured (the others are NaN), and by what; values do not count.
+    """
+
+    start: Tensor
+    start_sd: Tensor
+    segment: Segment
 
 
 class Chosen(NamedTuple):
     """Directions of the parameters for a filter.
 
     Attributes:
-        directions: S, (P, K), the most important first, the largest part of each positive.
-        left_out: what those that are left out add to the NEES at most, along the paths that were looked at.
+        directions: (P, K), the most important first, the largest part of each positive.
+        left_out: what the others add to the NEES of a filter that does not learn, at most along its paths.
     """
 
     directions: Tensor
     left_out: float
 
 
+@torch.no_grad()
 def filtered_directions(
-    dynamics: Dynamics, spread: Tensor, start: Tensor, dt: float, steps: int, setting: Setting, most: int
+    dynamics: Dynamics, spread: Tensor, watched: Watched, most: int, enough: float = 0.0
 ) -> Chosen:
-    """Return as few directions of the parameters as leave out next to nothing.
+    """Return the directions of the parameters that a filter tells least from its measurements.
 
     Args:
         dynamics: with a field, float64.
         spread: L, shape (P, R); L L^T is the covariance of the parameters.
-        start: (B, D) of the paths that are filtered.
-        dt: length of a step.
-        steps: of each path.
-        setting: measurements and P0.
+        watched: the paths of the filter; those that leave all numbers are left out.
         most: directions, at most.
+        enough: of NEES per state component that others may add; there are as few directions as that takes.
+
+    Raises:
+        UserError: no path stays finite.
     """
-    lengths = start.new_full((len(start), steps), dt)
-    states = path(dynamics.increment, start, lengths)
+    steps = steps_between(watched.segment.times, watched.segment.instrument.longest)
+    states = path(dynamics.increment, watched.start, steps.lengths)
     sound = states.isfinite().flatten(1).all(1)
-    states, lengths = states[sound], lengths[sound]
+    if not bool(sound.any()):
+        message = (
+            "process_noise: expected a model whose paths stay finite where it was trained; received one with "
+            f"{len(states)} paths that do not"
+        )
+        raise UserError(message)
+    states, steps, segment = states[sound], steps.rows(sound), watched.segment.rows(sound)
     theta = parameters_to_vector(dynamics.parameters()).detach()
     forcing = field_jacobian(cast(HasField, dynamics))
-
-    def driven(part: slice) -> Tensor:
-        return forcing(theta, states[:, part]) @ spread.float()
-
-    arc = _Arc(states, own_jacobians(dynamics)(states[:, :-1], lengths), lengths, driven)
-    rows = torch.cat([*_whitened_rows(arc, setting, dt, spread.shape[1])])
+    arc = _Arc(
+        states,
+        own_jacobians(dynamics)(states[:, :-1], steps.lengths),
+        steps,
+        lambda part: forcing(theta, states[:, part]) @ spread.float(),
+    )
+    rows = torch.cat([*_whitened_rows(arc, segment, watched.start_sd, spread.shape[1])])
     axes = torch.linalg.eigh(torch.einsum("bdi,bdj->ij", rows, rows)).eigenvectors.flip(1)
     beyond = (rows @ axes).square().sum(1).flip(1).cumsum(1).flip(1).amax(0).tolist()
-    count = min(max(1, sum(left > LEFT_OUT * rows.shape[1] for left in beyond)), most)
+    count = min(max(1, sum(left > enough * rows.shape[1] for left in beyond)), most)
     directions = spread @ axes[:, :count].to(spread)
-    # A saved filter goes on with the same signs, on whatever processor.
     signs = directions.gather(0, directions.abs().argmax(0, keepdim=True)).sign()
     return Chosen(directions * signs, [*beyond, 0.0][count])
 
@@ -88,33 +108,46 @@ class _Arc(NamedTuple):
     Attributes:
         states: (B, N + 1, D).
         jacobians: of the steps, (B, N, D, D), float32.
-        lengths: of the steps, (B, N).
-        driven: part of the samples -> what the columns of L add to the field there, (B, n, ., R), float32.
+        steps: between the times of the measurements.
+        driven: part of the states -> what the columns of L add to the field there, (B, n, ., R), float32.
     """
 
     states: Tensor
     jacobians: Tensor
-    lengths: Tensor
+    steps: Steps
     driven: Callable[[slice], Tensor]
 
+    def moved(self, begin: int, end: int, moved: Tensor, own: Tensor) -> tuple[Tensor, Tensor]:
+        """Return S and P' at state `end`, from those at state `begin`."""
+        if begin == end:
+            return moved, own
+        span = Steps(self.steps.lengths[:, begin:end], torch.tensor([end - begin]))
+        jacobians = self.jacobians[:, begin:end]
+        after = sensitivities(jacobians, self.driven(slice(begin, end + 1)), span, moved)[:, 0]
+        carried = transitions(jacobians)[:, -1].to(own)
+        return after, carried @ own @ carried.mT
 
-def _whitened_rows(arc: _Arc, setting: Setting, dt: float, columns: int) -> Iterator[Tensor]:
-    """Yield P^-1/2 S of paths at some times, (M, D, R): what each column adds to the NEES is its square."""
-    batch, samples, size = arc.states.shape
-    steps, apart = samples - 1, max(1, (samples - 1) // SAMPLES)
-    updates = [k for k in setting.updates if k <= steps]
-    own = setting.start_covariance.to(arc.states).expand(batch, -1, -1)
-    moved = arc.jacobians.new_zeros(batch, size, columns)
-    for begin, end in pairwise(sorted({0, *updates, steps})):
-        ends = torch.tensor([*range(apart, end - begin, apart), end - begin])
-        span, jacobians = Steps(arc.lengths[:, begin:end], ends), arc.jacobians[:, begin:end]
-        on_the_way = sensitivities(jacobians, arc.driven(slice(begin, end + 1)), span, moved)
-        carried = transitions(jacobians)[:, ends].to(own)
-        before = carried @ own.unsqueeze(1) @ carried.mT
-        yield _whitened(on_the_way.to(own), before).flatten(0, 1).to(moved)
-        moved, own = on_the_way[:, -1], before[:, -1]
-        if end in updates:
-            moved, own = _updated(moved, own, arc.states[:, end], end * dt, setting)
+
+def _whitened_rows(arc: _Arc, segment: Segment, start_sd: Tensor, columns: int) -> Iterator[Tensor]:
+    """Yield P^-1/2 S of all paths, (B, D, R), at some times: what a column adds to the NEES is its square."""
+    batch, samples = segment.times.shape
+    apart = max(1, (samples - 1) // SAMPLES)
+    weighed = {*range(apart, samples, apart), samples - 1}
+    seen = ~segment.values.isnan()
+    updates = {*seen.any(-1).any(0).nonzero().flatten().tolist()}
+    own = torch.diag(start_sd**2).to(arc.states).expand(batch, -1, -1)
+    moved, here = arc.jacobians.new_zeros(batch, len(start_sd), columns), 0
+    for k in sorted(weighed | updates):
+        there = int(arc.steps.ends[k])
+        moved, own = arc.moved(here, there, moved, own)
+        if k in weighed:
+            yield _whitened(moved.to(own), own).to(moved)
+        if k in updates:
+            sensor = partial(segment.instrument.measurement, t=segment.times[:, k])
+            rows = pointwise_jacobian(sensor, arc.states[:, there])
+            rows = rows.masked_fill(~seen[:, k].unsqueeze(-1), 0.0)
+            moved, own = _updated(moved, own, rows, segment.instrument.deviations)
+        here = there
 
 
 def _whitened(moved: Tensor, own: Tensor) -> Tensor:
@@ -125,13 +158,9 @@ def _whitened(moved: Tensor, own: Tensor) -> Tensor:
     return torch.linalg.solve_triangular(root, unit * moved, upper=False)
 
 
-def _updated(
-    moved: Tensor, own: Tensor, state: Tensor, time: float, setting: Setting
-) -> tuple[Tensor, Tensor]:
-    """Return S and P' after an update; what is out of view tells nothing."""
-    sensor, noise, s = setting.measurement, setting.measurement_noise.to(own), moved.to(own)
-    rows = pointwise_jacobian(lambda x: sensor(x, time), state)
-    rows = rows.masked_fill(observe(sensor, state, time).isnan().unsqueeze(-1), 0.0)
+def _updated(moved: Tensor, own: Tensor, rows: Tensor, deviations: Tensor) -> tuple[Tensor, Tensor]:
+    """Return S and P' after an update by measurements with Jacobian H, (B, M, D); zeros tell nothing."""
+    noise, s = torch.diag(deviations**2).to(own), moved.to(own)
     seen = rows @ (own + s @ s.mT)
     gain = torch.linalg.solve(seen @ rows.mT + noise, seen).mT
     left = torch.eye(own.shape[-1]).to(own) - gain @ rows

@@ -5,34 +5,35 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal
 
 import torch
 from torch import Tensor
 
 from ahnn.arguments import Positive, Within, check_arguments, checked
-from ahnn.dynamics import Dynamics
 from ahnn.errors import UserError
 from ahnn.estimation.scenario import Problem, Setting
 from ahnn.evaluation import Case
-from ahnn.statistics import sampling_interval
+from ahnn.systems import System
 from ahnn.types import Space
 from ahnn.uncertainty import Uncertainty, growth
 from ahnn_plugins.ukf.assimilation import Filter
-from ahnn_plugins.ukf.directions import filtered_directions
 from ahnn_plugins.ukf.force_error import ForceError
 from ahnn_plugins.ukf.force_error_fit import fitted_force_error
-from ahnn_plugins.ukf.parameter_error import ParameterError, field_columns
+from ahnn_plugins.ukf.learned_parameters import (
+    ENOUGH,
+    MOST,
+    learned_filter,
+    parameters_as_states,
+    simulated_filter,
+)
+from ahnn_plugins.ukf.parameter_error import ParameterError
 from ahnn_plugins.ukf.process_noise import fitted_process_noise
 
 log = logging.getLogger(__name__)
 
 FITTED_ON, FORCE_FITTED_ON = 20, 100
 """Validation trajectories on which the scale of Q, and that of a force error, is chosen."""
-ARCS = 12
-"""Training trajectories, about, on whose paths the directions of the parameters are weighed."""
-DIRECTIONS = 50
-"""Directions of the parameters that a filter has as states, at most."""
 
 Deviation = Annotated[float, Within(0)]
 Noise = tuple[Tensor, ForceError | ParameterError | None]
@@ -63,7 +64,7 @@ class ParameterOptions:
     def added(self, dof: int) -> int:
         """Return how many components a state has more, at most."""
         del dof
-        return DIRECTIONS
+        return MOST
 
 
 NoiseOption = Literal["fitted"] | tuple[Deviation, Deviation] | ForceOptions | ParameterOptions
@@ -139,7 +140,8 @@ def with_process_noise(
         option = ForceOptions()
     if isinstance(option, ParameterOptions):
         assert case.uncertainty is not None
-        error = parameter_error(case, setting, case.uncertainty, grown(case.novelty, rate))
+        growth, watched = grown(case.novelty, rate), simulated_filter(case, setting)
+        error = parameters_as_states(case, case.uncertainty, watched, growth, ENOUGH)
         about = {"from": "parameter_error", "directions": error.added, "left_out": error.left_out}
         about["novelty"] = rate
         return plain._replace(force_error=error), about
@@ -174,61 +176,25 @@ def grown(
     return lambda x: growth(novelty(x), rate)
 
 
-def parameter_error(
-    case: Case,
-    setting: Setting,
-    uncertainty: Uncertainty,
-    growth: Callable[[Tensor], Tensor] | None = None,
-) -> ParameterError:
-    """Return the parameters of a case as states.
-
-    Args:
-        case: the model.
-        setting: measurements and P0.
-        uncertainty: of its parameters.
-        growth: factor on what the parameters do at a state; None is 1 everywhere.
-    """
-    dynamics, known = uncertainty.before or (cast(Dynamics, case.flow), uncertainty)
-    starts = case.train.states[:, 0] if case.fitted is None else case.fitted
-    starts = starts[starts.isfinite().all(-1)]
-    dt, steps = (
-        float(torch.as_tensor(sampling_interval(case.train)).nanmedian()),
-        case.train.states.shape[1] - 1,
-    )
-    paths = starts[:: max(1, len(starts) // ARCS)], dt, steps
-    directions, left_out = filtered_directions(dynamics, known.spread, *paths, setting, DIRECTIONS)
-    plain = field_columns(dynamics, directions)
-
-    def columns(x: Tensor) -> Tensor:
-        return plain(x) if growth is None else growth(x)[..., None, None] * plain(x)
-
-    sds = torch.cat((setting.measurement_sd, setting.start_sd))
-    made_for = (*sds.tolist(), float(setting.first), float(len(setting.updates)))
-    return ParameterError(columns, directions.shape[1], left_out=left_out, made_for=made_for)
-
-
-def noise_without_truth(option: NoiseOption, case: Case, rate: float | None = None) -> Noise:
-    """Return Q of one step and the error where no equations of the data are known, and no true states.
-
-    Parameters that were learned from measurements are known as well as their covariance says: directions are
-    chosen for a filter that sees what the training saw, from starts as uncertain as they are large.
+def online_parameters(case: Case, known: Uncertainty, rate: float | None) -> Noise:
+    """Return Q of one step and learned parameters as states, of a filter that sees what the training saw.
 
     Raises:
-        UserError: what is asked for is fitted to true states, or the covariance is not known.
+        UserError: the model does not meet the measurements that it was learned from, or there are none.
     """
-    if not isinstance(option, ParameterOptions) or (known := case.uncertainty) is None:
-        received = "fitted" if isinstance(option, str) else type(option).__name__
+    growth = grown(case.novelty, rate)
+    nothing = torch.zeros(2 * case.space.dof, 2 * case.space.dof, dtype=torch.float64)
+    return nothing, parameters_as_states(case, known, learned_filter(case), growth)
+
+
+def require_truth(option: NoiseOption, truth: System | None) -> None:
+    """Refuse a process noise that is fitted to true states where nobody knows them; raises UserError."""
+    if truth is None:
+        received = {"ForceOptions": "force_error", "ParameterOptions": "no covariance of the parameters"}
         message = (
-            "process_noise: expected standard deviations [position, velocity], or parameter_error after a "
-            "training on measurements, for data whose true states are not known; received "
-            f"{received}. Use plugins=ukf_parameter_error or plugins.ukf.process_noise=[...]"
+            "process_noise: expected parameter_error, after a training on measurements, or standard "
+            "deviations, for data whose true states are not known; received "
+            f"{received.get(type(option).__name__, option)}. Use plugins=ukf_parameter_error or "
+            "plugins.ukf.process_noise=[POSITION,VELOCITY]"
         )
         raise UserError(message)
-    assert case.learned_from is not None, "a covariance comes from measurements"
-    assert case.fitted is not None, "recorded measurements have starts that are fitted to them"
-    instrument, steps = case.learned_from.instrument, case.train.states.shape[1] - 1
-    sizes = case.fitted.unflatten(-1, (2, -1)).square().nanmean((0, 2)).sqrt()
-    start_sd = sizes.repeat_interleave(instrument.dof)
-    setting = Setting(instrument.measurement, instrument.deviations, start_sd, tuple(range(1, steps + 1)))
-    nothing = torch.zeros(2 * instrument.dof, 2 * instrument.dof, dtype=torch.float64)
-    return nothing, parameter_error(case, setting, known, grown(case.novelty, rate))

@@ -31,23 +31,28 @@ class ParameterError(NamedTuple):
         added: K.
         size: standard deviation of each component of eta, a number or (B,).
         left_out: what other directions add to the NEES of a filter, at most.
-        made_for: numbers of the filter that its directions were chosen for.
+        name: tells these directions from others: a saved filter is of no others.
     """
 
     columns: Callable[[Tensor], Tensor]
     added: int
     size: Tensor | float = 1.0
     left_out: float = 0.0
-    made_for: tuple[float, ...] = ()
+    name: str = ""
 
     @property
-    def about(self) -> list[float]:
-        """Plain numbers that tell one error from another, of the same weights."""
-        return [float(self.added), float(self.size), *self.made_for]
+    def about(self) -> list[float | str]:
+        """Plain values that tell one error from another, of the same weights."""
+        return [float(self.added), float(self.size), self.name]
 
     def numbers(self, states: Tensor) -> Tensor:
         """Return numbers that tell one error from another, at states (B, T, D)."""
-        return torch.cat((torch.tensor(self.about), self.columns(states[:1, 0]).flatten().float()))
+        return torch.cat(
+            (
+                torch.tensor([float(self.added), float(self.size)]),
+                self.columns(states[:1, 0]).flatten().float(),
+            )
+        )
 
     def belief(self, belief: Belief) -> Belief:
         """Return the augmented belief, parameters independent of the state."""

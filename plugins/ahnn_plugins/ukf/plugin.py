@@ -33,7 +33,8 @@ from ahnn_plugins.ukf.noise_options import (
     given_noise,
     grown,
     noise_option,
-    noise_without_truth,
+    online_parameters,
+    require_truth,
     with_process_noise,
     without_parameters,
 )
@@ -111,9 +112,7 @@ class UKFEvaluation:
         self.process_noise: NoiseOption = noise_option(process_noise)
         self.novelty = novelty
         if novelty is not None and not isinstance(self.process_noise, ForceOptions | ParameterOptions):
-            message = (
-                f"novelty: expected process_noise=force_error, which it scales; received {process_noise}"
-            )
+            message = f"novelty: expected a force_error or parameter_error; received {process_noise}"
             raise UserError(message)
         self.parameters = UnscentedParameters(alpha, beta, kappa)
         self.form = {"square_root": SQUARE_ROOT, "standard": STANDARD}[form]
@@ -211,9 +210,10 @@ class UKFEvaluation:
 
     @torch.no_grad()
     def _found(self, case: Case) -> Noise:
-        """Return the process noise, fitted to validation data where their true states are known."""
-        if case.truth is None and self.beside is None:
-            return noise_without_truth(self.process_noise, case, self.novelty)
+        """Return the process noise, of the covariance of the parameters or fitted to validation data."""
+        if isinstance(self.process_noise, ParameterOptions) and case.uncertainty is not None:
+            return online_parameters(case, case.uncertainty, self.novelty)
+        require_truth(self.process_noise, case.truth or self.beside)
         shortest = int(case.validation.present.sum(-1).min()) - 1
         setting = self._setting(near_system(case.truth, self.beside, case.space), shortest)
         (_, model), *_ = self._filters(case, setting, Findings())

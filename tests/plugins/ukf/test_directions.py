@@ -5,108 +5,131 @@ from __future__ import annotations
 import pytest
 import torch
 from helpers import close, generator
-from oscillators import DOUBLE, Swing
+from oscillators import DOUBLE, Swing, times
 from torch.func import functional_call, jacrev, vmap
 
-from ahnn.estimation.scenario import Setting
-from ahnn.measurements import Position
-from ahnn_plugins.ukf.directions import filtered_directions
+from ahnn.errors import UserError
+from ahnn.measurements import Instrument, Segment
+from ahnn.shooting.paths import path, steps_between
+from ahnn_plugins.ukf import directions
+from ahnn_plugins.ukf.directions import Watched, filtered_directions
 
-FACTOR = torch.tensor([[0.05, 0.0], [-0.02, 0.04]], **DOUBLE)
-DT, STEPS = 0.05, 100
-START = torch.randn(5, 2, generator=generator(3), **DOUBLE)
-
-
-def setting(updates=tuple(range(10, STEPS, 10)), measurement=None, sd=0.01):
-    sds = torch.tensor([0.05, 0.02], **DOUBLE)
-    return Setting(measurement or Position(1), torch.tensor([sd], **DOUBLE), sds, updates)
+ROWS, INTERVALS, SAMPLES = 4, 30, 10
+FACTOR = 0.02 * torch.tensor([[0.05, 0.0], [-0.02, 0.04]], **DOUBLE)
+START_SD = torch.tensor([5e-4, 2e-4], **DOUBLE)
+WEIGHED = range(3, INTERVALS + 1, 3)
 
 
-def directions(most, factor=FACTOR, start=START, asked=None):
-    return filtered_directions(Swing(), factor, start, DT, STEPS, asked or setting(), most).directions
+class Bent:
+    """q + q^2/5, and q p."""
+
+    names, units = ("a", "b"), ("1", "1")
+
+    def __call__(self, x, t):  # noqa: ARG002
+        q, p = x.unbind(-1)
+        return torch.stack((q + 0.2 * q * q, q * p), -1)
+
+    def residual(self, y, y_pred):
+        return y - y_pred
+
+
+def watched(deviations=(2e-4, 1e-3), rows=ROWS):
+    """Irregular times, of whose numbers half are measured; none where it begins."""
+    start = torch.randn(rows, 2, generator=generator(3), **DOUBLE)
+    values = torch.zeros(rows, INTERVALS + 1, 2, **DOUBLE)
+    gone = torch.rand(values.shape, generator=generator(4)) < 0.5
+    gone[:, 0] = True
+    instrument = Instrument(Bent(), torch.tensor(deviations, **DOUBLE), 0.02, 1, 1.0)
+    segment = Segment(values.masked_fill(gone, torch.nan), times(rows, INTERVALS), instrument)
+    return Watched(start, START_SD, segment)
+
+
+def step(z, dt):
+    """A step of (q, p, eta) by RK4, each by an oscillator of its own parameters."""
+    own = {"field.stiffness": torch.tensor([2.0, 0.5], **DOUBLE) + FACTOR @ z[2:]}
+    return torch.cat((functional_call(_Step(), own, (z[:2], dt)), z[2:]))
 
 
 class _Step(Swing):
-    def forward(self, x):
-        return x + self.increment(x, torch.tensor(DT, **DOUBLE))
+    def forward(self, x, dt):
+        return x + self.increment(x, dt)
 
 
-def joint(asked):
+def joint(given):
     """P_eta,x P_x^-1 P_x,eta of paths, times, (M, 2, 2), by the covariance of (q, p, eta) in one matrix."""
-
-    def step(z):
-        own = {"field.stiffness": torch.tensor([2.0, 0.5], **DOUBLE) + FACTOR @ z[2:]}
-        return torch.cat((functional_call(_Step(), own, (z[:2],)), z[2:]))
-
-    z, grams = torch.cat((START, torch.zeros(5, 2, **DOUBLE)), 1), []
-    both = torch.diag(torch.cat((asked.start_sd**2, torch.ones(2, **DOUBLE)))).expand(5, 4, 4)
-    rows = torch.tensor([[1.0, 0.0, 0.0, 0.0]], **DOUBLE)
-    for k in range(1, STEPS + 1):
-        moved = vmap(jacrev(step))(z)
-        z, both = vmap(step)(z), moved @ both @ moved.mT
-        grams.append(both[:, 2:, :2] @ torch.linalg.inv(both[:, :2, :2]) @ both[:, :2, 2:])
-        if k in asked.updates:
-            seen = both @ rows.mT
-            gain = seen / (rows @ seen + asked.measurement_noise)
-            gain[:, 2:] = 0.0  # parameters are considered, not learned
-            left = torch.eye(4, **DOUBLE) - gain @ rows
-            both = left @ both @ left.mT + gain @ asked.measurement_noise @ gain.mT
-    return torch.cat(grams)
+    steps, seen = steps_between(given.segment.times, 0.02), ~given.segment.values.isnan()
+    start = torch.cat((START_SD**2, torch.ones(2, **DOUBLE)))
+    z, both = torch.nn.functional.pad(given.start, (0, 2)), torch.diag(start).expand(len(seen), 4, 4)
+    found, here = [], 0
+    for k, there in enumerate(steps.ends.tolist()):
+        for dt in steps.lengths[:, here:there].unbind(1):
+            moved, z = vmap(jacrev(step))(z, dt), vmap(step)(z, dt)
+            both = moved @ both @ moved.mT
+        if k in WEIGHED:
+            found.append(both[:, 2:, :2] @ torch.linalg.inv(both[:, :2, :2]) @ both[:, :2, 2:])
+        both = torch.stack([updated(*pair, given.segment) for pair in zip(both, z, seen[:, k], strict=True)])
+        here = there
+    return torch.cat(found)
 
 
-@pytest.mark.parametrize("sd", [0.003, 1.0])
-def test_directions_are_those_that_a_consider_filter_does_not_tell_from_measurements(sd):
-    asked = setting(sd=sd)
-    with torch.enable_grad():
-        sizes, axes = torch.linalg.eigh(joint(asked).sum(0))
+def updated(both, z, seen, segment):
+    """The covariance of one member after the numbers that it sees; parameters are considered, not learned."""
+    if not bool(seen.any()):
+        return both
+    rows = jacrev(lambda z: segment.instrument.measurement(z[:2], 0.0))(z)[seen]
+    noise = torch.diag(segment.instrument.deviations[seen] ** 2)
+    gain = both @ rows.mT @ torch.linalg.inv(rows @ both @ rows.mT + noise)
+    gain[2:] = 0.0
+    left = torch.eye(4, **DOUBLE) - gain @ rows
+    return left @ both @ left.mT + gain @ noise @ gain.mT
+
+
+@pytest.fixture(autouse=True)
+def ten_times(monkeypatch):
+    monkeypatch.setattr(directions, "SAMPLES", SAMPLES)
+
+
+@pytest.mark.parametrize("deviations", [(2e-4, 1e-3), (1e-2, 5e-5), (1.0, 1.0)])
+def test_directions_are_those_that_a_consider_filter_does_not_tell_from_measurements(deviations):
+    given = watched(deviations)
+    grams = joint(given)
+    sizes, axes = torch.linalg.eigh(grams.sum(0))
     assert float(sizes[0]) < 0.5 * float(sizes[1])  # there is a first one
-    with torch.no_grad():
-        found = directions(2, asked=asked)
-        expected = FACTOR @ axes.flip(1)
-        close(found * (found * expected).sum(0).sign(), expected, 0.01)
-        assert bool((found.amax(0) == found.abs().amax(0)).all())  # a sign of its own, for saved filters
+    found, expected = filtered_directions(Swing(), FACTOR, given, 2).directions, FACTOR @ axes.flip(1)
+    close(found * (found * expected).sum(0).sign(), expected, 0.01)
+    assert bool((found.amax(0) == found.abs().amax(0)).all())  # a sign of its own, for saved filters
+    assert not found.requires_grad
+    second = axes[:, 0]
+    one = filtered_directions(Swing(), FACTOR, given, 1)
+    assert one.left_out == pytest.approx(float((second @ grams @ second).max()), rel=0.02)
 
 
-def test_what_is_left_out_adds_to_the_nees_what_it_says():
-    with torch.enable_grad():
-        grams = joint(setting())
-        second = torch.linalg.eigh(grams.sum(0)).eigenvectors[:, 0]
-    with torch.no_grad():
-        chosen = filtered_directions(Swing(), FACTOR, START, DT, STEPS, setting(), 1)
-        expected = float((second @ grams @ second).max())
-        assert chosen.left_out == pytest.approx(expected, rel=0.02)
-        small = torch.cat((FACTOR[:, :1], 1e-4 * FACTOR[:, 1:]), dim=1)
-        few = filtered_directions(Swing(), small, START, DT, STEPS, setting(), 2)
-        assert few.directions.shape == (2, 1)
-        assert 0.0 < few.left_out < 0.02
+def test_there_are_as_few_directions_as_leave_out_next_to_nothing():
+    small = torch.cat((FACTOR[:, :1], 1e-3 * FACTOR[:, 1:], torch.zeros(2, 30, **DOUBLE)), dim=1)
+    few = filtered_directions(Swing(), small, watched(), 50, enough=0.01)
+    assert few.directions.shape == (2, 1)
+    assert 0.0 < few.left_out < 0.02
+    both = filtered_directions(Swing(), small, watched(), 50, enough=few.left_out / 4)
+    assert both.directions.shape == (2, 2)
+    close(both.directions @ both.directions.T, small @ small.T, 1e-5)
+    assert both.left_out == 0.0
 
 
-@torch.no_grad()
-def test_directions_keep_the_covariance_where_all_of_them_may_stay():
-    idle = torch.cat((FACTOR, torch.zeros(2, 30, **DOUBLE)), dim=1)
-    both = directions(2, idle)
-    close(both @ both.T, FACTOR @ FACTOR.T, 1e-6)
-    assert directions(50, idle).shape == (2, 2)
-    close(directions(1, idle).abs(), both[:, :1].abs(), 1e-6)
-
-
-class Late(Position):
-    """Positions, seen only in the second half."""
-
-    def in_view(self, x, t):
-        return torch.full((*x.shape[:-1], 1), bool(t > STEPS * DT / 2))
-
-
-@torch.no_grad()
-def test_what_is_out_of_view_tells_nothing():
-    updates = setting().updates
-    seen = tuple(k for k in updates if k > STEPS / 2)
-    hidden = directions(2, asked=setting(updates, Late(1)))
-    close(hidden.abs(), directions(2, asked=setting(seen)).abs(), 0.02)
-    assert float((hidden.abs() - directions(2).abs()).abs().max()) > 0.1 * float(FACTOR.abs().max())
-
-
-@torch.no_grad()
 def test_paths_that_leave_all_numbers_are_left_out():
-    lost = torch.cat((START, torch.full((1, 2), 1e200, **DOUBLE)))
-    close(directions(2, start=lost).abs(), directions(2).abs(), 1e-6)
+    given, more = watched(), watched(rows=ROWS + 1)
+    lost = more._replace(start=torch.cat((given.start, torch.full((1, 2), 1e200, **DOUBLE))))
+    kept = more._replace(start=given.start, segment=more.segment.rows(slice(ROWS)))
+    expected = filtered_directions(Swing(), FACTOR, kept, 2).directions
+    close(filtered_directions(Swing(), FACTOR, lost, 2).directions, expected, 1e-6)
+    none = lost._replace(start=lost.start[-1:], segment=more.segment.rows(slice(ROWS, None)))
+    with pytest.raises(UserError, match="expected a model whose paths stay finite"):
+        filtered_directions(Swing(), FACTOR, none, 2)
+
+
+def test_paths_of_an_oscillator_are_those_of_the_steps_that_were_asked_for():
+    given = watched()
+    steps = steps_between(given.segment.times, 0.02)
+    z = torch.nn.functional.pad(given.start, (0, 2))
+    for dt in steps.lengths.unbind(1):
+        z = vmap(step)(z, dt)
+    close(z[:, :2], path(Swing().increment, given.start, steps.lengths)[:, -1].detach(), 1e-12)

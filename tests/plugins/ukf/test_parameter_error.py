@@ -94,10 +94,6 @@ def test_a_belief_and_a_factor_of_the_noise_widen_the_parameters_alone():
     close(found.chol.diagonal(dim1=1, dim2=2), torch.tensor([[1.0, 1, 2, 2], [1, 1, 3, 3]], **DOUBLE), 1e-12)
 
 
-def test_a_saved_filter_is_of_the_numbers_that_its_directions_were_chosen_for():
-    assert error(made_for=(0.1, 5.0)).about == [2.0, 1.0, 0.1, 5.0]
-
-
 def test_columns_are_how_the_field_moves_along_directions():
     x = torch.randn(7, 2, generator=generator(4), **DOUBLE)
     moved, q = field_columns(Swing(), FACTOR)(x), x[:, 0]
