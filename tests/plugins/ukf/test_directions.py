@@ -96,12 +96,12 @@ def test_directions_are_those_that_a_consider_filter_does_not_tell_from_measurem
     sizes, axes = torch.linalg.eigh(grams.sum(0))
     assert float(sizes[0]) < 0.5 * float(sizes[1])  # there is a first one
     found, expected = filtered_directions(Swing(), FACTOR, given, 2).directions, FACTOR @ axes.flip(1)
-    close(found * (found * expected).sum(0).sign(), expected, 0.01)
+    close(found * (found * expected).sum(0).sign(), expected, 5e-4)
     assert bool((found.amax(0) == found.abs().amax(0)).all())  # a sign of its own, for saved filters
     assert not found.requires_grad
     second = axes[:, 0]
     one = filtered_directions(Swing(), FACTOR, given, 1)
-    assert one.left_out == pytest.approx(float((second @ grams @ second).max()), rel=0.02)
+    assert one.left_out == pytest.approx(float((second @ grams @ second).max()), rel=2e-3)
 
 
 def test_there_are_as_few_directions_as_leave_out_next_to_nothing():
