@@ -26,7 +26,7 @@ INTERVALS = 2000
 """Intervals of them, at most."""
 MOST = 50
 """Directions of the parameters that a filter has as states, at most."""
-ENOUGH = 0.002
+ENOUGH = 0.01
 """What other directions may add to the NEES, per state component, where what a filter sees is known."""
 
 Growth = Callable[[Tensor], Tensor]
