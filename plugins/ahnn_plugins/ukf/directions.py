@@ -129,11 +129,15 @@ class _Arc(NamedTuple):
 
 
 def _whitened_rows(arc: _Arc, segment: Segment, start_sd: Tensor, columns: int) -> Iterator[Tensor]:
-    """Yield P^-1/2 S of all paths, (B, D, R), at some times: what a column adds to the NEES is its square."""
+    """Yield P^-1/2 S of all paths, (B, D, R), at some times: what a column adds to the NEES is its square.
+
+    Behind the last measurement of a path it is 0: there is no filter any more.
+    """
     batch, samples = segment.times.shape
     apart = max(1, (samples - 1) // SAMPLES)
     weighed = {*range(apart, samples, apart), samples - 1}
     seen = ~segment.values.isnan()
+    last = (seen.any(-1) * torch.arange(samples)).amax(1)[:, None, None]
     updates = {*seen.any(-1).any(0).nonzero().flatten().tolist()}
     own = torch.diag(start_sd**2).to(arc.states).expand(batch, -1, -1)
     moved, here = arc.jacobians.new_zeros(batch, len(start_sd), columns), 0
@@ -141,7 +145,7 @@ def _whitened_rows(arc: _Arc, segment: Segment, start_sd: Tensor, columns: int) 
         there = int(arc.steps.ends[k])
         moved, own = arc.moved(here, there, moved, own)
         if k in weighed:
-            yield _whitened(moved.to(own), own).to(moved)
+            yield _whitened(moved.to(own), own).to(moved) * (k <= last)
         if k in updates:
             sensor = partial(segment.instrument.measurement, t=segment.times[:, k])
             rows = pointwise_jacobian(sensor, arc.states[:, there])

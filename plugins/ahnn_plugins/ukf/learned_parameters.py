@@ -10,12 +10,14 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
+from ahnn.data.segments import whole
 from ahnn.dynamics import Dynamics
 from ahnn.errors import UserError
 from ahnn.estimation.scenario import Setting, simulated
 from ahnn.evaluation import Case
 from ahnn.evaluation.explained import LOST, fit_to
 from ahnn.measurements import Instrument, Segment
+from ahnn.types import Trajectories
 from ahnn.uncertainty import Uncertainty
 from ahnn_plugins.ukf.directions import Watched, filtered_directions
 from ahnn_plugins.ukf.parameter_error import ParameterError, field_columns
@@ -57,7 +59,8 @@ def learned_filter(case: Case) -> Watched:
             "data.noise: expected that of the measurements that the model was learned from; received null"
         )
         raise UserError(message)
-    segment = case.learned_from.first(INTERVALS)
+    values, times, instrument = case.learned_from
+    segment = whole(Trajectories(values, times), instrument).first(INTERVALS)
     segment = segment.rows(slice(None, None, max(1, len(segment.times) // ARCS)))
     fitted, _ = fit_to(cast(torch.nn.Module, case.flow), segment, case.robust)
     met = fitted.sums <= LOST * segment.measured

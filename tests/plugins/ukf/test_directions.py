@@ -66,7 +66,8 @@ def joint(given):
             moved, z = vmap(jacrev(step))(z, dt), vmap(step)(z, dt)
             both = moved @ both @ moved.mT
         if k in WEIGHED:
-            found.append(both[:, 2:, :2] @ torch.linalg.inv(both[:, :2, :2]) @ both[:, :2, 2:])
+            followed = seen[:, k:].any((1, 2))[:, None, None]
+            found.append(followed * both[:, 2:, :2] @ torch.linalg.inv(both[:, :2, :2]) @ both[:, :2, 2:])
         both = torch.stack([updated(*pair, given.segment) for pair in zip(both, z, seen[:, k], strict=True)])
         here = there
     return torch.cat(found)
