@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -10,7 +12,14 @@ from ahnn.types import Flow, TimeStep, steady
 
 
 @torch.no_grad()
-def rollout(flow: Flow, start: Tensor, dt: TimeStep, samples: int, description: str | None = None) -> Tensor:
+def rollout(
+    flow: Flow,
+    start: Tensor,
+    dt: TimeStep,
+    samples: int,
+    description: str | None = None,
+    longest: float = math.inf,
+) -> Tensor:
     """Return the trajectories of a flow, shape (B, samples, D), beginning with `start`, shape (B, D).
 
     Args:
@@ -19,12 +28,18 @@ def rollout(flow: Flow, start: Tensor, dt: TimeStep, samples: int, description: 
         dt: time step, or (B, samples - 1) with the length of each.
         samples: length of the result, start included.
         description: text of a progress bar; None shows none.
+        longest: step of the flow; longer ones are cut into equal parts.
     """
     follow = steady(flow)
     out = start.new_empty(start.shape[0], samples, start.shape[1])
     out[:, 0] = x = start
     steps = range(1, samples)
     for k in track(steps, description, len(steps)) if description else steps:
-        x = follow(x, dt[:, k - 1] if isinstance(dt, Tensor) else dt)
+        step = dt[:, k - 1] if isinstance(dt, Tensor) else dt
+        most = float(step.max()) if isinstance(step, Tensor) else step
+        # As `steps_between` has it: a gap of 60.000000000000007 is one step of 60.
+        parts = max(1, math.ceil(most / longest - 1e-9))
+        for _ in range(parts):
+            x = follow(x, step / parts)
         out[:, k] = x
     return out

@@ -44,6 +44,23 @@ def test_the_flow_is_called_once_for_each_sample_after_the_first(description):
     assert rollout(flow, START, 0.5, 1, description).shape == (3, 1, 4)
 
 
+def test_steps_that_are_too_long_are_cut_into_equal_parts():
+    calls = []
+
+    def flow(x, dt):
+        calls.append(dt)
+        return decay(x, dt)
+
+    steps = torch.tensor([[0.1, 0.3], [0.1, 0.2]], dtype=torch.float64)
+    got = rollout(flow, START[:2], steps, 3, longest=0.1)
+    close(got[:, -1], START[:2] * (-steps.sum(1, keepdim=True)).exp(), 1e-13)
+    assert len(calls) == 4
+    close(torch.stack(calls[1:]), (steps[:, 1] / 3).expand(3, 2), 1e-13)
+    calls.clear()
+    rollout(flow, START, 0.3, 2, longest=0.1 - 1e-12)
+    assert calls == [0.3 / 3] * 3
+
+
 def test_a_rollout_keeps_the_type_and_asks_for_no_gradients():
     start = START.float().requires_grad_()
     got = rollout(lambda x, _: 2 * x, start, 0.1, 3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -88,6 +89,11 @@ class Case:
     def start(self) -> Start:
         """The start whose rollouts are drawn."""
         return "true" if self.fitted is None else "fitted"
+
+    @property
+    def longest(self) -> float:
+        """Step of the flow at most; of recorded measurements that of the training, which may lie between."""
+        return math.inf if self.fitted is None or self.measured is None else self.measured.instrument.longest
 
     @cached_property
     def true_energy(self) -> Tensor | None:

@@ -64,7 +64,7 @@ def open_loop(case: Case) -> Findings:
     together = torch.cat(list(starts.values()))
     text = described(Who(MODEL, case.start), case.label)
     dt = case.dt.repeat(len(starts), 1) if isinstance(case.dt, Tensor) else case.dt
-    predictions = rollout(case.flow, together, dt, samples, text).chunk(len(starts))
+    predictions = rollout(case.flow, together, dt, samples, text, case.longest).chunk(len(starts))
     for start, prediction in zip(starts, predictions, strict=True):
         who = Who(MODEL, start)
         findings.arrays[f"{start}_start"] = prediction
