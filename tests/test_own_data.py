@@ -25,18 +25,28 @@ SMALL = [
 ]
 
 
-def swings(path: Path, columns: int, noise: float = 0.0) -> Path:
-    """Oscillations of unit mass and omega = 2, with their velocities where four columns are asked for."""
+def swings(path: Path, columns: int, noise: float = 0.0, *, whole: bool = True) -> Path:
+    """Oscillations of unit mass and omega = 2, with their velocities where four columns are asked for.
+
+    Where they are not whole, times are irregular, samples are missing, and every other one ends sooner.
+    """
     draw = torch.Generator().manual_seed(0)
     lines = [",".join(["id", "t [s]", "q [m]", "v [m/s]"][:columns])]
     for b in range(20):
         a, phase = (0.5 + torch.rand(1, generator=draw).item(), 6 * torch.rand(1, generator=draw).item())
         for k in range(61):
-            angle = 0.1 * k + phase
+            t = 0.05 * k if whole else 0.05 * k + 0.02 * math.sin(5.0 * k)
+            angle = 2.0 * t + phase
             q, v = a * math.cos(angle), -2 * a * math.sin(angle)
             off = noise * torch.randn(2, generator=draw).double()
-            cells = [str(b), f"{0.05 * k:.2f}", repr(q + float(off[0])), repr(v + float(off[1]))]
-            lines.append(",".join(cells[:columns]))
+            cells = [
+                str(b),
+                f"{t:.2f}" if whole else repr(t),
+                repr(q + float(off[0])),
+                repr(v + float(off[1])),
+            ]
+            if whole or (k * (3 + b) % 7 < 4 and k < 61 - 20 * (b % 2)):
+                lines.append(",".join(cells[:columns]))
     path.write_text("\n".join(lines) + "\n")
     return path
 
@@ -59,8 +69,9 @@ def test_states_of_a_file_train_resume_and_are_known_again(tmp_path, capfd):
     assert "files" in capfd.readouterr().err
 
 
-def test_recorded_positions_are_measurements_and_chi_square_is_the_verdict(tmp_path):
-    data = swings(tmp_path / "swings.csv", 3, SD)
+@pytest.mark.parametrize("whole", [True, False])
+def test_recorded_positions_are_measurements_and_chi_square_is_the_verdict(tmp_path, whole):
+    data = swings(tmp_path / "swings.csv", 3, SD, whole=whole)
     given = ["model=ahnn", "hamiltonian=mechanical", "recipe=measurements", f"data.noise={SD}"]
     given += ["loss.stages=[[16, 1.0]]", "trainer.max_epochs=6"]
     folder = tmp_path / "run"
@@ -70,14 +81,20 @@ def test_recorded_positions_are_measurements_and_chi_square_is_the_verdict(tmp_p
     assert math.isnan(results.rows[0].scores.velocity)
     assert results.rows[0].scores.energy is None
     explained = results.numbers["measurements"]
-    # One test trajectory of 61 positions: its residuals are those that chi-square sums up.
-    pooled = results.rows[0].scores.position_pooled
-    assert explained["chi_square"] == pytest.approx(61 * (pooled / SD) ** 2 / 59, rel=1e-6)
+    # One test trajectory: its residuals are those that chi-square sums up.
+    pooled, ids = (
+        results.rows[0].scores.position_pooled,
+        [line.split(",")[0] for line in data.read_text().splitlines()],
+    )
+    counts = {ids.count(str(b)) for b in range(20)}
+    assert (counts == {61}) == whole
+    expected = [n * (pooled / SD) ** 2 / (n - 2) for n in counts]
+    assert any(explained["chi_square"] == pytest.approx(chi_square, rel=1e-6) for chi_square in expected)
     assert (folder / "figures" / "error.png").exists()
 
 
 def test_a_model_of_recorded_positions_filters_as_well_as_its_covariance_says(tmp_path, capfd):
-    data = swings(tmp_path / "swings.csv", 3, SD)
+    data = swings(tmp_path / "swings.csv", 3, SD, whole=False)
     given = ["model=ahnn", "hamiltonian=mechanical", "recipe=measurements", f"data.noise={SD}"]
     given += ["loss.stages=[[16, 1.0]]", "trainer.max_epochs=6", "plugins=none"]
     run = f"run={tmp_path / 'run'}"
@@ -96,6 +113,11 @@ def test_a_model_of_recorded_positions_filters_as_well_as_its_covariance_says(tm
         "received fitted. Use plugins=ukf_parameter_error or plugins.ukf.process_noise=[POSITION,VELOCITY]"
         in told
     )
+    silent = [text for text in stream if not text.startswith("measurement.sd")]
+    lost = tmp_path / "lost.csv"
+    assert call("ahnn.assimilate", run, *silent, "plugins=ukf_parameter_error", f"output={lost}") == 2
+    assert "expected a column sd_q, or measurement.sd=NUMBER" in capfd.readouterr().err
+    assert not lost.exists()
     means, covariances = [], []
     for plugin in ("plugins=ukf_parameter_error", "plugins.ukf.process_noise=[1e-9,1e-9]"):
         output = tmp_path / f"{len(means)}.csv"

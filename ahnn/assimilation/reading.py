@@ -50,7 +50,8 @@ class Layout:
         clock: what times mean; None takes numbers alone.
 
     Raises:
-        UserError: a header without time, or with a column that no sensor has or that is in another unit.
+        UserError: a header without time, with a column that no sensor has or in another unit, or with numbers
+            whose standard deviations nobody says.
     """
 
     def __init__(self, first: str, sensors: Mapping[str, Sensor], clock: Clock | None = None) -> None:
@@ -66,6 +67,7 @@ class Layout:
                 expected = f"a header with time and {self._expected()}, each once"
                 message = f"measurements: expected {expected}; received {first.strip()!r}"
                 raise UserError(message)
+            self._require_deviations({*self.names})
 
     def reading(self, text: str) -> Reading:
         """Return what a line says.
@@ -140,6 +142,17 @@ class Layout:
         elif found and found["unit"] is not None and name not in (*TIME, SENSOR):
             self._check_unit(name.removeprefix(SD), found["unit"])
         return name
+
+    def _require_deviations(self, named: set[str]) -> None:
+        """Refuse a table whose numbers have no standard deviations; raises UserError."""
+        for name, sensor in self.sensors.items():
+            lacking = [column for column in sensor.columns if column in named and SD + column not in named]
+            if sensor.deviations is None and lacking:
+                key = "measurement.sd" if self.only else f"sensors.{name}.sd"
+                message = (
+                    f"measurements: expected a column {SD}{lacking[0]}, or {key}=NUMBER; received neither"
+                )
+                raise UserError(message)
 
     def _check_unit(self, name: str, unit: str) -> None:
         for sensor in self.sensors.values():
