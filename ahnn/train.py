@@ -166,11 +166,11 @@ def fit(
     model.to(trainer.strategy.root_device)
     choose_steps(cfg, trainer, data, model, checkpoint)
     if trainer.is_global_zero:
-        write_atomically(folder / "config.yaml", stored(cfg))
         done = 0 if checkpoint is None else read_checkpoint(checkpoint)["global_step"]
         if remark := data.remark():
             log.warning(remark)
         announce(cfg.label, trainer, data, model, done)
+        write_atomically(folder / "config.yaml", stored(cfg))  # what cannot take a step has been refused
     started = time.monotonic()
     with interruptible(trainer, lambda: go_on(cfg)):
         trainer.fit(model, data, ckpt_path=checkpoint)

@@ -164,6 +164,16 @@ def test_what_does_not_fit_is_one_message(tmp_path, capfd, overrides, expected):
     assert not (tmp_path / "run").exists()
 
 
+def test_a_loss_that_cannot_take_a_step_on_the_data_leaves_nothing_behind(tmp_path, capfd):
+    data = swings(tmp_path / "swings.csv", 4, whole=False)
+    given = [*SMALL, f"system.path={data}", "model=ahnn", "recipe=second_order", f"run={tmp_path / 'run'}"]
+    assert call("ahnn.train", *given) == 2
+    told = capfd.readouterr().err
+    assert "Set loss.derivative=0, or data.noise where they are measurements" in told
+    assert "training" not in told
+    assert not (tmp_path / "run").exists()
+
+
 def test_one_trajectory_makes_splits_only_when_it_is_cut(tmp_path, capfd):
     data = swings(tmp_path / "swings.csv", 4)
     data.write_text("".join(data.read_text().splitlines(keepends=True)[:62]))

@@ -49,7 +49,10 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
             return task(cfg)  # who runs several jobs has to see how each of them ended
         if code := guard(lambda: task(cfg)):
             if is_new:
-                forget(Path(HydraConfig.get().runtime.output_dir))
+                forget(folder := Path(HydraConfig.get().runtime.output_dir))
+                if own is None:
+                    with contextlib.suppress(OSError):
+                        folder.parent.rmdir()  # of the day
             sys.exit(code)  # past Hydra, which would say that there was an error
         return None
 

@@ -163,7 +163,7 @@ def derivative_samples(window: Window) -> tuple[Tensor, Tensor]:
     if isinstance(window.dt, Tensor):
         message = (
             "loss: derivatives of the data expect samples at equal steps; received steps that differ. "
-            "Set loss.derivative=0"
+            "Set loss.derivative=0, or data.noise where they are measurements"
         )
         raise UserError(message)
     steps = window.increments.shape[1]
