@@ -115,6 +115,8 @@ def assimilate(arguments: list[str]) -> None:
         with kept, view or nullcontext():
             session.run(view)
     log.info("%s lines: %s", f"{session.counted:,}", said(session.counts))
+    if verdict := session.verdict():
+        log.info(verdict)
     _pictures(options, run.space)
 
 

@@ -93,7 +93,7 @@ def test_recorded_positions_are_measurements_and_chi_square_is_the_verdict(tmp_p
     assert (folder / "figures" / "error.png").exists()
 
 
-def test_a_model_of_recorded_positions_filters_as_well_as_its_covariance_says(tmp_path, capfd):
+def test_a_model_of_recorded_positions_filters_as_well_as_its_covariance_says(tmp_path, capfd, caplog):
     data = swings(tmp_path / "swings.csv", 3, SD, whole=False)
     given = ["model=ahnn", "hamiltonian=mechanical", "recipe=measurements", f"data.noise={SD}"]
     given += ["loss.stages=[[16, 1.0]]", "trainer.max_epochs=6", "plugins=none"]
@@ -113,6 +113,11 @@ def test_a_model_of_recorded_positions_filters_as_well_as_its_covariance_says(tm
         "received fitted. Use plugins=ukf_parameter_error or plugins.ukf.process_noise=[POSITION,VELOCITY]"
         in told
     )
+    off = [text.replace(f"sd={SD}", f"sd={SD / 3}") for text in stream]
+    assert call("ahnn.assimilate", run, *off, "plugins=ukf_parameter_error", "output=-") == 0
+    mean = float(caplog.messages[-1].split()[5].strip(";"))
+    assert 6.0 < mean < 12.0  # measurements with three times the noise
+    assert "trusts its model or the measurements too much" in caplog.messages[-1]
     silent = [text for text in stream if not text.startswith("measurement.sd")]
     lost = tmp_path / "lost.csv"
     assert call("ahnn.assimilate", run, *silent, "plugins=ukf_parameter_error", f"output={lost}") == 2
@@ -122,6 +127,7 @@ def test_a_model_of_recorded_positions_filters_as_well_as_its_covariance_says(tm
     for plugin in ("plugins=ukf_parameter_error", "plugins.ukf.process_noise=[1e-9,1e-9]"):
         output = tmp_path / f"{len(means)}.csv"
         assert call("ahnn.assimilate", run, *stream, plugin, f"output={output}") == 0
+        assert "where a filter is consistent" in caplog.messages[-1]
         last = list(csv.DictReader(output.read_text().splitlines()))[-1]
         a, b, c = (float(last[name]) for name in ("cov_q_q", "cov_pq_q", "cov_pq_pq"))
         means.append(torch.tensor([float(last["q"]), float(last["pq"])], dtype=torch.float64))

@@ -20,12 +20,15 @@ from ahnn.assimilation.online import Assimilation, Diverged, Estimate
 from ahnn.assimilation.reading import Layout, Reading
 from ahnn.assimilation.rows import Output, Rows, require_new
 from ahnn.errors import TrainingError, UserError
+from ahnn.estimation.consistency import band
 
 log = logging.getLogger("ahnn")
 
 Watcher = Callable[[int, Reading, Estimate, Counter[str]], None]
 """Told of every line that was a measurement: its number, what it said, the estimate, the counts so far."""
 
+FEW = 30
+"""Measured numbers that say nothing yet of a filter's consistency."""
 WORDS = {
     "late": "comes later than the window allows, at time {now:g}: not counted",
     "repeated": "was counted before: not counted again",
@@ -62,6 +65,7 @@ class Session:
         self.filter, self.lines, self.rows, self.clock = assimilation, lines, rows, clock
         self.state, self.every = state, every
         self.counts: Counter[str] = Counter()
+        self.nis, self.numbers = 0.0, 0
         self.layout: Layout | None = None
         self.header, self.path = "", output
         self._count()
@@ -83,6 +87,16 @@ class Session:
             self._run(watch)
         finally:
             self.close()
+
+    def verdict(self) -> str:
+        """Return whether innovations are as large as the filter believes; empty where few are known."""
+        if self.numbers < FEW:
+            return ""
+        mean, (low, high) = self.nis / self.numbers, band(1, self.numbers)
+        text = f"mean NIS of a number {mean:.3g}; {low:.3g} to {high:.3g} where a filter is consistent"
+        if mean > high:
+            text += ": it trusts its model or the measurements too much, or took outliers (plugins.ukf.gate)"
+        return text + (": it trusts them too little" if mean < low else "")
 
     def close(self) -> None:
         """Give back the files; what was not saved is taken again by who goes on."""
@@ -139,10 +153,12 @@ class Session:
             log.info("line %d: time %g of sensor %s %s", number, reading.time, reading.sensor, word)
         else:
             self.output.write(self.rows.row(number, reading.sensor, estimate))
+            nis, dof = float(estimate.innovation.nis), int(estimate.innovation.measured)
             if estimate.outcome == "rejected":
-                nis, dof = float(estimate.innovation.nis), int(estimate.innovation.measured)
                 told = number, reading.time, reading.sensor, nis, dof
                 log.info("line %d: time %g of sensor %s rejected, NIS %.3g of %d numbers", *told)
+            else:
+                self.nis, self.numbers = self.nis + nis, self.numbers + dof
         if watch is not None:
             watch(number, reading, estimate, self.counts)
 
@@ -154,6 +170,7 @@ class Session:
             self.output.sync()
             size = self.output.size
         notes = {"lines": self.counted, "place": self.place, "digest": self.digest, "size": size}
+        notes |= {"nis": self.nis, "numbers": self.numbers}
         stream = json.dumps({**notes, "header": self.header, "counts": self.counts, "clock": self.clock})
         self.filter.save(self.state, {"stream": stream})
         self.lines.saved(self.place)
@@ -169,6 +186,7 @@ class Session:
             number, place, size = (int(stream[key]) for key in ("lines", "place", "size"))
             digest, clock = str(stream["digest"]), stream["clock"]
             self.header, self.counts = stream["header"], Counter(stream["counts"])
+            self.nis, self.numbers = float(stream.get("nis", 0)), int(stream.get("numbers", 0))
         except (KeyError, ValueError, TypeError) as error:
             message = f"state: expected one of a stream; received {self.state} ({error})"
             raise UserError(message) from error
