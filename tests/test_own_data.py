@@ -90,6 +90,7 @@ def test_recorded_positions_are_measurements_and_chi_square_is_the_verdict(tmp_p
     assert (counts == {61}) == whole
     expected = [n * (pooled / SD) ** 2 / (n - 2) for n in counts]
     assert any(explained["chi_square"] == pytest.approx(chi_square, rel=1e-6) for chi_square in expected)
+    assert {"inflation", "chi_square", "held_out"} <= results.numbers["uncertainty"].keys()
     assert (folder / "figures" / "error.png").exists()
 
 

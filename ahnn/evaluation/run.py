@@ -34,10 +34,12 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
         add_force_bound(case, findings)
     if figures:
         findings.figures |= open_loop_figures(case, findings.arrays)
-    if case.uncertainty is not None and case.fitted is None:  # a band says nothing of measurements
-        add_band(case, case.uncertainty, findings, figures=figures)
-    known = "truth" if case.fitted is None else "measurements"
-    findings.arrays |= {known: case.test.states, "times": case.test.times}
+    if (known := case.uncertainty) is not None:
+        findings.numbers["uncertainty"] = {"inflation": known.inflation, **known.about}
+        if case.fitted is None:  # a band says nothing of measurements
+            add_band(case, known, findings, figures=figures)
+    seen = "truth" if case.fitted is None else "measurements"
+    findings.arrays |= {seen: case.test.states, "times": case.test.times}
     for name, plugin in plugins.items():
         more = plugin(case)
         findings.rows += distinct(more.rows, findings.rows, name)
@@ -52,8 +54,7 @@ def add_band(case: Case, uncertainty: Uncertainty, findings: Findings, *, figure
     prediction, row = findings.arrays["true_start"], findings.rows[0]
     band = banded(case, uncertainty, prediction)
     findings.rows[0] = row._replace(note="; ".join(part for part in (row.note, band.sentence()) if part))
-    inflation = {"inflation": uncertainty.inflation, **uncertainty.about}
-    findings.numbers["uncertainty"] = {**inflation, **band.numbers()}
+    findings.numbers["uncertainty"] |= band.numbers()
     findings.arrays["true_start_deviations"] = band.deviations
     if figures:
         findings.figures["band"] = band_figure(case, prediction, band.deviations)
