@@ -13,12 +13,12 @@ from ahnn.dynamics import make_dynamics
 from ahnn.errors import UserError
 from ahnn.uncertainty import (
     Uncertainty,
-    field_columns,
     load_uncertainty,
     rollout_covariances,
     save_uncertainty,
 )
 from ahnn.uncertainty.posterior import FILE
+from ahnn_plugins.ukf.parameter_error import field_columns
 
 STATE = {"field.weight": torch.arange(3.0, dtype=torch.float64)}
 KNOWN = Uncertainty(
