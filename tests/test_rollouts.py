@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 from helpers import close, generator
@@ -59,6 +61,15 @@ def test_steps_that_are_too_long_are_cut_into_equal_parts():
     calls.clear()
     rollout(flow, START, 0.3, 2, longest=0.1 - 1e-12)
     assert calls == [0.3 / 3] * 3
+
+
+@pytest.mark.parametrize("longest", [math.inf, 0.1])
+def test_a_trajectory_that_has_ended_ends_no_other(longest):
+    steps = torch.tensor([[0.1, 0.3], [0.2, math.nan]], dtype=torch.float64)
+    got = rollout(decay, START[:2], steps, 3, longest=longest)
+    close(got[0, -1], START[0] * math.exp(-0.4), 1e-13)
+    close(got[:, 1], START[:2] * (-steps[:, :1]).exp(), 1e-13)
+    assert bool(got[1, -1].isnan().all())
 
 
 def test_a_rollout_keeps_the_type_and_asks_for_no_gradients():
