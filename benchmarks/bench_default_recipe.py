@@ -1,12 +1,15 @@
-"""Is the default good enough under noise? The recipe of a sensor and every other, for equal CPU time.
+"""Is the default good enough under noise? The recipe of a command and every other.
 
-    python benchmarks/bench_default_recipe.py --seconds 60 --out recipes.csv
+    python benchmarks/bench_default_recipe.py --systems pendulum --out commands.csv
+    python benchmarks/bench_default_recipe.py --seconds 60 --out minute.csv
 
-Each row is one training with a recipe that the command line names; the default is the one that the sensor
-brings where none is named. Stages of a training, given as fractions of the epochs, are fractions of its
-time. The error is that of rollouts of unseen trajectories from their true start, mean of the rms vector norm,
-as in every table. Rows are appended as they are measured, and those that the file has are not measured again.
-At the end of each level of noise stands by what factor the default is worse than the best of the recipes.
+Each row is one training with a recipe that the command line names; the default is the one that the experiment
+brings where none is named. By default each is the whole command, in the time that its recipe takes. With
+`--seconds` all have the same CPU time, 625 trajectories and no last steps on all measurements; stages of a
+training, given as fractions of the epochs, are fractions of its time. The error is that of rollouts of unseen
+trajectories from their true start, mean of the rms vector norm, as in every table. Rows are appended as they
+are measured, and those that the file has are not measured again. At the end of each level of noise stands by
+what factor the default is worse than the best of the recipes.
 """
 
 from __future__ import annotations
@@ -14,7 +17,10 @@ from __future__ import annotations
 import argparse
 import csv
 import itertools
+import json
 import math
+import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -28,15 +34,14 @@ from ahnn.rollouts import rollout
 from ahnn.statistics import sampling_interval
 from ahnn.train import prepare
 
-ORBIT = ["system=molniya", "inputs=isotropic"]
 LEVELS = {
-    "spring": (["system=mass_spring", "sensor=spring_states"], ["0.001", "0.01"]),
-    "pendulum": (["system=pendulum_slow", "hamiltonian=mechanical", "sensor=pendulum_angles"], ["0.01"]),
-    "orbit": ([*ORBIT, "hamiltonian=mechanical", "sensor=orbit_states"], ["[0.1,1e-4]", "[1.0,1e-3]"]),
-    "positions": ([*ORBIT, "hamiltonian=central_body", "sensor=orbit_positions"], ["0.1"]),
-    "positions_mechanical": ([*ORBIT, "hamiltonian=mechanical", "sensor=orbit_positions"], ["0.1"]),
+    "spring": ("spring_noisy", ["0.001", "0.01"]),
+    "pendulum": ("pendulum_angles", ["0.01"]),
+    "orbit": ("molniya_states", ["[0.1,1e-4]", "[1.0,1e-3]"]),
+    "positions": ("molniya_positions", ["0.1"]),
+    "positions_mechanical": ("molniya_positions_mechanical", ["0.1"]),
 }
-"""Overrides of a command, and the standard deviations of its measurements."""
+"""Experiments, and the standard deviations of their measurements."""
 RECIPES = (
     "measurements",
     "noisy_states",
@@ -102,48 +107,62 @@ def measured(overrides: list[str], seconds: float) -> str:
         return "inf"
 
 
+def commanded(overrides: list[str]) -> tuple[str, str]:
+    """Return the error and the seconds of a whole command, as text; `refused` as in `measured`."""
+    with tempfile.TemporaryDirectory() as folder:
+        run = Path(folder, "run")
+        asked = [*overrides, "plugins=none", "evaluation=scores", f"run={run}"]
+        done = subprocess.run([sys.executable, "-m", "ahnn.train", *asked], capture_output=True)
+        if done.returncode == 2:
+            return "refused", ""
+        if done.returncode:
+            return "inf", ""
+        scores = json.loads((run / "metrics.json").read_text())
+    return f"{scores['rows'][0]['position']:.4g}", f"{scores['training']['seconds']:.0f}"
+
+
 def brought(overrides: list[str]) -> str:
-    """Return the recipe that a command line takes where it names none, `refused` where it has to name one."""
-    try:
-        return compose(config_loader(), "train", overrides).hydra.runtime.choices.recipe
-    except UserError:
-        return "refused"
+    """Return the recipe that a command line takes where it names none."""
+    return compose(config_loader(), "train", overrides).hydra.runtime.choices.recipe
 
 
 def factor(rows: dict[str, str], default: str) -> float:
-    """Return by what factor the default's error exceeds the least of all recipes; NaN where it is refused."""
+    """Return by what factor the default's error exceeds the least of all recipes."""
     known = {name: float(error) for name, error in rows.items() if error != "refused"}
-    return known[default] / min(known.values()) if default in known else math.nan
+    return known[default] / min(known.values())
 
 
 def main() -> None:
     """Measure what the file does not have, and print the factors."""
     kind = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=kind)
-    parser.add_argument("--seconds", type=float, default=60, help="CPU time of each training")
+    parser.add_argument("--seconds", type=float, help="CPU time of each training, in place of whole commands")
     parser.add_argument("--seeds", type=int, nargs="+", default=[7, 201, 719])
     parser.add_argument("--systems", nargs="+", default=list(LEVELS), choices=LEVELS)
     parser.add_argument("--recipes", nargs="+", default=list(RECIPES), choices=RECIPES)
     parser.add_argument("--out", type=Path, default=Path("recipes.csv"))
     args = parser.parse_args()
     torch.set_num_threads(1)
-    trained(["model=ahnn", *LEVELS["pendulum"][0]], WARM)
+    if args.seconds:
+        trained(["experiment=pendulum_angles"], WARM)
     known = {(*row[:4],): row[4] for row in csv.reader(args.out.open())} if args.out.exists() else {}
     for seed, system in itertools.product(args.seeds, args.systems):
-        common, levels = LEVELS[system]
+        experiment, levels = LEVELS[system]
         for noise in levels:
-            asked, rows = ["model=ahnn", *common, f"data.noise={noise}", f"seed={seed}"], {}
-            for recipe in args.recipes:
+            asked = [f"experiment={experiment}", f"data.noise={noise}", f"seed={seed}", f"data.seed={seed}"]
+            default, rows = brought(asked), {}
+            for recipe in {default: None, **dict.fromkeys(args.recipes)}:
                 key = system, noise, recipe, str(seed)
                 if key not in known:
-                    known[key] = measured([*asked, f"recipe={recipe}"], args.seconds)
+                    told = [*asked, f"recipe={recipe}"]
+                    row = (measured(told, args.seconds), args.seconds) if args.seconds else commanded(told)
+                    known[key] = row[0]
                     with args.out.open("a", newline="") as file:
-                        csv.writer(file).writerow([*key, known[key]])
+                        csv.writer(file).writerow([*key, *row])
                 rows[recipe] = known[key]
                 print(*key, rows[recipe], flush=True)
-            times = factor(rows, default := brought(asked))
-            known_as = f"{system} {noise} seed {seed}"
-            print(f"{known_as}: the default, {default}, is {times:.2f} times the best", flush=True)
+            times = f"{factor(rows, default):.2f} times the best"
+            print(f"{system} {noise} seed {seed}: the default, {default}, is {times}", flush=True)
 
 
 if __name__ == "__main__":
