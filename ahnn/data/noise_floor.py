@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import torch
 from torch import Tensor
-from torch.nn.functional import pad
+from torch.nn.functional import normalize
 
-from ahnn.statistics import sampling_interval
 from ahnn.types import Trajectories
 
 ORDERS = (8, 9, 10)
@@ -33,51 +31,63 @@ TWICE = 2.0
 def noise_floor(trajectories: Trajectories) -> Tensor:
     """Return the standard deviation of the noise of each component, (D,); NaN where it cannot be told.
 
-    The k-th difference of independent noise has the variance (2k over k) sigma^2, and of a smooth motion
-    goes to zero with k. Medians leave out events such as the passage of a periapsis, and outliers, as long as
-    these are not more than about a tenth of the samples, are taken out before.
+    Divided differences of high order leave nothing of a smooth motion, whatever the times of its samples, and
+    all of independent noise. Medians leave out events such as the passage of a periapsis, and outliers, as
+    long as these are not more than about a tenth of the samples, are taken out before.
 
     Args:
-        trajectories: sampled about evenly; absent samples are NaN.
+        trajectories: absent samples are NaN.
     """
-    samples, found = trajectories.states, []
+    samples, times = trajectories
     if samples.shape[1] <= ORDERS[-1]:
         return samples.new_full(samples.shape[-1:], torch.nan)
-    difference = without_events(samples)
-    for order in range(1, ORDERS[-1] + 1):
-        difference = difference.diff(dim=1)
-        if order in ORDERS:
-            typical = difference.abs().flatten(0, 1).nanmedian(0).values
-            found.append(typical / (NORMAL * spread(order)))
-    level = torch.stack(found)
+    kept = without_events(samples, times)
+    sizes = [differences(kept, weights(times, order)).abs().flatten(0, 1) for order in ORDERS]
+    level = torch.stack([size.nanmedian(0).values for size in sizes]) / NORMAL
     changes = (level[1:] / level[:-1] - 1).abs()
     return torch.where((changes <= PLATEAU).all(0), level[0], torch.nan)
 
 
-def spread(order: int) -> float:
-    """Return the standard deviation of the k-th difference of independent noise of unit variance."""
-    return math.sqrt(math.comb(2 * order, order))
+def weights(times: Tensor, order: int) -> Tensor:
+    """Return what samples in a row count in a divided difference of order k: (B, T - k, k + 1).
+
+    They are of unit length, so that the difference of independent noise is as large as the noise.
+
+    Args:
+        times: (B, T) increasing, or NaN where samples are absent.
+        order: k, at least 1.
+    """
+    near = times.unfold(1, order + 1, 1)
+    near = near / (near[..., -1:] - near[..., :1])  # products of times in any unit stay far from the limits
+    others = [torch.cat((near[..., :j], near[..., j + 1 :]), -1) for j in range(order + 1)]
+    products = [(near[..., j : j + 1] - other).prod(-1) for j, other in enumerate(others)]
+    return normalize(1 / torch.stack(products, -1), dim=-1)
 
 
-def without_events(samples: Tensor) -> Tensor:
-    """Return samples (B, T, D) with NaN where a difference that is centred there is far larger than most.
+def differences(samples: Tensor, weights: Tensor) -> Tensor:
+    """Return the sums (B, T - k, D) of samples (B, T, D) in a row times their weights (B, T - k, k + 1)."""
+    return torch.einsum("bidk,bik->bid", samples.unfold(1, weights.shape[-1], 1), weights)
+
+
+def without_events(samples: Tensor, times: Tensor) -> Tensor:
+    """Return samples (B, T, D) with NaN where a difference in which they count most is far larger than most.
 
     A single outlier is part of k + 1 differences of order k: a few per cent of outliers would reach so many
-    of them that medians grow, too. Centred on it is the largest of these.
+    of them that medians grow, too. Where it counts most is the largest of these.
     """
-    order = ORDERS[0]
-    sizes = samples.diff(n=order, dim=1).abs()
+    weight = weights(times, ORDERS[0])
+    sizes = differences(samples, weight).abs()
     values, _ = sizes.flatten(0, 1).nan_to_num(nan=torch.inf).sort(0)
     there = sizes.flatten(0, 1).isfinite().sum(0, keepdim=True)
     low = values.gather(0, (LOW * there).long())
     far = sizes > FAR * low / LOW_NORMAL
-    return samples.masked_fill(pad(far, (0, 0, order // 2, order // 2)), torch.nan)
+    most = weight.abs().argmax(-1) + torch.arange(weight.shape[1])
+    hits = torch.zeros_like(samples).scatter_add_(1, most.unsqueeze(-1).expand_as(far), far.to(samples.dtype))
+    return samples.masked_fill(hits > 0, torch.nan)
 
 
 def remark_on(samples: Trajectories, names: Sequence[str], stated: Tensor | None) -> str | None:
     """Return what the user should know of the noise of samples before a training, or None.
-
-    Of samples at unequal steps nothing is said: their differences do not vanish without noise either.
 
     Args:
         samples: what training sees.
@@ -85,8 +95,6 @@ def remark_on(samples: Trajectories, names: Sequence[str], stated: Tensor | None
         stated: (D,) standard deviations that the loss takes into account; None for a loss that takes samples
             as exact.
     """
-    if isinstance(sampling_interval(samples), Tensor):
-        return None
     samples = samples.part(slice(None, None, max(1, samples.times.numel() // LOOKED_AT)))
     floor = noise_floor(samples)
     if stated is None:

@@ -14,7 +14,7 @@ from scipy.stats import norm
 
 from ahnn.data import noise_floor as room
 from ahnn.data.generate import generate
-from ahnn.data.noise_floor import noise_floor, remark_on, without_events
+from ahnn.data.noise_floor import differences, noise_floor, remark_on, weights, without_events
 from ahnn.types import Trajectories
 
 ORBITS = generate(MOLNIYA, 12, 0)
@@ -37,11 +37,27 @@ def test_a_smooth_motion_has_no_noise_but_rounding():
     assert bool((noise_floor(ORBITS).nan_to_num() < 1e-10 * typical).all())
 
 
-def test_nothing_is_said_of_samples_at_unequal_steps():
-    given = noisy(0.1)
-    assert remark_on(given, NAMES, None) is not None
-    uneven = given.times + 1e-3 * torch.rand(given.times.shape, generator=generator(7), dtype=torch.float64)
-    assert remark_on(Trajectories(given.states, uneven), NAMES, None) is None
+@pytest.mark.parametrize("unit", [1.0, 1e-9, 1e9])
+def test_the_noise_of_swings_at_random_times_is_found_in_any_unit_of_time(unit):
+    """Times as a clock that is read now and then has them: exponential waits, 25 a turn on average."""
+    waits = -torch.rand(60, 200, generator=generator(7), dtype=torch.float64).log() * 0.25
+    times = waits.cumsum(1)
+    exact = torch.stack((times.cos(), -times.sin()), -1)
+    sd = torch.tensor([1e-2, 3e-3], dtype=torch.float64)
+    draw = torch.randn(exact.shape, generator=generator(8), dtype=torch.float64)
+    close(noise_floor(Trajectories(exact + sd * draw, unit * times)), sd, 0.05)
+    off = torch.rand(exact.shape, generator=generator(9), dtype=torch.float64) < 0.03
+    close(noise_floor(Trajectories(exact + sd * draw.where(~off, 50.0), unit * times)), sd, 0.05)
+    assert bool(noise_floor(Trajectories(exact, unit * times)).isnan().all())
+
+
+@given(st.integers(1, 10), st.integers(0, 1000))
+def test_weights_of_a_difference_are_the_unit_vectors_that_polynomials_of_lower_degree_vanish_in(order, seed):
+    times = torch.rand(3, 15, generator=generator(seed), dtype=torch.float64).sort(1).values
+    found = weights(times, order)
+    close(found.norm(dim=-1), torch.ones(3, 15 - order), 1e-12)
+    powers = torch.stack([(times - 0.5) ** k for k in range(order)], -1)
+    assert float(differences(powers, found).abs().max()) < 1e-12
 
 
 def test_some_of_many_trajectories_tell_the_noise(monkeypatch):
@@ -110,17 +126,18 @@ def test_noise_is_what_differences_of_the_next_orders_find_again_to_a_fifth(fact
 
 def test_an_event_is_six_deviations_away_by_the_fifth_of_the_differences_that_is_smallest():
     """The eighth difference of +1, -1, +1 ... is 256, and a single sample counts 70 times where it stands."""
-    sign = 1.0 - 2 * (torch.arange(41, dtype=torch.float64) % 2)
+    clock = torch.arange(41, dtype=torch.float64)
+    sign = 1.0 - 2 * (clock % 2)
     edge = (6 * 256 / norm.ppf(0.6) - 256) / 70
     for height, gone in ((0.99 * edge, []), (1.01 * edge, [20]), (1.01 * 70 / 56 * edge, [19, 20, 21])):
         samples = sign.repeat(60, 1).unsqueeze(-1)
         samples[3, 20] += height * sign[20]
-        lost = without_events(samples).isnan()
+        lost = without_events(samples, clock.expand(60, -1)).isnan()
         assert lost[3].flatten().nonzero().flatten().tolist() == gone
         assert int(lost.sum()) == len(gone)
     for quiet, seen in ((19, False), (21, True)):
         samples = torch.where(torch.arange(100) < quiet, 0.01, 1.0).view(100, 1, 1) * sign.view(1, -1, 1)
-        lost = without_events(samples)[:, 4:-4].isnan()
+        lost = without_events(samples, clock.expand(100, -1))[:, 4:-4].isnan()
         assert bool(lost[quiet:].all()) == bool(lost.any()) == seen
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import torch
 
 from ahnn.data.doctor.finding import Finding
 from ahnn.data.files.content import Content
@@ -13,7 +12,6 @@ from ahnn.data.files.samples import Track, filled, stacked
 from ahnn.data.files.table import Fault
 from ahnn.data.files.units import ANGLE, unit
 from ahnn.data.noise_floor import ORDERS, SHARE, noise_floor
-from ahnn.statistics import sampling_interval
 
 EXAMPLES = 64
 """Trajectories of a file whose noise is looked at."""
@@ -98,13 +96,13 @@ def too_wide(content: Content) -> Iterator[Finding]:
 
 
 def noise(content: Content, names: tuple[str, ...], gap: float) -> Iterator[Finding]:
-    """Yield the level of the noise of each column that has some, where samples come evenly."""
+    """Yield the level of the noise of each column that has some."""
     every = max(1, len(content.tracks) // EXAMPLES)
     try:
         samples = stacked([filled(track, gap) for track in content.tracks[::every]])
     except Fault:
         return
-    if samples.states.shape[1] <= ORDERS[-1] or isinstance(sampling_interval(samples), torch.Tensor):
+    if samples.states.shape[1] <= ORDERS[-1]:
         return
     typical = samples.states.diff(dim=1).abs().flatten(0, 1).nanmedian(0).values
     levels = zip(names, noise_floor(samples).tolist(), typical.tolist(), strict=True)
