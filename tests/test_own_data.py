@@ -94,6 +94,18 @@ def test_recorded_positions_are_measurements_and_chi_square_is_the_verdict(tmp_p
     assert (folder / "figures" / "error.png").exists()
 
 
+def test_wrong_standard_deviations_are_named_before_a_training_and_below_its_table(tmp_path, capfd):
+    data = swings(tmp_path / "swings.csv", 3, SD, whole=False)
+    given = ["model=ahnn", "hamiltonian=mechanical", "recipe=measurements", f"data.noise={10 * SD}"]
+    given += ["loss.stages=[[16, 1.0]]", "trainer.max_epochs=6", f"run={tmp_path / 'run'}"]
+    assert call("ahnn.train", *SMALL, f"system.path={data}", *given) == 0
+    assert "noise of q1 0.0099 (standard deviations); data.noise says otherwise" in capfd.readouterr().err
+    (row,) = ahnn.load(tmp_path / "run").results.rows
+    about, _, rest = row.note.partition(" times too large for q")
+    assert 4 < float(about.rsplit("data.noise is about ", 1)[1]) < 14
+    assert rest == "1"  # q1
+
+
 def test_a_model_of_recorded_positions_filters_as_well_as_its_covariance_says(tmp_path, capfd, caplog):
     data = swings(tmp_path / "swings.csv", 3, SD, whole=False)
     given = ["model=ahnn", "hamiltonian=mechanical", "recipe=measurements", f"data.noise={SD}"]

@@ -11,6 +11,7 @@ from ahnn.evaluation.explained import explain
 from ahnn.evaluation.figures import open_loop_figures
 from ahnn.evaluation.force_bound import force_bound
 from ahnn.evaluation.open_loop import open_loop
+from ahnn.evaluation.remedy import remedy
 from ahnn.uncertainty import Uncertainty
 
 
@@ -28,8 +29,11 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
     """
     findings = open_loop(case)
     if case.measured is not None:
-        explained = explain(cast(Any, case.flow), case.measured, case.robust)
-        findings.rows[0] = findings.rows[0]._replace(note=explained.sentence())
+        flow = cast(Any, case.flow)
+        explained = explain(flow, case.measured, case.robust)
+        advice = "" if explained.consistent else remedy(flow, case.measured, case.robust)
+        note = "; ".join(part for part in (explained.sentence(), advice) if part)
+        findings.rows[0] = findings.rows[0]._replace(note=note)
         findings.numbers["measurements"] = explained.numbers()
         add_force_bound(case, findings)
     if figures:

@@ -26,8 +26,8 @@ class Spring(nn.Module):
         return self.method.increment(self.field, x, dt)
 
 
-def measured(count=40, noise=0.01, **options):
-    sensor = Sensor(SPRING.space, measured="position", noise=noise, every=4, **options)
+def measured(count=40, noise=0.01, kind="position", **options):
+    sensor = Sensor(SPRING.space, measured=kind, noise=noise, every=4, **options)
     segments = Segments(sensor.measure(trajectories(SPRING, count, 5), 0), None, sensor.instrument(SPRING.dt))
     return segments.gather(torch.arange(len(segments)))
 

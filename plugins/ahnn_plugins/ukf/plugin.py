@@ -70,7 +70,7 @@ class UKFEvaluation:
             of one step; `force_error`, relative and with memory, `{size: ..., memory: ...}` where one of
             them is given; or `parameter_error`: the learned parameters are states of the filter, known as
             their covariance says.
-        novelty: rate by which the force error grows with each unit of novelty beyond 1, such as 500; None
+        novelty: rate by which the force error grows with the square of novelty - 1, such as 500; None
             lets it not. It needs `force_error` or `parameter_error`.
         alpha, beta, kappa: parameters of the sigma points.
         form: how covariances are carried.

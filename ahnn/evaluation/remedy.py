@@ -1,0 +1,51 @@
+"""What a user may have said wrongly of measurements, where a training does not leave just their noise."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from ahnn.evaluation.explained import OUTLYING, fit_to, serial
+from ahnn.measurements import Segment
+from ahnn.shooting.robust import RobustName
+
+NORMAL = 0.6745
+"""Median absolute value of a standard normal number."""
+TWICE = 2.0
+"""Factor by which stated and found noise may differ without a word."""
+WHITE = 0.3
+"""Correlation of residuals in a row from which it is the dynamics that are off, and not the noise."""
+FEW = 1e-3
+"""Share of outliers that is worth a word: a thousand numbers have 2e-6 of them by chance."""
+
+
+@torch.no_grad()
+def remedy(dynamics: nn.Module, segment: Segment, robust: RobustName) -> str:
+    """Return what the residuals about robust paths say of the stated noise and of outliers, "" for nothing.
+
+    Args:
+        dynamics: float64, with a method `increment`.
+        segment: measurements that the dynamics were not trained on.
+        robust: the loss of the training.
+    """
+    fitted, steps = fit_to(dynamics, segment, "student")
+    left = segment.residuals(fitted.states[:, steps.ends]).masked_fill(segment.values.isnan(), torch.nan)
+    scales = left.abs().flatten(0, 1).nanmedian(0).values / NORMAL
+    far = left.abs() > OUTLYING * scales.clamp(min=1)
+    white = abs(serial(left.masked_fill(far, torch.nan))[0]) < WHITE
+    # wrong dynamics leave more than the noise, and never less
+    said = _noise(segment.instrument.measurement.names, scales if white else scales.clamp(max=1))
+    share = int(far.sum()) / max(int(segment.measured.sum()), 1)
+    if white and robust == "none" and share > FEW:
+        said.append(f"{100 * share:.2g} % of the numbers are outliers, which loss.robust=student weighs down")
+    return "; ".join(said)
+
+
+def _noise(names: tuple[str, ...], scales: Tensor) -> list[str]:
+    """Return for which numbers data.noise is off by more than a factor of two, in one text or none."""
+    off = [
+        f"{max(scale, 1 / scale):.2g} times too {'small' if scale > 1 else 'large'} for {name}"
+        for name, scale in zip(names, scales.tolist(), strict=True)
+        if scale > 0 and not 1 / TWICE < scale < TWICE
+    ]
+    return [f"data.noise is about {', '.join(off)}"] if off else []

@@ -1,0 +1,55 @@
+"""What residuals say of a wrong data.noise and of outliers, and that they say nothing of wrong dynamics."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+import torch
+from cases import SPRING, trajectories
+from test_explained import Spring, measured
+
+from ahnn.evaluation.remedy import remedy
+
+
+def stated(batch, *factors):
+    """Return measurements whose noise is said to be so many times what it is."""
+    deviations = batch.instrument.deviations * torch.tensor(factors, dtype=torch.float64)
+    return batch._replace(instrument=batch.instrument._replace(deviations=deviations))
+
+
+@pytest.mark.parametrize("factor", [0.02, 0.1, 0.4, 2.5, 10.0])
+def test_noise_that_is_off_by_more_than_two_is_named(factor):
+    said = remedy(Spring(SPRING), stated(measured(), factor), "none")
+    head, _, tail = said.partition(" times too ")
+    found = float(head.removeprefix("data.noise is about "))
+    assert tail == ("small for q1" if factor < 1 else "large for q1")
+    assert found == pytest.approx(max(factor, 1 / factor), rel=0.1)
+
+
+@pytest.mark.parametrize("factor", [0.6, 1.0, 1.8])
+def test_noise_within_a_factor_of_two_is_not_spoken_of(factor):
+    assert remedy(Spring(SPRING), stated(measured(), factor), "none") == ""
+
+
+def test_of_several_numbers_the_one_that_is_off_is_named():
+    batch = measured(kind="state")
+    assert remedy(Spring(SPRING), stated(batch, 1.0, 0.1), "none").endswith("times too small for p1")
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.1])
+def test_outliers_are_named_where_the_training_counted_them(factor):
+    batch = stated(measured(outliers=0.05, gaps=0.2), factor)
+    said = remedy(Spring(SPRING), batch, "none").split("; ")
+    assert len(said) == (1 if factor == 1 else 2)
+    share, _, rest = said[-1].partition(" % of the numbers are outliers, ")
+    assert float(share) == pytest.approx(5, abs=1.5)
+    assert rest == "which loss.robust=student weighs down"
+    assert "outliers" not in remedy(Spring(SPRING), batch, "student")
+
+
+def test_wrong_dynamics_are_no_noise():
+    stiffer = dataclasses.replace(SPRING, stiffness=5.6)
+    assert remedy(Spring(stiffer), measured(), "none") == ""
+    assert "2.6e+02 times too large for q1" in remedy(Spring(stiffer), stated(measured(), 3e2), "none")
+    assert float(trajectories(SPRING, 1, 5).states.abs().max()) > 0.1  # far above the noise
