@@ -5,6 +5,7 @@ pretrained=NAME     a model that comes with the package
 ckpt=best           the weights: best, last, or a path
 start=FILE          first sample of each trajectory in a file (docs/data.md); or numbers in the units of the
                     model: start=[0.5,0], start=[[0.5,0],[0.7,0]]
+start_sd=[..]       its standard deviations, [position,velocity] or one for each component; exact without them
 duration=1d         with a unit, or a number in the model's unit of time
 step=90min          between two predicted states; the sampling interval of the training without it
 output=FILE         .csv, .parquet, .oem or .xml; without it a summary alone
@@ -26,6 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ahnn.arguments import Positive
 from ahnn.cli.guard import run_command
 from ahnn.cli.importing import importing
 
@@ -42,6 +44,7 @@ class Asked:
 
     start: str | list[Any]
     duration: str | float
+    start_sd: list[Positive] | None = None
     run: str | list[str] | None = None
     pretrained: str | None = None
     ckpt: str = "best"
@@ -80,13 +83,18 @@ def predict(arguments: list[str]) -> None:
         output.require_output(Path(asked.output), begin, space, frame)
     if asked.figure is not None:
         output.require_figure(Path(asked.figure))
-    found = together([run.predict(begin.states, times, f"predicting with {run.folder.name}") for run in runs])
+    text = "predicting with {}".format
+    found = together(
+        [run.predict(begin.states, times, text(run.folder.name), asked.start_sd) for run in runs]
+    )
     title = " + ".join(run.folder.name for run in runs)
     if asked.output is not None:
         output.write(Path(asked.output), found, begin, space, frame)
     if asked.figure is not None:
         output.draw(Path(asked.figure), found, space, title)
     show(summary(found, begin, space, title))
+    if asked.start_sd is not None and any(run.uncertainty is None for run in runs):
+        log.warning("1 sigma: that of the start; how well the dynamics are known these weights do not say")
     if remark := warning(found, begin, space):
         log.warning(remark)
 

@@ -6,6 +6,7 @@ states = run.rollout(start, steps=1440)
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +17,7 @@ import yaml
 from torch import Tensor
 
 from ahnn.checkpoints import Weights, read_weights
+from ahnn.deviations import state_deviations
 from ahnn.dynamics import Dynamics, HasEnergy, make_dynamics
 from ahnn.errors import UserError
 from ahnn.numbers import Numbers, as_float64
@@ -132,13 +134,21 @@ class Run:
             raise UserError(message)
         return self.domain.novelty(self.dynamics, self._states(x, "x"))
 
-    def predict(self, start: Numbers, times: Numbers, description: str | None = None) -> Prediction:
+    def predict(
+        self,
+        start: Numbers,
+        times: Numbers,
+        description: str | None = None,
+        start_sd: Sequence[float] | None = None,
+    ) -> Prediction:
         """Return predicted states at given times, with covariance and novelty where they are known.
 
         Args:
             start: (B, 2n) or (2n,) states at the first of the times, in the units of the space.
             times: (T,) increasing, in its unit of time; steps are at most that of the training.
             description: text of a progress bar; None shows none.
+            start_sd: standard deviations of the starts, 2n or one for positions and one for velocities;
+                without them starts are exact.
 
         Raises:
             UserError: starts or times that are none, or a damaged file beside the weights.
@@ -146,6 +156,8 @@ class Run:
         x = torch.atleast_2d(self._states(start, "start"))
         spread = None if self.uncertainty is None else self.uncertainty.spread
         known = Knowledge(spread, self.domain)
+        if start_sd is not None:
+            known = known._replace(deviations=state_deviations(start_sd, self.space, "start_sd"))
         return predicted(self.dynamics, x, as_float64(times, "times"), self.dt, known, description)
 
     @cached_property

@@ -9,6 +9,7 @@ import torch
 import yaml
 
 from ahnn.data.files import read_oem
+from ahnn.deviations import state_deviations
 from ahnn.errors import UserError
 from ahnn.estimation import Belief, initial_belief
 from ahnn.types import Space
@@ -32,7 +33,7 @@ def start_of(given: str | list[float] | None, deviations: Deviations, space: Spa
     known = _read(Path(given), space) if isinstance(given, str) else {"mean": given}
     size, covariance = 2 * space.dof, known.get("covariance")
     if covariance is None:
-        covariance = _diagonal(known.get("sd", deviations), space)
+        covariance = state_deviations(known.get("sd", deviations), space, "start_sd").square().diag()
     try:
         return initial_belief(torch.tensor([known["mean"]], dtype=torch.float64).reshape(1, size), covariance)
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
@@ -40,23 +41,6 @@ def start_of(given: str | list[float] | None, deviations: Deviations, space: Spa
         reason = str(error) if isinstance(error, ValueError) else "another count, or no numbers"
         message = f"start: expected [{names}] with its covariance; received {given} ({reason})"
         raise UserError(message) from error
-
-
-def _diagonal(sd: Any, space: Space) -> torch.Tensor:
-    size = 2 * space.dof
-    try:
-        values = torch.tensor(sd, dtype=torch.float64).flatten()
-        if len(values) == 2 != size:
-            values = values.repeat_interleave(space.dof)
-            values[space.dof :] *= space.inertia
-        if len(values) == size and bool(((values > 0.0) & values.isfinite()).all()):
-            return torch.diag(values.square())
-    except (TypeError, ValueError, RuntimeError):
-        pass
-    message = (
-        f"start_sd: expected {size} numbers > 0, or one for positions and one for velocities; received {sd}"
-    )
-    raise UserError(message)
 
 
 def _read(path: Path, space: Space) -> dict[str, Any]:

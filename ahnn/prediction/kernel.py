@@ -1,8 +1,9 @@
 """From starts to predicted states at given times, with their covariance and novelty.
 
-The covariance is that of `ahnn.uncertainty.rollout_covariances`, carried along in stretches so that any
-duration fits into memory. Where a path leaves the training data, the sensitivity of the field to its
-parameters counts `growth` times: the error of a learned force grows there faster than its parameters know.
+The covariance is that of `ahnn.uncertainty.rollout_covariances`, of the start where that is not exact, too,
+and is carried along in stretches so that any duration fits into memory. Where a path leaves the training
+data, the sensitivity of the field to its parameters counts `growth` times: the error of a learned force grows
+there faster than its parameters know.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 from torch.nn.utils import parameters_to_vector
 
 from ahnn.dynamics import Dynamics
@@ -53,15 +55,23 @@ class Prediction(NamedTuple):
 
 
 class Knowledge(NamedTuple):
-    """What is known of learned dynamics besides their parameters.
+    """What is known of learned dynamics besides their parameters, and of starts.
 
     Attributes:
         spread: factor (P, R) of the covariance of the parameters, or None.
         domain: where they were learned, or None.
+        deviations: (D,) standard deviations of the starts, or None where they are exact.
     """
 
     spread: Tensor | None = None
     domain: Domain | None = None
+    deviations: Tensor | None = None
+
+    @property
+    def columns(self) -> int:
+        """How many columns the factor of a state's covariance has; 0 where nothing is known of it."""
+        of_starts = 0 if self.deviations is None else len(self.deviations)
+        return of_starts + (0 if self.spread is None else self.spread.shape[1])
 
 
 @torch.no_grad()
@@ -94,8 +104,7 @@ def predicted(
     steps = steps_between(times.unsqueeze(0), longest)
     wanted = torch.zeros(int(steps.ends[-1]) + 1, dtype=torch.bool)
     wanted[steps.ends] = True
-    columns = 1 if known.spread is None else known.spread.shape[1]
-    stretch = max(1, min(int(CELLS // (count * size * columns)), TOGETHER // count))
+    stretch = max(1, min(int(CELLS // (count * size * max(known.columns, 1))), TOGETHER // count))
     parts = list(zip(steps.lengths[0].split(stretch), wanted[1:].split(stretch), strict=True))
     path = _Path(dynamics, known)
     rows = [path.begin(start)]
@@ -127,20 +136,24 @@ class _Rows(NamedTuple):
 
 
 class _Path:
-    """Where a batch of paths has come to, and how it moves with the parameters."""
+    """Where a batch of paths has come to, and how it moves with the start and the parameters."""
 
     def __init__(self, dynamics: Dynamics, known: Knowledge) -> None:
         self.dynamics, self.known = dynamics, known
+        if known.columns:
+            self.jacobians = own_jacobians(dynamics)
         if known.spread is not None:
             self.theta = parameters_to_vector(dynamics.parameters()).detach()
-            self.jacobians, self.forcing = own_jacobians(dynamics), field_jacobian(dynamics)  # pyright: ignore[reportArgumentType]
+            self.field_columns = field_jacobian(dynamics)  # pyright: ignore[reportArgumentType]
 
     def begin(self, start: Tensor) -> _Rows:
-        """Take the starts (B, D), known exactly, and return them as rows."""
-        self.x, self.moved = start, None
-        size, states = start.shape[1], start.unsqueeze(1)
-        nothing = None if self.known.spread is None else start.new_zeros(len(start), 1, size, size)
-        return _Rows(states, nothing, self._novelty(states))
+        """Take the starts (B, D) and return them as rows."""
+        self.x, size, states = start, start.shape[1], start.unsqueeze(1)
+        moved = start.new_zeros(len(start), size, self.known.columns)
+        if self.known.deviations is not None:
+            moved[..., -size:] = self.known.deviations.diag()
+        self.moved = moved.float()
+        return _Rows(states, self._covariances(moved.unsqueeze(1)), self._novelty(states))
 
     def follow(self, lengths: Tensor) -> _Rows:
         """Take steps of lengths (N,) and return the rows behind each of them."""
@@ -148,17 +161,26 @@ class _Path:
         novelty = self._novelty(states)
         self.x = states[:, -1]
         later = None if novelty is None else novelty[:, 1:]
-        if self.known.spread is None:
+        if not self.known.columns:
             return _Rows(states[:, 1:], None, later)
         dt = lengths.expand(len(states), -1)
+        steps = Steps(dt, torch.arange(len(lengths) + 1))
         jacobians = self.jacobians(states[:, :-1], dt)
-        forcing = self.forcing(self.theta, states) @ self.known.spread.float()
+        moved = sensitivities(jacobians, self._forcing(states, novelty), steps, self.moved)
+        self.moved = moved[:, -1]
+        return _Rows(states[:, 1:], self._covariances(moved[:, 1:]), later)
+
+    def _forcing(self, states: Tensor, novelty: Tensor | None) -> Tensor:
+        """Return what drives the columns (B, N, L, R): the parameters theirs, and nothing those of starts."""
+        if self.known.spread is None:
+            return states.new_zeros(*states.shape, self.known.columns, dtype=torch.float32)
+        forcing = self.field_columns(self.theta, states) @ self.known.spread.float()
         if novelty is not None:
             forcing = forcing * growth(novelty)[..., None, None].float()
-        steps = Steps(dt, torch.arange(len(lengths) + 1))
-        moved = sensitivities(jacobians, forcing, steps, self.moved)
-        self.moved = moved[:, -1]
-        return _Rows(states[:, 1:], (moved @ moved.mT).double()[:, 1:], later)
+        return pad(forcing, (0, self.known.columns - forcing.shape[-1]))
+
+    def _covariances(self, moved: Tensor) -> Tensor | None:
+        return (moved @ moved.mT).double() if self.known.columns else None
 
     def _steps(self, lengths: Tensor) -> Iterator[Tensor]:
         x = self.x

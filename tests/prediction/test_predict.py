@@ -49,6 +49,29 @@ def test_on_the_grid_it_is_the_rollout_with_its_band(monkeypatch):
     close(found.deviations**2, found.covariances.diagonal(dim1=-2, dim2=-1), 1e-12)
 
 
+def test_the_covariance_of_a_start_is_carried_along_by_the_flow(monkeypatch):
+    """Through derivatives of the whole path by autograd; the one of the parameters is added to it."""
+    times, sd = 0.1 * torch.arange(21, **DOUBLE), torch.tensor([0.3, 0.05], **DOUBLE)
+    monkeypatch.setattr("ahnn.prediction.kernel.TOGETHER", 14)  # stretches of seven steps
+
+    def end(x):
+        for _ in range(20):
+            x = Swing()(x, 0.1)
+        return x
+
+    moved = [torch.func.jacrev(end)(x) for x in START]
+    expected = torch.stack([m @ sd.square().diag() @ m.mT for m in moved])
+    of_start = predicted(Swing(), START, times, 0.1, Knowledge(deviations=sd)).covariances
+    of_both = predicted(Swing(), START, times, 0.1, Knowledge(FACTOR, deviations=sd)).covariances
+    of_model = predicted(Swing(), START, times, 0.1, Knowledge(FACTOR)).covariances
+    assert of_start is not None
+    assert of_both is not None
+    assert of_model is not None
+    close(of_start[:, 0], sd.square().diag().expand(2, 2, 2), 1e-6)
+    close(of_start[:, -1], expected, 1e-4)
+    close(of_both, of_start + of_model, 1e-5)
+
+
 @torch.no_grad()
 def test_times_between_the_steps_are_met_exactly():
     """By an integrator of order 4 at two step sizes: both are near the same solution."""

@@ -104,6 +104,27 @@ def test_several_trainings_show_their_spread_and_a_picture(here, cache, capsys):
     assert "one + other" in capsys.readouterr().out
 
 
+def test_a_start_with_standard_deviations_has_a_band_that_goes_along_with_it(here, cache, caplog):
+    arguments = [MOLNIYA, START, "duration=1d", "step=1d", "output=orbit.csv"]
+    assert call("ahnn.predict", *arguments, "start_sd=[1,0.001]") == 0
+    assert "that of the start; how well the dynamics are known these weights do not say" in caplog.text
+    first, last = rows(here / "orbit.csv")
+    known = [float(first[f"sd_{name}"]) for name in ("x [km]", "z [km]", "vy [km/s]")]
+    assert known == pytest.approx([1, 1, 0.001], rel=1e-15)
+    run = ahnn.load("molniya_mechanical")
+    nudges = torch.eye(6, dtype=torch.float64) * torch.tensor([1.0] * 3 + [1e-3] * 3)
+    start = torch.tensor(STATE, dtype=torch.float64)
+    ends = run.rollout(torch.cat((start + 1e-3 * nudges, start - 1e-3 * nudges)), steps=1440)[:, -1]
+    moved = (ends[:6] - ends[6:]) / 2e-3
+    expected = moved.square().sum(0).sqrt()
+    found = [float(last[f"sd_{name}"]) for name in ("x [km]", "y [km]", "z [km]", "vx [km/s]")]
+    close(torch.tensor(found), expected[:4].float(), 1e-3)
+    caplog.clear()
+    small(here / "run", cache, band=True)
+    assert call("ahnn.predict", "run=run", "start=[0.2,0.1]", "start_sd=[1,1]", "duration=1") == 0
+    assert caplog.text == ""
+
+
 def test_leaving_the_training_data_is_one_line_and_a_flag(here, caplog):
     slow = [0.0, -3145.0, -6173.0, 9.0, 0.0, 0.0]
     arguments = [f"start={slow}".replace(" ", ""), "duration=90min", "output=out.csv"]
@@ -145,6 +166,8 @@ MISTAKES = {
     "epoch": ([MOLNIYA, START, "duration=1h", "epoch=noon"], "epoch: expected an epoch such as"),
     "no epoch": ([MOLNIYA, START, "duration=1h", "output=o.oem", "frame=[A,B,UTC]"], "epoch: expected that"),
     "typo": ([MOLNIYA, START, "duraton=1h"], "did you mean 'duration'?"),
+    "deviations": ([MOLNIYA, START, "duration=1h", "start_sd=[1,1,1]"], "start_sd: expected 6 numbers > 0"),
+    "no deviation": ([MOLNIYA, START, "duration=1h", "start_sd=[1,0]"], "start_sd: expected"),
     "columns": ([MOLNIYA, "start=other.csv", "duration=1"], "expected positions x, y, z"),
     "alone": ([MOLNIYA, "start=alone.csv", "duration=1"], "received x, y, z alone"),
     "units": ([MOLNIYA, "start=angle.csv", "duration=1"], "expected numbers in km"),

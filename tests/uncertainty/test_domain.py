@@ -114,7 +114,9 @@ def test_dense_data_make_no_neighbour_novel():
 
 
 def test_growth_is_one_within_and_begins_gently_beyond():
-    close(growth(torch.tensor([0.0, 1.0, 1.1, 2.0, 4.0]), 10.0), torch.tensor([1.0, 1.0, 1.1, 11.0, 91.0]), 1e-6)
+    close(
+        growth(torch.tensor([0.0, 1.0, 1.1, 2.0, 4.0]), 10.0), torch.tensor([1.0, 1.0, 1.1, 11.0, 91.0]), 1e-6
+    )
 
 
 @pytest.mark.parametrize("name", names())

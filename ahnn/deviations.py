@@ -1,0 +1,37 @@
+"""Standard deviations of a state as people give them: a number for each component, or one for each block."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ahnn.errors import UserError
+from ahnn.types import Space
+
+
+def state_deviations(given: Any, space: Space, who: str) -> Tensor:
+    """Return the standard deviations (2n,) of a state.
+
+    Args:
+        given: 2n numbers, or one for positions and one for velocities.
+        space: what the numbers of a state mean.
+        who: the parameter, for messages.
+
+    Raises:
+        UserError: another count, or numbers that are not positive.
+    """
+    size = 2 * space.dof
+    try:
+        values = torch.tensor(given, dtype=torch.float64).flatten()
+        if len(values) == 2 != size:
+            values = values.repeat_interleave(space.dof)
+            values[space.dof :] *= space.inertia
+        if len(values) == size and bool(((values > 0.0) & values.isfinite()).all()):
+            return values
+    except (TypeError, ValueError, RuntimeError):
+        pass
+    expected = f"{size} numbers > 0, or one for positions and one for velocities"
+    message = f"{who}: expected {expected}; received {given}"
+    raise UserError(message)
