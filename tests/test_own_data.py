@@ -72,11 +72,13 @@ def test_states_of_a_file_train_resume_and_are_known_again(tmp_path, capfd):
 @pytest.mark.parametrize("whole", [True, False])
 def test_recorded_positions_are_measurements_and_chi_square_is_the_verdict(tmp_path, whole):
     data = swings(tmp_path / "swings.csv", 3, SD, whole=whole)
-    given = ["model=ahnn", "hamiltonian=mechanical", "recipe=measurements", f"data.noise={SD}"]
+    given = ["model=ahnn", "hamiltonian=mechanical", "sensor=recorded", f"data.noise={SD}"]
     given += ["loss.stages=[[16, 1.0]]", "trainer.max_epochs=6"]
     folder = tmp_path / "run"
     assert call("ahnn.train", *SMALL, f"system.path={data}", *given, f"run={folder}") == 0
-    results = ahnn.load(folder).results
+    run = ahnn.load(folder)
+    assert run.config["model"]["integrator"]["name"] == "dopri8"
+    results = run.results
     assert [row.who for row in results.rows] == [Who("model", "fitted")]
     assert math.isnan(results.rows[0].scores.velocity)
     assert results.rows[0].scores.energy is None
@@ -120,7 +122,7 @@ def test_a_model_of_recorded_positions_filters_as_well_as_its_covariance_says(tm
     fixes = tmp_path / "fixes.csv"
     fixes.write_text("\n".join(lines) + "\n")
     stream = [f"measurements={fixes}", f"measurement.sd={SD}", "start=[0.8,0.0]", "start_sd=[0.1,0.1]"]
-    assert call("ahnn.assimilate", run, *stream, f"output={tmp_path / 'none.csv'}") == 2
+    assert call("ahnn.assimilate", run, *stream, "plugins=ukf", f"output={tmp_path / 'none.csv'}") == 2
     told = capfd.readouterr().err
     assert (
         "received fitted. Use plugins=ukf_parameter_error or plugins.ukf.process_noise=[POSITION,VELOCITY]"
@@ -137,9 +139,9 @@ def test_a_model_of_recorded_positions_filters_as_well_as_its_covariance_says(tm
     assert "expected a column sd_q, or measurement.sd=NUMBER" in capfd.readouterr().err
     assert not lost.exists()
     means, covariances = [], []
-    for plugin in ("plugins=ukf_parameter_error", "plugins.ukf.process_noise=[1e-9,1e-9]"):
+    for chosen in ([], ["plugins=ukf", "plugins.ukf.process_noise=[1e-9,1e-9]"]):
         output = tmp_path / f"{len(means)}.csv"
-        assert call("ahnn.assimilate", run, *stream, plugin, f"output={output}") == 0
+        assert call("ahnn.assimilate", run, *stream, *chosen, f"output={output}") == 0
         assert "where a filter is consistent" in caplog.messages[-1]
         last = list(csv.DictReader(output.read_text().splitlines()))[-1]
         a, b, c = (float(last[name]) for name in ("cov_q_q", "cov_pq_q", "cov_pq_pq"))

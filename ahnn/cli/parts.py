@@ -93,7 +93,7 @@ def build_recorded(options: dict[str, Any], source: Files) -> Recorded | None:
         known = "positions alone" if source.positions_only else f"data.measured={measured}"
         message = (
             "data.noise: expected the standard deviations of the measurements in the files, with "
-            "recipe=measurements, and for positions a known kinetic energy such as hamiltonian=mechanical; "
+            "sensor=recorded, and for positions a known kinetic energy such as hamiltonian=mechanical; "
             f"received {known}"
         )
         raise UserError(message)

@@ -23,14 +23,15 @@ from ahnn.files import read_plain
 from ahnn.measurements import reading
 from ahnn.runs import Run
 from ahnn.systems import System
+from ahnn.uncertainty.posterior import FILE
 
 if TYPE_CHECKING:
     from ahnn.assimilate import Asked
 
 T = TypeVar("T")
 
-FILTER = "plugins=ukf"
-"""What filters where a run names no plugin."""
+FILTER, OF_MEASUREMENTS = "plugins=ukf", "plugins=ukf_parameter_error"
+"""What filters where a run names no plugin; the second where a covariance says how well it was learned."""
 
 
 def asked(arguments: list[str], schema: type[T], usage: str) -> tuple[T, DictConfig, Request]:
@@ -52,7 +53,8 @@ def asked(arguments: list[str], schema: type[T], usage: str) -> tuple[T, DictCon
     check_arguments("", schema, options)
     plugins = read_plain(request.source / "config.yaml").get("plugins")
     if not plugins and not any(text.startswith("plugins=") for text in request.overrides):
-        request = request._replace(overrides=[FILTER, *request.overrides])
+        chosen = OF_MEASUREMENTS if (request.source / FILE).exists() else FILTER
+        request = request._replace(overrides=[chosen, *request.overrides])
     return schema(**options), cfg.sensors, request
 
 

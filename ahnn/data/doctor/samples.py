@@ -111,5 +111,5 @@ def noise(content: Content, names: tuple[str, ...], gap: float) -> Iterator[Find
         if level > SHARE * step > 0:
             units = content.units.position if c < n else content.units.velocity
             what = f"noise of about {level:.2g}" + ("" if content.momenta and c >= n else f" {units}")
-            remedy = "Say it: data.noise=... recipe=measurements"
+            remedy = "Say it: sensor=recorded data.noise=..."
             yield Finding("note", content.tracks[0].file, content.head, name, what, remedy)
