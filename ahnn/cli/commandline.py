@@ -195,8 +195,8 @@ def check_recipe(cfg: DictConfig, overrides: Iterable[str]) -> None:
         message = (
             "data.noise: expected a recipe that learns from measurements; received noise for one that takes "
             "samples as exact. Use recipe=measurements, for whole states that come densely "
-            "recipe=noisy_states, on orbits recipe=dense_states, or an option of sensor, which brings its own "
-            "(sensor=recorded for files)"
+            "recipe=noisy_states, on orbits recipe=dense_states, or an option of sensor, which brings its "
+            "own, sensor=recorded for files"
         )
         raise UserError(message)
 

@@ -67,16 +67,19 @@ def error(case: Case, curves: list[Curve]) -> Figure:
     known = sum(bool(block.isfinite().any()) for block in case.test.states.chunk(2, dim=-1))
     figure = style.canvas(8, 3 * known)
     panels = figure.subplots(known, 1, sharex=True, squeeze=False)[:, 0]
-    axis = style.time_axis(case)
-    smooth = len(axis.time) > 2 * SMOOTHING
+    uneven = isinstance(case.dt, Tensor)
+    axis = style.own_times(case) if uneven else style.time_axis(case)
+    smooth = len(case.test.states[0]) > 2 * SMOOTHING
     for curve in curves:
         blocks = errors(curve.states, case.test.states).chunk(2, dim=-1)
         for axes, block, unit in zip(panels, blocks, (1.0, case.space.inertia), strict=False):
-            rms = block.square().sum(-1).nanmean(0).sqrt() / unit
-            main = moving_average(rms[1:], SMOOTHING) if smooth else rms[1:]
-            axes.plot(axis.time[1:], main, **curve.look, label=curve.name)
+            squares = block.square().sum(-1)
+            time, mean = in_time(axis.time, squares) if uneven else (axis.time, squares.nanmean(0))
+            rms = mean[1:].sqrt() / unit
+            main = moving_average(rms, SMOOTHING) if smooth else rms
+            axes.plot(time[1:], main, **curve.look, label=curve.name)
             if smooth:
-                axes.plot(axis.time[1:], rms[1:], color=curve.look["color"], lw=0.6, alpha=0.45)
+                axes.plot(time[1:], rms, color=curve.look["color"], lw=0.6, alpha=0.45)
     for axes in panels:
         style.logarithmic(axes, 0)
     style.label_errors(case, panels)
@@ -87,6 +90,21 @@ def error(case: Case, curves: list[Curve]) -> Figure:
     return figure
 
 
+def in_time(times: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
+    """Return mean times and values (N,) of B neighbours in time, of B trajectories with times of their own.
+
+    Args:
+        times: (B, T).
+        values: (B, T), NaN where there is none.
+    """
+    there = ~values.isnan()
+    time, order = times[there].sort()
+    values, count = values[there][order], min(len(times), len(time))
+    if not count:
+        return time, values
+    return time.unfold(0, count, count).mean(-1), values.unfold(0, count, count).mean(-1)
+
+
 def energy(case: Case, curves: list[Curve]) -> Figure:
     """Draw how far the energy strays along the first trajectory: the true one, or else the learned one.
 
@@ -94,7 +112,8 @@ def energy(case: Case, curves: list[Curve]) -> Figure:
     """
     figure = style.canvas(8, 6)
     upper, lower = figure.subplots(2, 1, sharex=True)
-    axis, unit = style.time_axis(case), case.space.units.energy
+    own, unit = style.own_times(case), case.space.units.energy
+    axis = own._replace(time=own.time[0])
     hamiltonian = case.energy if case.truth is None else case.truth.energy
     assert hamiltonian is not None
     data = hamiltonian(case.test.states[0])

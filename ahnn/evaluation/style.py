@@ -54,9 +54,19 @@ def time_axis(case: Case) -> Axis:
     elapsed = (times - times[:, :1]).nanmean(0)
     typical = case.dt.nanmean() if isinstance(case.dt, Tensor) else case.dt
     regular = typical * torch.arange(len(elapsed), dtype=torch.float64)
-    time = torch.where(elapsed.isnan(), regular, elapsed)
-    unit = case.space.units.time
-    return Axis(time / 3600, "h") if unit == "s" and float(time[-1]) > 7200 else Axis(time, unit)
+    return _readable(torch.where(elapsed.isnan(), regular, elapsed), case.space.units.time)
+
+
+def own_times(case: Case) -> Axis:
+    """Return the times (B, T) since the start of each test trajectory, NaN where it has no sample."""
+    times, there = case.test.times - case.test.times[:, :1], case.test.states.isfinite().any(-1)
+    return _readable(times.where(there, torch.nan), case.space.units.time)
+
+
+def _readable(time: Tensor, unit: str) -> Axis:
+    """Return times in hours where they are many seconds."""
+    long = unit == "s" and float(time.nan_to_num(0.0).max()) > 7200
+    return Axis(time / 3600, "h") if long else Axis(time, unit)
 
 
 def reference(case: Case) -> str:
@@ -74,7 +84,7 @@ def canvas(width: float, height: float) -> Figure:
 def label_time(axes: Any, axis: Axis) -> None:
     """Label and limit a horizontal axis of time."""
     axes.set_xlabel(f"time [{axis.unit}]")
-    axes.set_xlim(0, float(axis.time[-1]))
+    axes.set_xlim(0, float(axis.time.nan_to_num(0.0).max()))
     axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
 
 

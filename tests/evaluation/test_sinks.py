@@ -6,15 +6,19 @@ import dataclasses
 import io
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import torch
 from cases import KEPLER, MODEL, ORBITS, SPRING, make_case, make_results, scores
+from helpers import close, generator
+from hypothesis import given
+from hypothesis import strategies as st
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from safetensors.torch import load_file
 
 from ahnn.evaluation import Findings, Row, evaluate, style
-from ahnn.evaluation.figures import open_loop_figures
+from ahnn.evaluation.figures import Curve, energy, error, in_time, open_loop_figures
 from ahnn.evaluation.open_loop import open_loop
 from ahnn.evaluation.sinks import FigureSink, PredictionSink, TensorBoardSink
 from ahnn.files import write_atomically
@@ -173,3 +177,31 @@ def test_the_error_is_drawn_over_the_times_of_the_data(tmp_path):
     labels = {line.get_label() for line in panels[0].get_lines()}
     assert labels == {"model of mine", "floor: exact field, rk4"}
     assert [axes.get_ylabel() for axes in panels] == ["position error [m]", "velocity error [m/s]"]
+
+
+def test_errors_of_trajectories_with_times_of_their_own_are_pooled_in_time(tmp_path):
+    """Trajectories that last longer and longer, each sample off by its time, and so are means."""
+    case = make_case(tmp_path)
+    count, samples = case.test.times.shape
+    times = case.test.times * (1 + torch.arange(count).double()).unsqueeze(1)
+    off = torch.zeros_like(case.test.states)
+    off[..., 0] = times
+    uneven = dataclasses.replace(case, test=case.test._replace(times=times), dt=times.diff(dim=1))
+    (panel, _) = error(uneven, [Curve(case.test.states + off, "off", style.MODEL)]).axes
+    ((drawn_times, drawn),) = (line.get_data() for line in panel.get_lines())
+    assert len(drawn) == samples - 1
+    assert float(drawn_times[-1]) == pytest.approx(float(times[-1, -1]), rel=0.05)
+    assert drawn == pytest.approx(np.asarray(drawn_times), rel=0.05, abs=0.1)
+    own = energy(uneven, [Curve(case.test.states, "exact", style.MODEL)]).axes[0].get_lines()[0].get_xdata()
+    assert own == pytest.approx(times[0].numpy())
+
+
+@given(st.integers(1, 6), st.integers(2, 9), st.integers(0, 99))
+def test_at_equal_times_neighbours_are_the_samples_of_one_time(count, samples, seed):
+    values = torch.rand(count, samples, generator=generator(seed), dtype=torch.float64)
+    clock = torch.arange(samples, dtype=torch.float64)
+    time, mean = in_time(clock.expand(count, -1), values)
+    close(time, clock, 1e-15)
+    close(mean, values.mean(0), 1e-14)
+    nothing, lost = in_time(clock.expand(count, -1), torch.full_like(values, torch.nan))
+    assert len(nothing) == len(lost) == 0
