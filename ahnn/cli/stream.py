@@ -14,7 +14,7 @@ from ahnn.assimilation.start import start_of
 from ahnn.cli.again import GROUPS, KEYS, NODES, OWN, Request
 from ahnn.cli.build import blaming, build, build_all, plain_config
 from ahnn.cli.compose import composed
-from ahnn.cli.parts import build_sensor, build_source, robust_of
+from ahnn.cli.parts import build_sensor, build_source
 from ahnn.data import SplitData
 from ahnn.errors import UserError
 from ahnn.evaluation import Case, EvaluationPlugin
@@ -106,7 +106,7 @@ def build_process(cfg: DictConfig, run: Run, case: Callable[[], Case]) -> Proces
     ((name, plugin),) = online.items()
     with blaming(f"plugins.{name}"):
         novelty = None if run.domain is None else run.novelty
-        return plugin.online(run.dynamics, run.dt, run.space, case, novelty)
+        return plugin.online(run.dynamics, run.dt, run.space, case, novelty, run.uncertainty)
 
 
 def build_assimilation(asked: Asked, nodes: DictConfig, cfg: DictConfig, run: Run) -> Assimilation:
@@ -125,8 +125,7 @@ def build_assimilation(asked: Asked, nodes: DictConfig, cfg: DictConfig, run: Ru
     def case() -> Case:
         splits = SplitData(source(), list(cfg.data.split), build_sensor(cfg, source()))
         about = {"label": cfg.label, "seed": cfg.evaluation.seed, "folder": run.folder}
-        learned = {"uncertainty": run.uncertainty, "domain": run.domain, "robust": robust_of(run)}
-        return make_case(run.dynamics, splits, **about, **learned)
+        return make_case(run.dynamics, splits, **about, uncertainty=run.uncertainty, domain=run.domain)
 
     limits = {"window": asked.window, "lines": asked.lines, "gap": asked.gap}
     return Assimilation(build_process(cfg, run, case), sensors, start, time=asked.time, **limits)

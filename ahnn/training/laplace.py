@@ -33,6 +33,7 @@ from ahnn.training.levenberg_marquardt import ATTEMPTS, LARGEST, SUFFICIENT, ada
 from ahnn.training.normal_equations import Equations, damped_step, promised_decrease
 from ahnn.training.posterior import Place, WideProblem, after, whole_problem, with_prior
 from ahnn.training.shooting import freedom
+from ahnn.training.told import least_told
 from ahnn.uncertainty import Uncertainty
 
 DAMPING = 1e-6
@@ -62,6 +63,15 @@ def conclude(
     Returns:
         None if no trajectory is explained; the parameters then stay where they are.
     """
+    found = _concluded(dynamics, train, held_out, steps, robust)
+    if found is None:
+        return None
+    return replace(found, directions=least_told(dynamics, found.spread, train, robust))
+
+
+def _concluded(
+    dynamics: Dynamics, train: Segment, held_out: Segment, steps: int, robust: RobustName
+) -> Uncertainty | None:
     problem, here, gained = approached(dynamics, train, steps, robust)
     if here is None:
         return None

@@ -15,6 +15,7 @@ from ahnn.dynamics.linearised import linearised
 from ahnn.errors import UserError
 
 FILE = "covariance.safetensors"
+PARTS = ("factor", "offset", "directions", "step")
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +29,8 @@ class Uncertainty:
         about: plain values: `determined` (effective number of parameters), `strengths` of the prior,
             `chi_square` of the training, `remaining` (squared length of the offset in standard deviations),
             `held_out` (the part of the inflation that validation measurements ask for), `log_evidence`.
+        directions: (P, K) of the parameters, those that a filter tells least from measurements such as
+            these, the most important first; None where nobody looked.
         step: (P,) step that functions took beyond their parameters (`ahnn.dynamics.linearised`), if any.
         before: dynamics and distribution of their parameters before that step, once it is taken. They say the
             same of how functions may move, with a third of the network.
@@ -37,6 +40,7 @@ class Uncertainty:
     offset: Tensor
     inflation: float
     about: dict[str, Any]
+    directions: Tensor | None = None
     step: Tensor | None = None
     before: tuple[Dynamics, Uncertainty] | None = None
 
@@ -59,16 +63,16 @@ class Uncertainty:
         size = sum(p.numel() for p in wide.parameters())
         factor = self.factor.new_zeros(size, self.factor.shape[1]).index_copy(0, places, self.factor)
         offset = self.offset.new_zeros(size).index_copy(0, places, self.offset)
-        moved = replace(self, factor=factor, offset=offset, step=None, before=(dynamics, self))
-        return wide, moved
+        here = {"factor": factor, "offset": offset, "directions": None, "step": None}
+        return wide, replace(self, **here, before=(dynamics, self))
 
 
 def save_uncertainty(folder: Path, uncertainty: Uncertainty, state: dict[str, Tensor]) -> None:
     """Write the covariance into a run folder, with the checksum of the weights that it belongs to."""
     about = {"format": FORMAT, "weights": checksum(state, ""), "inflation": uncertainty.inflation}
     about["found"] = uncertainty.about
-    tensors = {"factor": uncertainty.factor, "offset": uncertainty.offset}
-    tensors |= {} if uncertainty.step is None else {"step": uncertainty.step}
+    parts = {name: getattr(uncertainty, name) for name in PARTS}
+    tensors = {name: part for name, part in parts.items() if part is not None}
     write_weights(folder / FILE, Weights(tensors, about))
 
 
@@ -83,15 +87,17 @@ def load_uncertainty(folder: Path, state: dict[str, Tensor]) -> Uncertainty | No
     tensors, about = read_weights(folder / FILE)
     if about.get("weights") != checksum(state, ""):
         return None
-    factor, offset, step = (tensors.get(name) for name in ("factor", "offset", "step"))
+    factor, offset, directions, step = (tensors.get(name) for name in PARTS)
     if (
         factor is None
         or offset is None
         or factor.shape != (len(offset), len(offset))
         or (step is not None and step.shape != offset.shape)
+        or (directions is not None and (directions.ndim != 2 or len(directions) != len(offset)))
     ):
         message = (
-            f"{folder / FILE}: expected a square factor and steps as long; received tensors that do not fit"
+            f"{folder / FILE}: expected a square factor, steps and directions as long; received tensors that "
+            "do not fit"
         )
         raise UserError(message)
-    return Uncertainty(factor, offset, float(about["inflation"]), dict(about["found"]), step)
+    return Uncertainty(factor, offset, float(about["inflation"]), dict(about["found"]), directions, step)

@@ -45,12 +45,13 @@ def test_the_covariance_is_noise_and_the_step_that_is_left_inflated():
     close(KNOWN.covariance, expected, 1e-12)
 
 
-@pytest.mark.parametrize("step", [None, torch.tensor([0.25, 4.0], dtype=torch.float64)])
-def test_the_step_that_functions_took_is_kept(step, tmp_path):
-    save_uncertainty(tmp_path, replace(KNOWN, step=step), STATE)
-    found = load_uncertainty(tmp_path, STATE)
-    assert found is not None
-    assert (found.step is None) if step is None else torch.equal(found.step, step)
+@pytest.mark.parametrize("name", ["step", "directions"])
+def test_what_not_every_training_has_is_kept(name, tmp_path):
+    for part in (None, torch.tensor([[0.25], [4.0]], dtype=torch.float64)):
+        given = part.flatten() if part is not None and name == "step" else part
+        save_uncertainty(tmp_path, replace(KNOWN, **{name: given}), STATE)
+        found = getattr(load_uncertainty(tmp_path, STATE), name)
+        assert (found is None) if part is None else torch.equal(found, given)
 
 
 def test_a_band_after_the_step_is_that_of_the_parameters_before_it():
@@ -63,10 +64,11 @@ def test_a_band_after_the_step_is_that_of_the_parameters_before_it():
     ).double()
     count = sum(p.numel() for p in own.parameters())
     draws = torch.randn(count, count + 2, dtype=torch.float64)
-    known = Uncertainty(draws[:, :count], draws[:, -1], 2.0, {}, 1e-5 * draws[:, -2])
+    known = Uncertainty(draws[:, :count], draws[:, -1], 2.0, {}, draws[:, :3], 1e-5 * draws[:, -2])
     start, lengths = torch.rand(3, 2, dtype=torch.float64), torch.full((3, 5), 0.1, dtype=torch.float64)
     dynamics, after = known.taken(own)
     assert after.step is None
+    assert after.directions is None
     assert after.inflation == 2.0
     band = rollout_covariances(dynamics, start, lengths, after.spread)
     close(band, rollout_covariances(own, start, lengths, known.spread), 1e-3)
@@ -87,12 +89,20 @@ def test_a_damaged_file_is_refused(tmp_path):
         load_uncertainty(tmp_path, STATE)
 
 
-@pytest.mark.parametrize(("rows", "step"), [(1, torch.zeros(2)), (2, torch.zeros(3))], ids=["factor", "step"])
-def test_tensors_that_do_not_fit_each_other_are_refused(rows, step, tmp_path):
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"factor": KNOWN.factor[:1]},
+        {"step": torch.zeros(3)},
+        {"directions": torch.zeros(3, 1)},
+        {"directions": torch.zeros(2)},
+    ],
+)
+def test_tensors_that_do_not_fit_each_other_are_refused(wrong, tmp_path):
     save_uncertainty(tmp_path, KNOWN, STATE)
     about = read_weights(tmp_path / FILE).about
     assert about["format"] == FORMAT
-    tensors = {"factor": KNOWN.factor[:rows], "offset": KNOWN.offset, "step": step}
+    tensors = {"factor": KNOWN.factor, "offset": KNOWN.offset} | wrong
     write_weights(tmp_path / FILE, Weights(tensors, about))
-    with pytest.raises(UserError, match="square factor and steps as long"):
+    with pytest.raises(UserError, match="a square factor, steps and directions as long"):
         load_uncertainty(tmp_path, STATE)

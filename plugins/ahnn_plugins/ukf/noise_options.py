@@ -5,28 +5,24 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 import torch
 from torch import Tensor
 
 from ahnn.arguments import Positive, Within, check_arguments, checked
+from ahnn.dynamics import Dynamics
 from ahnn.errors import UserError
 from ahnn.estimation.scenario import Problem, Setting
 from ahnn.evaluation import Case
 from ahnn.systems import System
-from ahnn.types import Space
+from ahnn.types import Flow, Space
 from ahnn.uncertainty import Uncertainty, growth
+from ahnn.uncertainty.directions import MOST, Chosen, filtered_directions
 from ahnn_plugins.ukf.assimilation import Filter
 from ahnn_plugins.ukf.force_error import ForceError
 from ahnn_plugins.ukf.force_error_fit import fitted_force_error
-from ahnn_plugins.ukf.learned_parameters import (
-    ENOUGH,
-    MOST,
-    learned_filter,
-    parameters_as_states,
-    simulated_filter,
-)
+from ahnn_plugins.ukf.learned_parameters import ENOUGH, parameters_as_states, simulated_filter
 from ahnn_plugins.ukf.parameter_error import ParameterError
 from ahnn_plugins.ukf.process_noise import fitted_process_noise
 
@@ -89,10 +85,27 @@ def without_parameters(option: NoiseOption) -> NoiseOption:
 
 
 def given_noise(
-    option: NoiseOption, space: Space, growth: Callable[[Tensor], Tensor] | None = None
+    option: NoiseOption,
+    space: Space,
+    growth: Callable[[Tensor], Tensor] | None = None,
+    flow: Flow | None = None,
+    known: Uncertainty | None = None,
 ) -> Noise | None:
-    """Return Q of one step and the force error where an option says all of them; None where data must."""
+    """Return Q of a step and the error besides where option or training say all of it, None where data must.
+
+    Args:
+        option: see `noise_option`.
+        space: what the numbers of a state mean.
+        growth: factor (...) on the error at states (..., D); None is 1 everywhere.
+        flow: the model.
+        known: covariance of its parameters, if it is known.
+
+    Raises:
+        UserError: a training that did not keep which parameters a filter tells least.
+    """
     nothing = torch.zeros(2 * space.dof, 2 * space.dof, dtype=torch.float64)
+    if isinstance(option, ParameterOptions) and known is not None:
+        return nothing, online_parameters(flow, known, growth)
     if isinstance(option, ForceOptions):
         if option.size is None or option.memory is None:
             return None
@@ -100,6 +113,21 @@ def given_noise(
     if isinstance(option, str | ParameterOptions):
         return None
     return given_covariance(option, space), None
+
+
+def online_parameters(
+    flow: Flow | None, uncertainty: Uncertainty, growth: Callable[[Tensor], Tensor] | None
+) -> ParameterError:
+    """Return learned parameters as states, in the directions that the training kept; raises UserError."""
+    dynamics, known = uncertainty.before or (cast(Dynamics, flow), uncertainty)
+    if known.directions is None:
+        message = (
+            "process_noise: expected a training that kept which of its parameters measurements tell least; "
+            "received one of an earlier version, or that met no measurements. Train again, or use "
+            "plugins.ukf.process_noise=[POSITION,VELOCITY]"
+        )
+        raise UserError(message)
+    return parameters_as_states(dynamics, Chosen(known.directions, 0.0), growth)
 
 
 def given_covariance(deviations: tuple[float, float], space: Space) -> Tensor:
@@ -140,8 +168,9 @@ def with_process_noise(
         option = ForceOptions()
     if isinstance(option, ParameterOptions):
         assert case.uncertainty is not None
-        growth, watched = grown(case.novelty, rate), simulated_filter(case, setting)
-        error = parameters_as_states(case, case.uncertainty, watched, growth, ENOUGH)
+        dynamics, known = case.uncertainty.before or (cast(Dynamics, case.flow), case.uncertainty)
+        chosen = filtered_directions(dynamics, known.spread, simulated_filter(case, setting), MOST, ENOUGH)
+        error = parameters_as_states(dynamics, chosen, grown(case.novelty, rate))
         about = {"from": "parameter_error", "directions": error.added, "left_out": error.left_out}
         about["novelty"] = rate
         return plain._replace(force_error=error), about
@@ -174,17 +203,6 @@ def grown(
         message = "novelty: expected weights that say where they were trained; received others"
         raise UserError(message)
     return lambda x: growth(novelty(x), rate)
-
-
-def online_parameters(case: Case, known: Uncertainty, rate: float | None) -> Noise:
-    """Return Q of one step and learned parameters as states, of a filter that sees what the training saw.
-
-    Raises:
-        UserError: the model does not meet the measurements that it was learned from, or there are none.
-    """
-    growth = grown(case.novelty, rate)
-    nothing = torch.zeros(2 * case.space.dof, 2 * case.space.dof, dtype=torch.float64)
-    return nothing, parameters_as_states(case, known, learned_filter(case), growth)
 
 
 def require_truth(option: NoiseOption, truth: System | None) -> None:

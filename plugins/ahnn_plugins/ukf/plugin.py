@@ -21,6 +21,7 @@ from ahnn.measurements import Measurement
 from ahnn.rollouts import rollout
 from ahnn.systems import System, exact_flow
 from ahnn.types import Flow, Space
+from ahnn.uncertainty import Uncertainty
 from ahnn_plugins.ukf.assimilation import Filter, assimilate, assimilate_all, shown
 from ahnn_plugins.ukf.estimator import UnscentedKalmanFilter
 from ahnn_plugins.ukf.figures import ukf_figures
@@ -33,7 +34,6 @@ from ahnn_plugins.ukf.noise_options import (
     given_noise,
     grown,
     noise_option,
-    online_parameters,
     require_truth,
     with_process_noise,
     without_parameters,
@@ -188,6 +188,7 @@ class UKFEvaluation:
         space: Space,
         case: Callable[[], Case],
         novelty: Callable[[Tensor], Tensor] | None = None,
+        known: Uncertainty | None = None,
     ) -> Process:
         """Return the filter as an online process, its process noise as it is configured.
 
@@ -197,12 +198,13 @@ class UKFEvaluation:
             space: what the numbers mean.
             case: gives the data that a process noise is fitted to; called only for that.
             novelty: distance (...) of states (..., D) from the training data, where it is known.
+            known: covariance of the parameters, where it is known.
 
         Raises:
-            UserError: the novelty is to count, and is not known.
+            UserError: the novelty is to count, and is not known; or nothing is known of the parameters.
         """
         estimator = UnscentedKalmanFilter(self.parameters, self.form, self.gate)
-        noise = given_noise(self.process_noise, space, grown(novelty, self.novelty))
+        noise = given_noise(self.process_noise, space, grown(novelty, self.novelty), flow, known)
         if noise is None:
             noise = self._found(case())
         about = {"space": space.name, "flow": weights_hash(flow), "novelty": self.novelty}
@@ -210,9 +212,7 @@ class UKFEvaluation:
 
     @torch.no_grad()
     def _found(self, case: Case) -> Noise:
-        """Return the process noise, of the covariance of the parameters or fitted to validation data."""
-        if isinstance(self.process_noise, ParameterOptions) and case.uncertainty is not None:
-            return online_parameters(case, case.uncertainty, self.novelty)
+        """Return the process noise that is fitted to validation data."""
         require_truth(self.process_noise, case.truth or self.beside)
         shortest = int(case.validation.present.sum(-1).min()) - 1
         setting = self._setting(near_system(case.truth, self.beside, case.space), shortest)

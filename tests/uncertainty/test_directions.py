@@ -11,8 +11,8 @@ from torch.func import functional_call, jacrev, vmap
 from ahnn.errors import UserError
 from ahnn.measurements import Instrument, Segment
 from ahnn.shooting.paths import path, steps_between
-from ahnn_plugins.ukf import directions
-from ahnn_plugins.ukf.directions import Watched, filtered_directions
+from ahnn.uncertainty import directions
+from ahnn.uncertainty.directions import Watched, filtered_directions
 
 ROWS, INTERVALS, SAMPLES = 4, 30, 10
 FACTOR = 0.02 * torch.tensor([[0.05, 0.0], [-0.02, 0.04]], **DOUBLE)

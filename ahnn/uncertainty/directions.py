@@ -27,6 +27,8 @@ from ahnn.jacobians import pointwise_jacobian
 from ahnn.measurements import Segment
 from ahnn.shooting.paths import Steps, path, sensitivities, steps_between, transitions
 
+MOST = 50
+"""Directions of the parameters that a filter has as states, at most."""
 SAMPLES = 100
 """Times of a path at which directions are weighed, about."""
 LEAST = 1e-9
