@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from ahnn.assimilation.cells import BadLine, number
 from ahnn.data.files.epochs import SECOND, instant
-from ahnn.data.files.units import TIME, unit
+from ahnn.data.files.units import TIME, factor, unit
 from ahnn.errors import UserError
 
 
@@ -17,11 +17,13 @@ class Clock(NamedTuple):
         unit: of numbers.
         zero: epoch of time zero (`ahnn.data.files.epochs`).
         system: time system of epochs, such as UTC.
+        scale: of the unit in which a stream has numbers, in that unit.
     """
 
     unit: str
     zero: int
     system: str
+    scale: float = 1.0
 
     @classmethod
     def of(cls, base: str, epoch: str, system: str) -> Clock:
@@ -44,7 +46,7 @@ class Clock(NamedTuple):
     def time(self, cell: Any) -> float:
         """Return the time in a cell, NaN where it is missing; raises BadLine for what is no time."""
         if not (isinstance(cell, str) and "T" in cell):
-            return number(cell, "time")
+            return self.scale * number(cell, "time")
         try:
             moment = instant(cell, utc=self.system == "UTC")
         except ValueError as error:
@@ -53,11 +55,15 @@ class Clock(NamedTuple):
         size = unit(self.unit).size if unit(self.unit).dimension == TIME else 1.0
         return (moment - self.zero) / SECOND / size
 
-    def check(self, named: str) -> None:
-        """Refuse the unit or time system that a header names; raises UserError."""
-        if named not in (self.unit, self.system):
+    def named(self, text: str) -> Clock:
+        """Return the clock of a header that names a unit of time or a time system; raises UserError."""
+        if text == self.system:
+            return self
+        try:
+            return self._replace(scale=factor(text, self.unit))
+        except ValueError as error:
             message = (
-                f"measurements: expected times in {self.unit} or epochs of {self.system}; received {named}. "
-                "Convert them, or set time_system"
+                f"measurements: expected times in {self.unit}, another unit of time or epochs of "
+                f"{self.system}; received {text}. Convert them, or set time_system"
             )
-            raise UserError(message)
+            raise UserError(message) from error

@@ -13,6 +13,7 @@ from ahnn.arguments import nearest
 from ahnn.assimilation.cells import BadLine, number
 from ahnn.assimilation.clock import Clock
 from ahnn.assimilation.process import Sensor
+from ahnn.data.files.units import factor
 from ahnn.errors import UserError
 
 TIME, SENSOR, SD = ("time", "t"), "sensor", "sd_"
@@ -50,8 +51,8 @@ class Layout:
         clock: what times mean; None takes numbers alone.
 
     Raises:
-        UserError: a header without time, with a column that no sensor has or in another unit, or with numbers
-            whose standard deviations nobody says.
+        UserError: a header without time, with a column that no sensor has or in a unit that does not fit it,
+            or with numbers whose standard deviations nobody says.
     """
 
     def __init__(self, first: str, sensors: Mapping[str, Sensor], clock: Clock | None = None) -> None:
@@ -60,6 +61,7 @@ class Layout:
         known = {name for sensor in sensors.values() for name in sensor.columns}
         self.known = {*TIME, SENSOR, *known, *(SD + name for name in known)}
         self.names: list[str] | None = None
+        self.scales: dict[str, float] = {}
         if not first.lstrip().startswith("{"):
             self.delimiter = max(",;\t", key=first.count)
             self.names = [self._name(cell) for cell in first.strip().split(self.delimiter)]
@@ -86,7 +88,7 @@ class Layout:
         if math.isnan(time):
             message = "time: expected a number; received none"
             raise BadLine(message)
-        values = tuple([number(row.get(column), column) for column in sensor.columns])
+        values = tuple([self._number(row, column) for column in sensor.columns])
         return Reading(time, values, name, self._deviations(row, sensor, values))
 
     def _cells(self, text: str) -> dict[str, Any]:
@@ -117,7 +119,7 @@ class Layout:
         self, row: dict[str, Any], sensor: Sensor, values: tuple[float, ...]
     ) -> tuple[float, ...] | None:
         """Return the standard deviations of a row; None where it brings none and the sensor's hold."""
-        given = [number(row.get(SD + name), SD + name) for name in sensor.columns]
+        given = [self._number(row, SD + name) for name in sensor.columns]
         if sensor.deviations is not None and all(map(math.isnan, given)):
             return None
         own = sensor.deviations or (math.nan,) * len(given)
@@ -130,17 +132,25 @@ class Layout:
                 raise BadLine(message)
         return tuple(chosen)
 
+    def _number(self, row: dict[str, Any], name: str) -> float:
+        """Return what stands in a column, in the unit of the sensor."""
+        return number(row.get(name), name) * self.scales.get(name, 1.0)
+
     def _name(self, cell: str) -> str:
         """Return the name in a cell of the header; raises UserError for one that is not known."""
         found = HEAD.fullmatch(cell)
         name = found["name"] if found else cell.strip()
         if name not in self.known:
-            message = f"measurements: column {name!r} is of no sensor{nearest(name, sorted(self.known))}"
+            expected = f"a header with time and {self._expected()}"
+            message = (
+                f"measurements: expected {expected}; received {name!r}{nearest(name, sorted(self.known))}"
+            )
             raise UserError(message)
-        if found and found["unit"] is not None and name in TIME and self.clock is not None:
-            self.clock.check(found["unit"])
-        elif found and found["unit"] is not None and name not in (*TIME, SENSOR):
-            self._check_unit(name.removeprefix(SD), found["unit"])
+        unit = found["unit"] if found else None
+        if unit is not None and name in TIME and self.clock is not None:
+            self.clock = self.clock.named(unit)
+        elif unit is not None and name not in (*TIME, SENSOR):
+            self.scales[name] = self._scale(name.removeprefix(SD), unit)
         return name
 
     def _require_deviations(self, named: set[str]) -> None:
@@ -154,12 +164,18 @@ class Layout:
                 )
                 raise UserError(message)
 
-    def _check_unit(self, name: str, unit: str) -> None:
+    def _scale(self, name: str, given: str) -> float:
+        """Return what numbers of a column are multiplied with; raises UserError for a unit that fits none."""
+        units = {}
         for sensor in self.sensors.values():
-            units = dict(zip(sensor.columns, sensor.measurement.units, strict=True))
-            if units.get(name, unit) != unit:
-                message = f"measurements: expected {name} in {units[name]}; received {unit}. Convert it"
-                raise UserError(message)
+            units |= dict(zip(sensor.columns, sensor.measurement.units, strict=True))
+        try:
+            return factor(given, units[name])
+        except ValueError as error:
+            message = (
+                f"measurements: expected {name} in {units[name]}, or a unit that fits it; received {given}"
+            )
+            raise UserError(message) from error
 
     def _expected(self) -> str:
         return ", ".join(dict.fromkeys(name for one in self.sensors.values() for name in one.columns))

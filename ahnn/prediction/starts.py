@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from ahnn.data.files import Files, instant
-from ahnn.data.files.units import unit
+from ahnn.data.files import Files, instant, units
 from ahnn.errors import UserError
 from ahnn.numbers import as_float64
 from ahnn.prediction.kernel import require_finite
@@ -98,11 +97,11 @@ def require_frame(ours: str, theirs: str, path: str) -> None:
 
 def factor(theirs: str, ours: str, path: str) -> float:
     """Return what numbers in a unit of a file are multiplied with; a file without units has ours."""
-    a, b = unit(theirs), unit(ours)
-    if theirs != "1" and a.dimension != b.dimension:
+    try:
+        return 1.0 if theirs == "1" else units.factor(theirs, ours)
+    except ValueError as error:
         message = f"start {path}: expected numbers in {ours}, or a unit that fits it; received {theirs}"
-        raise UserError(message)
-    return 1.0 if theirs == "1" else a.size / b.size
+        raise UserError(message) from error
 
 
 def numbered(count: int) -> tuple[str, ...]:

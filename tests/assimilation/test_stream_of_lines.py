@@ -139,7 +139,7 @@ def test_a_kill_between_the_state_and_the_journal_counts_nothing_twice(tmp_path,
 
 def test_a_journal_without_its_state_is_refused_and_a_bad_header_leaves_none(tmp_path):
     names = tmp_path / "out.csv", tmp_path / "state"
-    with pytest.raises(UserError, match="measurements: column 'x'"):
+    with pytest.raises(UserError, match="measurements: expected a header with time and q, p; received 'x'"):
         session(Journal(Pipe(b"time,x\n"), tmp_path / "lines"), *names).run()
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "lines").write_text("0\ntime,q")
@@ -172,7 +172,7 @@ def test_a_file_that_grew_is_gone_on_with(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "text", ["", "# nothing\n", "q,p\n1,2\n", "time,q,q\n", "time,x\n1,2\n", "time,q [km]\n"]
+    "text", ["", "# nothing\n", "q,p\n1,2\n", "time,q,q\n", "time,x\n1,2\n", "time,q [kg]\n", "0.1,0.2\n"]
 )
 def test_a_bad_header_leaves_nothing_behind(tmp_path, text):
     with pytest.raises(UserError, match="measurements: "):
@@ -195,6 +195,17 @@ def test_cells_and_objects_say_the_same():
     ):
         assert repr(reading) == repr(expected)
     assert table.reading('"2";"ruler";"1";;').deviations is None
+
+
+def test_numbers_come_in_any_unit_that_fits_the_sensor():
+    plain = Layout("t;sensor;q;sd_q;p", SENSORS).reading("2;radar;0.04;0.003;3")
+    other = Layout("t;sensor;q [cm];sd_q [mm];p", SENSORS).reading("2;radar;4;3;3")
+    assert other.values == pytest.approx(plain.values, rel=1e-15)
+    assert other.deviations == pytest.approx(plain.deviations, rel=1e-15)
+    with pytest.raises(UserError, match=r"expected q in m, or a unit that fits it; received rad"):
+        Layout("t;q [rad]", SENSORS)
+    with pytest.raises(UserError, match=r"expected q in m, or a unit that fits it; received ell"):
+        Layout("t;sd_q [ell]", SENSORS)
 
 
 OBJECTS = [
@@ -279,7 +290,9 @@ def test_epochs_count_from_time_zero_with_leap_seconds():
     assert table.reading(f"30,{name},1,").time == 30.0
     with pytest.raises(BadLine, match=r"time: expected an epoch such as .*; received '2017-13T'"):
         table.reading(f"2017-13T,{name},1,")
-    with pytest.raises(UserError, match=r"expected times in min or epochs of UTC; received s\. Convert"):
-        Layout("time [s],sensor,q", SENSORS, clock)
+    seconds = Layout("t [s],sensor,q [m],p", SENSORS, clock)
+    assert seconds.reading(f"90,{name},1,").time == pytest.approx(1.5, rel=1e-15)
+    with pytest.raises(UserError, match=r"expected times in min, another unit of time or .*; received kg\."):
+        Layout("time [kg],sensor,q", SENSORS, clock)
     with pytest.raises(UserError, match=r"epoch: expected an epoch such as"):
         Clock.of("min", "yesterday", "UTC")

@@ -68,3 +68,14 @@ def unit(text: str) -> Unit:
             size *= own**power
             dimension = [d + power * e for d, e in zip(dimension, exponents, strict=True)]
     return Unit(text.strip() or "1", size, tuple(dimension))
+
+
+def factor(theirs: str, ours: str) -> float:
+    """Return what numbers in a unit are multiplied with to be in ours; raises ValueError where none is."""
+    if theirs == ours:
+        return 1.0
+    a, b = unit(theirs), unit(ours)
+    if a.dimension != b.dimension or a.dimension == NONE.dimension:
+        message = f"a unit that fits {ours}"
+        raise ValueError(message)
+    return a.size / b.size
