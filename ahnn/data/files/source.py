@@ -172,7 +172,7 @@ def widened(track: Track, dof: int) -> Any:
 
 def described(space: Space, tracks: list[Track], content: Content) -> str:
     """Return what was read, so that a user sees what each column was taken for."""
-    lengths = sorted({len(track.times) for track in tracks})
+    lengths = sorted({int(np.isfinite(track.values).any(1).sum()) for track in tracks})
     samples = f"{lengths[0]:,}" if lengths[0] == lengths[-1] else f"{lengths[0]:,} to {lengths[-1]:,}"
     kind = "momenta" if content.momenta else "velocities"
     rates = f", {kind} {', '.join(content.rates)}" if content.rates else " alone"

@@ -149,6 +149,9 @@ def test_a_user_is_told_what_was_read(tmp_path, caplog):
     read(tmp_path, "id,t [s],x [km],vx [km/s]\n" + rows)
     expected = "2 trajectories of 3 to 5 samples, time in s, positions x in km, velocities vx"
     assert expected in caplog.text
+    gone = rows.replace("b,2,2,1\n", "")  # an absent sample is none
+    read(tmp_path, "id,t [s],x [km],vx [km/s]\n" + gone)
+    assert expected.replace("3 to 5", "3 to 4") in caplog.text
     read(tmp_path, "t [s],x [km],px [kg km/s]\n0,1,2\n1,2,3\n", mass=1.0)
     assert "1 trajectory of 2 samples, time in s, positions x in km, momenta px" in caplog.text
     read(tmp_path, "t [s],x [km]\n0,1\n1,2\n")
