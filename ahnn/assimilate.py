@@ -3,7 +3,8 @@
 run=DIR             a run folder; or pretrained=NAME, a model that comes with the package; ckpt=best
 measurements=FILE   CSV with a header (time, sensor, numbers, sd_NAME) or JSON lines; - is standard input
 start=[X,...]       the state at time=0, or FILE: YAML or JSON (mean, sd or covariance), or an ephemeris
-start_sd=[..]       its standard deviations, [position,velocity] or one for each component
+start_sd=[..]       its standard deviations, one for each component (of one degree of freedom q and p), or
+                    [position,velocity]
 output=FILE         estimate and covariance after each line, CSV or JSON lines; else standard output
 state=FILE          saved every 1000 lines (every=N); the same command goes on with it after any stop
 window=SECONDS      late measurements are merged by replay; lines=N are kept for that at most
@@ -97,7 +98,7 @@ def assimilate(arguments: list[str]) -> None:
         message = "output: expected a FILE, of which figures and oem are made; received -"
         raise UserError(message)
     run = load(request.source, request.ckpt)
-    cfg = run_config(run.folder, request)
+    cfg = run_config(run.folder, stream.with_filter(request, run))
     torch.set_num_threads(cfg.threads)
     state = None if options.state is None else Path(options.state)
     if state is None or not state.exists():

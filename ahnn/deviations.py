@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from ahnn.errors import UserError
+from ahnn.numbers import as_float64
 from ahnn.types import Space
 
 
@@ -15,7 +15,8 @@ def state_deviations(given: Any, space: Space, who: str) -> Tensor:
     """Return the standard deviations (2n,) of a state.
 
     Args:
-        given: 2n numbers, or one for positions and one for velocities.
+        given: 2n numbers, one for each component, or two, for positions and for velocities; of one degree of
+            freedom two numbers are of q and p.
         space: what the numbers of a state mean.
         who: the parameter, for messages.
 
@@ -24,13 +25,13 @@ def state_deviations(given: Any, space: Space, who: str) -> Tensor:
     """
     size = 2 * space.dof
     try:
-        values = torch.tensor(given, dtype=torch.float64).flatten()
+        values = as_float64(given, who).flatten()
         if len(values) == 2 != size:
             values = values.repeat_interleave(space.dof)
             values[space.dof :] *= space.inertia
         if len(values) == size and bool(((values > 0.0) & values.isfinite()).all()):
             return values
-    except (TypeError, ValueError, RuntimeError):
+    except ValueError:
         pass
     expected = f"{size} numbers > 0, or one for positions and one for velocities"
     message = f"{who}: expected {expected}; received {given}"

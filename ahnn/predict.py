@@ -5,7 +5,8 @@ pretrained=NAME     a model that comes with the package
 ckpt=best           the weights: best, last, or a path
 start=FILE          first sample of each trajectory in a file (docs/data.md); or numbers in the units of the
                     model: start=[0.5,0], start=[[0.5,0],[0.7,0]]
-start_sd=[..]       its standard deviations, [position,velocity] or one for each component; exact without them
+start_sd=[..]       its standard deviations, one for each component (of one degree of freedom q and p), or
+                    [position,velocity]; exact without them
 duration=1d         with a unit, or a number in the model's unit of time
 step=90min          between two predicted states; the sampling interval of the training without it
 output=FILE         .csv, .parquet, .oem or .xml; without it a summary alone
@@ -23,7 +24,7 @@ if __name__ == "__main__":  # until `guard` listens, Ctrl-C ends this process wi
 
 import logging
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +84,8 @@ def predict(arguments: list[str]) -> None:
         output.require_output(Path(asked.output), begin, space, frame)
     if asked.figure is not None:
         output.require_figure(Path(asked.figure))
+    if not all(run.uncertainty for run in runs):  # the mean of what some know would be of nobody
+        runs = [replace(run, uncertainty=None) for run in runs]
     text = "predicting with {}".format
     found = together(
         [run.predict(begin.states, times, text(run.folder.name), asked.start_sd) for run in runs]
@@ -93,8 +96,9 @@ def predict(arguments: list[str]) -> None:
     if asked.figure is not None:
         output.draw(Path(asked.figure), found, space, title)
     show(summary(found, begin, space, title))
-    if asked.start_sd is not None and any(run.uncertainty is None for run in runs):
-        log.warning("1 sigma: that of the start; how well the dynamics are known these weights do not say")
+    if asked.start_sd is not None and not runs[0].uncertainty:
+        what = "the start" if len(runs) == 1 else "the start and of what the runs differ by"
+        log.warning("1 sigma: that of %s; how well the dynamics are known these weights do not say", what)
     if remark := warning(found, begin, space):
         log.warning(remark)
 

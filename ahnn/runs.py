@@ -6,7 +6,6 @@ states = run.rollout(start, steps=1440)
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -139,7 +138,7 @@ class Run:
         start: Numbers,
         times: Numbers,
         description: str | None = None,
-        start_sd: Sequence[float] | None = None,
+        start_sd: Numbers | None = None,
     ) -> Prediction:
         """Return predicted states at given times, with covariance and novelty where they are known.
 
@@ -147,8 +146,8 @@ class Run:
             start: (B, 2n) or (2n,) states at the first of the times, in the units of the space.
             times: (T,) increasing, in its unit of time; steps are at most that of the training.
             description: text of a progress bar; None shows none.
-            start_sd: standard deviations of the starts, 2n or one for positions and one for velocities;
-                without them starts are exact.
+            start_sd: standard deviations of the starts, 2n, or one for positions and one for velocities
+                where n > 1; without them starts are exact.
 
         Raises:
             UserError: starts or times that are none, or a damaged file beside the weights.

@@ -53,6 +53,8 @@ RECIPES = (
 )
 EPOCHS = 20
 """In which stages are counted; they end when the time does."""
+ENDS = {2: "refused", 3: "inf"}
+"""What exit codes mean: measurements that do not fit the recipe, a training that came to nothing."""
 WARM = 5.0
 """Seconds of a training before all others, with what happens once in a process."""
 
@@ -112,11 +114,11 @@ def commanded(overrides: list[str]) -> tuple[str, str]:
     with tempfile.TemporaryDirectory() as folder:
         run = Path(folder, "run")
         asked = [*overrides, "plugins=none", "evaluation=scores", f"run={run}"]
-        done = subprocess.run([sys.executable, "-m", "ahnn.train", *asked], capture_output=True)
-        if done.returncode == 2:
-            return "refused", ""
+        done = subprocess.run([sys.executable, "-m", "ahnn.train", *asked], capture_output=True, text=True)
+        if done.returncode in ENDS:
+            return ENDS[done.returncode], ""
         if done.returncode:
-            return "inf", ""
+            raise RuntimeError(done.stderr)
         scores = json.loads((run / "metrics.json").read_text())
     return f"{scores['rows'][0]['position']:.4g}", f"{scores['training']['seconds']:.0f}"
 
@@ -140,8 +142,9 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[7, 201, 719])
     parser.add_argument("--systems", nargs="+", default=list(LEVELS), choices=LEVELS)
     parser.add_argument("--recipes", nargs="+", default=list(RECIPES), choices=RECIPES)
-    parser.add_argument("--out", type=Path, default=Path("recipes.csv"))
+    parser.add_argument("--out", type=Path, help="commands.csv, or recipes_SECONDS.csv, without it")
     args = parser.parse_args()
+    args.out = args.out or Path(f"recipes_{args.seconds:g}.csv" if args.seconds else "commands.csv")
     torch.set_num_threads(1)
     if args.seconds:
         trained(["experiment=pendulum_angles"], WARM)

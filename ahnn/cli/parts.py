@@ -79,7 +79,7 @@ def build_recorded(options: dict[str, Any], source: Files) -> Recorded | None:
     Raises:
         UserError: positions without their noise, or what is drawn onto simulated measurements alone.
     """
-    measured, noise = options.pop("measured"), options.pop("noise")
+    measured, noise, stride = (options.pop(name) for name in ("measured", "noise", "stride"))
     drawn = [f"data.{name}={value}" for name, value in options.items() if value not in (None, SENSOR[name])]
     if drawn or not (measured is None or isinstance(measured, str)):
         message = (
@@ -92,13 +92,14 @@ def build_recorded(options: dict[str, Any], source: Files) -> Recorded | None:
     if noise is None or (source.positions_only and measured == "state"):
         known = "positions alone" if source.positions_only else f"data.measured={measured}"
         message = (
-            "data.noise: expected the standard deviations of the measurements in the files, with "
+            "data.noise: expected the standard deviations of the measurements in the files, beside "
             "sensor=recorded, and for positions a known kinetic energy such as hamiltonian=mechanical; "
-            f"received {known}"
+            f"received {known}, data.noise={noise}"
         )
         raise UserError(message)
-    options = {"measured": measured or ("position" if source.positions_only else "state"), "noise": noise}
-    check_arguments("data", Recorded, options, ("space", "every", "stride", "gaps", "outliers", "seed"))
+    kind = measured or ("position" if source.positions_only else "state")
+    options = {"measured": kind, "noise": noise, "stride": stride}
+    check_arguments("data", Recorded, options, ("space", "every", "gaps", "outliers", "seed"))
     return Recorded(source.space, **options)
 
 

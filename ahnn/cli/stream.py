@@ -19,11 +19,9 @@ from ahnn.data import SplitData
 from ahnn.errors import UserError
 from ahnn.evaluation import Case, EvaluationPlugin
 from ahnn.evaluation.prepare import make_case
-from ahnn.files import read_plain
 from ahnn.measurements import reading
 from ahnn.runs import Run
 from ahnn.systems import System
-from ahnn.uncertainty.posterior import FILE
 
 if TYPE_CHECKING:
     from ahnn.assimilate import Asked
@@ -31,7 +29,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 FILTER, OF_MEASUREMENTS = "plugins=ukf", "plugins=ukf_parameter_error"
-"""What filters where a run names no plugin; the second where a covariance says how well it was learned."""
+"""What filters where a run names no plugin; the second where the training kept what it is told least."""
 
 
 def asked(arguments: list[str], schema: type[T], usage: str) -> tuple[T, DictConfig, Request]:
@@ -51,11 +49,17 @@ def asked(arguments: list[str], schema: type[T], usage: str) -> tuple[T, DictCon
     cfg = composed("assimilate", mine)
     options = plain_config(cfg)
     check_arguments("", schema, options)
-    plugins = read_plain(request.source / "config.yaml").get("plugins")
-    if not plugins and not any(text.startswith("plugins=") for text in request.overrides):
-        chosen = OF_MEASUREMENTS if (request.source / FILE).exists() else FILTER
-        request = request._replace(overrides=[chosen, *request.overrides])
     return schema(**options), cfg.sensors, request
+
+
+def with_filter(request: Request, run: Run) -> Request:
+    """Return a request that names a filter where neither it nor the run does."""
+    if run.config.get("plugins") or any(text.startswith("plugins=") for text in request.overrides):
+        return request
+    told = run.uncertainty is not None and run.uncertainty.told_least is not None
+    given = any(text.startswith("plugins.ukf.process_noise=") for text in request.overrides)
+    chosen = OF_MEASUREMENTS if told and not given else FILTER
+    return request._replace(overrides=[chosen, *request.overrides])
 
 
 def _key(text: str) -> str:

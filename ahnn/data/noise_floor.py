@@ -59,9 +59,11 @@ def weights(times: Tensor, order: int) -> Tensor:
     """
     near = times.unfold(1, order + 1, 1)
     near = near / (near[..., -1:] - near[..., :1])  # products of times in any unit stay far from the limits
-    others = [torch.cat((near[..., :j], near[..., j + 1 :]), -1) for j in range(order + 1)]
-    products = [(near[..., j : j + 1] - other).prod(-1) for j, other in enumerate(others)]
-    return normalize(1 / torch.stack(products, -1), dim=-1)
+    found = torch.empty_like(near)
+    for j in range(order + 1):
+        others = torch.cat((near[..., :j], near[..., j + 1 :]), -1)
+        found[..., j] = 1 / (near[..., j : j + 1] - others).prod(-1)
+    return normalize(found, dim=-1)
 
 
 def differences(samples: Tensor, weights: Tensor) -> Tensor:
@@ -90,19 +92,19 @@ def remark_on(samples: Trajectories, names: Sequence[str], stated: Tensor | None
     """Return what the user should know of the noise of samples before a training, or None.
 
     Args:
-        samples: what training sees.
+        samples: what training sees, of which some are looked at.
         names: of their D components.
         stated: (D,) standard deviations that the loss takes into account; None for a loss that takes samples
             as exact.
     """
-    samples = samples.part(slice(None, None, max(1, samples.times.numel() // LOOKED_AT)))
+    samples = looked_at(samples)
     floor = noise_floor(samples)
     if stated is None:
         typical = samples.states.diff(dim=1).abs().flatten(0, 1).nanmedian(0).values
         suspicious = (floor > SHARE * typical) & (typical > 0)
         advice = (
-            "which this loss learns. Say so: sensor=..., or data.noise=... with recipe=measurements "
-            "(recipe=noisy_states where whole states come densely)"
+            "which this loss learns. Say so: sensor=... (of files sensor=recorded), or data.noise=... with "
+            "recipe=measurements (recipe=noisy_states where whole states come densely)"
         )
     else:
         suspicious = (floor > TWICE * stated) | (floor < stated / TWICE)
@@ -111,4 +113,12 @@ def remark_on(samples: Trajectories, names: Sequence[str], stated: Tensor | None
     found = ", ".join(f"{name} {level:.2g}" for name, level, noisy in levels if noisy)
     if not found:
         return None
-    return f"the samples seem to have noise of {found} (standard deviations); {advice}"
+    rare = "unless they come too rarely to tell"
+    return f"the samples seem to have noise of {found} (standard deviations), {rare}; {advice}"
+
+
+def looked_at(trajectories: Trajectories) -> Trajectories:
+    """Return the beginnings of some trajectories, evenly chosen, of `LOOKED_AT` samples in all."""
+    states, times = trajectories.part(slice(None, None, max(1, trajectories.times.numel() // LOOKED_AT)))
+    samples = max(LOOKED_AT // len(times), ORDERS[-1] + 1)
+    return Trajectories(states[:, :samples], times[:, :samples])

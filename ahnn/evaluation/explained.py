@@ -147,10 +147,10 @@ def explain(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") 
     )
 
 
-def serial(residuals: Tensor) -> tuple[float, int]:
-    """Return the correlation of residuals (B, K + 1, M) with those that follow, and of how many pairs.
+def serial(residuals: Tensor, apart: int = 1) -> tuple[float, int]:
+    """Return the correlation of residuals (B, K + 1, M) so many times apart, and of how many pairs.
 
     A NaN is no residual.
     """
-    products = residuals[:, 1:] * residuals[:, :-1]
+    products = residuals[:, apart:] * residuals[:, :-apart]
     return float(products.nanmean() / residuals.square().nanmean()), int(products.isfinite().sum())

@@ -93,6 +93,8 @@ def error(case: Case, curves: list[Curve]) -> Figure:
 def in_time(times: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
     """Return mean times and values (N,) of B neighbours in time, of B trajectories with times of their own.
 
+    Fewer than B at the end are left out.
+
     Args:
         times: (B, T).
         values: (B, T), NaN where there is none.

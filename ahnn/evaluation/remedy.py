@@ -13,8 +13,9 @@ NORMAL = 0.6745
 """Median absolute value of a standard normal number."""
 TWICE = 2.0
 """Factor by which stated and found noise may differ without a word."""
-WHITE = 0.3
-"""Correlation of residuals in a row from which it is the dynamics that are off, and not the noise."""
+WHITE, APART = 0.3, (1, 2, 3, 4)
+"""Correlation of residuals from which it is the dynamics that are off, and not the noise, and how far apart
+they are: a quarter of a period apart those of wrong dynamics do not correlate."""
 FEW = 1e-3
 """Share of outliers that is worth a word: a thousand numbers have 2e-6 of them by chance."""
 
@@ -28,11 +29,16 @@ def remedy(dynamics: nn.Module, segment: Segment, robust: RobustName) -> str:
         segment: measurements that the dynamics were not trained on.
         robust: the loss of the training.
     """
+    segment = segment.rows(segment.measured > 2 * segment.instrument.dof)
+    if not len(segment.times):
+        return ""
     fitted, steps = fit_to(dynamics, segment, "student")
     left = segment.residuals(fitted.states[:, steps.ends]).masked_fill(segment.values.isnan(), torch.nan)
-    scales = left.abs().flatten(0, 1).nanmedian(0).values / NORMAL
+    spent = 2 * segment.instrument.dof * len(segment.times) / float(segment.measured.sum())
+    scales = left.abs().flatten(0, 1).nanmedian(0).values / NORMAL / (1 - spent) ** 0.5
     far = left.abs() > OUTLYING * scales.clamp(min=1)
-    white = abs(serial(left.masked_fill(far, torch.nan))[0]) < WHITE
+    rest = left.masked_fill(far, torch.nan)
+    white = all(not abs(serial(rest, apart)[0]) > WHITE for apart in APART if apart < rest.shape[1])
     # wrong dynamics leave more than the noise, and never less
     said = _noise(segment.instrument.measurement.names, scales if white else scales.clamp(max=1))
     share = int(far.sum()) / max(int(segment.measured.sum()), 1)

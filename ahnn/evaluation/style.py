@@ -84,7 +84,7 @@ def canvas(width: float, height: float) -> Figure:
 def label_time(axes: Any, axis: Axis) -> None:
     """Label and limit a horizontal axis of time."""
     axes.set_xlabel(f"time [{axis.unit}]")
-    axes.set_xlim(0, float(axis.time.nan_to_num(0.0).max()))
+    axes.set_xlim(0, float(axis.time.nan_to_num(0.0).max()) or None)
     axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
 
 

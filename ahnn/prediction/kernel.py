@@ -180,7 +180,9 @@ class _Path:
         return pad(forcing, (0, self.known.columns - forcing.shape[-1]))
 
     def _covariances(self, moved: Tensor) -> Tensor | None:
-        return (moved @ moved.mT).double() if self.known.columns else None
+        """Return M M^T; rounded to float32 it would have eigenvalues below zero."""
+        wide = moved.double()
+        return wide @ wide.mT if self.known.columns else None
 
     def _steps(self, lengths: Tensor) -> Iterator[Tensor]:
         x = self.x

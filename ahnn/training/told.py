@@ -36,6 +36,6 @@ def least_told(dynamics: Dynamics, spread: Tensor, train: Segment, robust: Robus
     met = ShootingProblem(dynamics, some, ROBUST[robust], UNMET)
     if not len(met.starts):
         return None
-    sizes = met.starts.unflatten(-1, (2, -1)).square().mean((0, 2)).sqrt()
+    sizes = met.fitted.states[met.kept].unflatten(-1, (2, -1)).square().nanmean((0, 1, 3)).sqrt()
     watched = Watched(met.starts, sizes.repeat_interleave(train.instrument.dof), met.batch)
     return filtered_directions(dynamics, spread, watched, MOST).directions

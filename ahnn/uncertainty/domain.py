@@ -30,7 +30,7 @@ knows what lies a little beside them."""
 BEYOND = 1.5
 """Novelty from which a state is flagged: unseen trajectories of the training's kind reach 1.3."""
 RATE = 500.0
-"""By which the error of a learned force grows one unit of novelty beyond 1, measured in docs/predict.md."""
+"""Times the square of novelty - 1: what the error of a learned force grows by (docs/predict.md)."""
 
 
 class Domain(NamedTuple):

@@ -54,6 +54,11 @@ class Uncertainty:
         """That second moment, shape (P, P), in the order of `dynamics.parameters()`."""
         return self.spread @ self.spread.mT
 
+    @property
+    def told_least(self) -> Tensor | None:
+        """The directions that the training kept, of the parameters before the step of their functions."""
+        return (self if self.before is None else self.before[1]).directions
+
     def taken(self, dynamics: Dynamics) -> tuple[Dynamics, Uncertainty]:
         """Return dynamics after the step of their functions, and this distribution of their parameters."""
         found = None if self.step is None else linearised(dynamics, self.step)

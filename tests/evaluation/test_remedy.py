@@ -9,6 +9,8 @@ import torch
 from cases import SPRING, trajectories
 from test_explained import Spring, measured
 
+from ahnn.data.segments import Segments
+from ahnn.data.sensor import Sensor
 from ahnn.evaluation.remedy import remedy
 
 
@@ -48,8 +50,30 @@ def test_outliers_are_named_where_the_training_counted_them(factor):
     assert "outliers" not in remedy(Spring(SPRING), batch, "student")
 
 
+@pytest.mark.parametrize("every", [80, 95, 110])
+def test_wrong_dynamics_are_no_noise_a_quarter_of_a_period_apart(every):
+    """Where residuals in a row do not correlate, those further apart do."""
+    system = dataclasses.replace(SPRING, steps=1600)
+    sensor = Sensor(system.space, measured="position", noise=0.01, every=every)
+    seen = sensor.measure(trajectories(system, 40, 5), 0)
+    batch = Segments(seen, None, sensor.instrument(system.dt)).gather(torch.arange(40))
+    assert remedy(Spring(system), batch, "none") == ""
+    for stiffness in (1.12, 1.3):
+        softer = dataclasses.replace(system, stiffness=stiffness * system.stiffness)
+        assert remedy(Spring(softer), batch, "none") == ""
+
+
+def test_what_fitted_starts_take_up_is_no_noise():
+    batch = measured()
+    for samples in (2, 3, 4):
+        few = batch._replace(
+            values=batch.values[:, ::10][:, :samples], times=batch.times[:, ::10][:, :samples]
+        )
+        assert remedy(Spring(SPRING), few, "none") == ""
+
+
 def test_wrong_dynamics_are_no_noise():
     stiffer = dataclasses.replace(SPRING, stiffness=5.6)
     assert remedy(Spring(stiffer), measured(), "none") == ""
-    assert "2.6e+02 times too large for q1" in remedy(Spring(stiffer), stated(measured(), 3e2), "none")
+    assert "2.5e+02 times too large for q1" in remedy(Spring(stiffer), stated(measured(), 3e2), "none")
     assert float(trajectories(SPRING, 1, 5).states.abs().max()) > 0.1  # far above the noise

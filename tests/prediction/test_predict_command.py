@@ -92,7 +92,7 @@ def test_a_band_reaches_every_format_in_its_units(here, cache):
     )
 
 
-def test_several_trainings_show_their_spread_and_a_picture(here, cache, capsys):
+def test_several_trainings_show_their_spread_and_a_picture(here, cache, capsys, caplog):
     one, other = small(here / "one", cache), small(here / "other", cache, seed=1)
     arguments = ["run=[one,other]", "start=[0.2,0.1]", "duration=1", "output=out.csv", "figure=out.png"]
     assert call("ahnn.predict", *arguments) == 0
@@ -100,6 +100,12 @@ def test_several_trainings_show_their_spread_and_a_picture(here, cache, capsys):
     found = rows(here / "out.csv")
     close(column(found, "q [m]"), both.mean(0), 1e-6)
     close(column(found, "sd_q [m]"), both.std(0), 1e-6)
+    small(here / "known", cache, seed=2, band=True)
+    mixed = ["run=[known,one]", "start=[0.2,0.1]", "start_sd=[1e-9,1e-9]", "duration=1", "output=mixed.csv"]
+    assert call("ahnn.predict", *mixed) == 0
+    assert "1 sigma: that of the start and of what the runs differ by" in caplog.text
+    pair = torch.stack([ahnn.load(name).rollout([0.2, 0.1], steps=10)[0, :, 0] for name in ("known", "one")])
+    close(column(rows(here / "mixed.csv"), "sd_q [m]")[1:], pair.std(0)[1:], 1e-3)
     assert (here / "out.png").read_bytes()[:4] == b"\x89PNG"
     assert "one + other" in capsys.readouterr().out
 
@@ -119,6 +125,10 @@ def test_a_start_with_standard_deviations_has_a_band_that_goes_along_with_it(her
     expected = moved.square().sum(0).sqrt()
     found = [float(last[f"sd_{name}"]) for name in ("x [km]", "y [km]", "z [km]", "vx [km/s]")]
     close(torch.tensor(found), expected[:4].float(), 1e-3)
+    times = 3600.0 * torch.arange(25, dtype=torch.float64)
+    everywhere = run.predict(STATE, times, start_sd=torch.tensor([1.0, 1e-3])).covariances
+    unit = everywhere.diagonal(dim1=-2, dim2=-1).rsqrt()
+    assert float(torch.linalg.eigvalsh(everywhere * unit[..., None] * unit[..., None, :]).min()) > -1e-14
     caplog.clear()
     small(here / "run", cache, band=True)
     assert call("ahnn.predict", "run=run", "start=[0.2,0.1]", "start_sd=[1,1]", "duration=1") == 0

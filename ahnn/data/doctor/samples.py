@@ -11,7 +11,7 @@ from ahnn.data.files.content import Content
 from ahnn.data.files.samples import Track, filled, stacked
 from ahnn.data.files.table import Fault
 from ahnn.data.files.units import ANGLE, unit
-from ahnn.data.noise_floor import ORDERS, SHARE, noise_floor
+from ahnn.data.noise_floor import ORDERS, SHARE, looked_at, noise_floor
 
 EXAMPLES = 64
 """Trajectories of a file whose noise is looked at."""
@@ -99,7 +99,7 @@ def noise(content: Content, names: tuple[str, ...], gap: float) -> Iterator[Find
     """Yield the level of the noise of each column that has some."""
     every = max(1, len(content.tracks) // EXAMPLES)
     try:
-        samples = stacked([filled(track, gap) for track in content.tracks[::every]])
+        samples = looked_at(stacked([filled(track, gap) for track in content.tracks[::every]]))
     except Fault:
         return
     if samples.states.shape[1] <= ORDERS[-1]:

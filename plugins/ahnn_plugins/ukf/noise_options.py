@@ -123,8 +123,7 @@ def online_parameters(
     if known.directions is None:
         message = (
             "process_noise: expected a training that kept which of its parameters measurements tell least; "
-            "received one of an earlier version, or that met no measurements. Train again, or use "
-            "plugins.ukf.process_noise=[POSITION,VELOCITY]"
+            "received one of an earlier version, or that met no measurements. Train again, or use plugins=ukf"
         )
         raise UserError(message)
     return parameters_as_states(dynamics, Chosen(known.directions, 0.0), growth)
@@ -155,7 +154,7 @@ def with_process_noise(
         case: the model.
         setting: measurements and P0.
         arcs: gives so many whole validation trajectories, on which a scale is chosen.
-        rate: by which a force error grows with each unit of novelty beyond 1; None lets it not.
+        rate: by which a force error grows with the square of novelty - 1; None lets it not.
 
     Raises:
         UserError: the model does not say where its training data were.
