@@ -174,7 +174,9 @@ class WindowDataModule(LightningDataModule):
         intervals = self.stages.intervals(epoch, self.epochs)
         if intervals not in self._cut:
             self._cut = {intervals: Segments(self.trajectories("train"), intervals, self.instrument)}
-        return self._cut[intervals], self.stages.stretches(epoch, self.epochs) or self.batch_size
+        segments = self._cut[intervals]
+        asked = self.stages.stretches(epoch, self.epochs) or self.batch_size
+        return segments, asked if intervals is None else min(asked, segments.covering)
 
     def transfer_batch_to_device(self, batch: Any, device: torch.device, dataloader_idx: int) -> Any:
         """Return the batch as it is: windows are gathered on the device."""

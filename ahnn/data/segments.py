@@ -21,6 +21,9 @@ class Segments:
         intervals: K; None takes one stretch of each trajectory, from its first good start to its end.
         instrument: what measured.
 
+    Attributes:
+        covering: how many stretches have as many measurements as there are; more of them only overlap.
+
     Raises:
         UserError: no trajectory is long enough.
     """
@@ -45,6 +48,7 @@ class Segments:
             )
             raise UserError(message)
         self.begins = good.nonzero()
+        self.covering = max(1, round(float(there.sum()) / self.intervals))
         # Beyond its end a trajectory goes on in steps of its own, so that all times increase.
         step = (times.gather(1, last) - times[:, :1]) / last.clamp(min=1)
         beyond = torch.arange(samples + self.intervals) - last

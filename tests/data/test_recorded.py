@@ -110,3 +110,20 @@ def test_stages_are_handed_out_as_stretches_that_grow(tmp_path, per_epoch, steps
     assert shapes == [[(4, 6, 2)] * steps, [(3, 6, 2)] * steps, [(4, 41, 2)] * steps]
     (judged,) = data.val_dataloader()
     assert torch.equal(judged.values, data.trajectories("val").states[:1])
+
+
+def test_a_step_takes_no_more_stretches_than_hold_all_that_was_measured(tmp_path):
+    """Trajectories of 41 measurements, a tenth of them missing; a stage on whole ones at the end."""
+    system = dataclasses.replace(SPRING, steps=40)
+    simulated = Simulated(system, trajectories=10, seed=0, cache=str(tmp_path))
+    sensor = Sensor(simulated.space, measured="state", noise=0.01, gaps=0.1)
+    data = module(simulated, sensor, batch_size=500)
+    stages = SimpleNamespace(
+        intervals=lambda epoch, _: (5, 20, None)[epoch], stretches=lambda epoch, _: 50 if epoch else None
+    )
+    data.follow(stages, 3)
+    measured, rows = int(data.trajectories("train").present.sum()), len(data.trajectories("train").times)
+    assert 0.85 < measured / (41 * rows) < 0.95
+    sizes = [(len(segments), size) for segments, size in map(data._stage, range(3))]
+    assert [size for _, size in sizes] == [round(measured / 5), round(measured / 20), 50]
+    assert sizes[0][0] > sizes[0][1]
