@@ -69,6 +69,16 @@ def test_some_of_many_trajectories_tell_the_noise(monkeypatch):
     assert torch.equal(seen[0].times, ORBITS.times[::3])
 
 
+@pytest.mark.parametrize(
+    ("most", "rows", "samples"), [(9000, 3, 1441), (2000, 2, 1000), (500, 1, 500), (5, 1, 11)]
+)
+def test_the_beginnings_of_long_trajectories_tell_it(most, rows, samples, monkeypatch):
+    monkeypatch.setattr(room, "LOOKED_AT", most)
+    seen = room.looked_at(ORBITS.part(slice(3)))
+    assert seen.times.shape == (rows, samples)
+    assert torch.equal(seen.states, ORBITS.states[: 3 : 2 if rows == 2 else 1][:rows, :samples])
+
+
 def test_absent_samples_do_not_count():
     gone = torch.rand(ORBITS.times.shape, generator=generator(5)) < 0.05
     given = noisy(0.1)
