@@ -26,6 +26,7 @@ OPEN = {
     "cores",
     "jacobians",
     "libraries",
+    "deviations",
 }
 GROUND = OPEN | {"integrators", "measurements", "metrics", "rollouts", "statistics", "checkpoints"}
 MAY_IMPORT = {
@@ -41,6 +42,7 @@ MAY_IMPORT = {
     "memory": {"errors"},
     "libraries": {"files", "types"},
     "arguments": {"errors"},
+    "deviations": {"errors", "numbers", "types"},
     "metrics": OPEN,
     "rollouts": OPEN,
     "statistics": OPEN,
