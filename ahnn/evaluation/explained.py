@@ -16,14 +16,12 @@ from ahnn.measurements import Segment
 from ahnn.measurements.smoothing import guess
 from ahnn.shooting.paths import Steps, steps_between
 from ahnn.shooting.robust import ROBUST, RobustName
-from ahnn.shooting.starts import FOLLOWING, SURE, Fitted, Trial, fit_starts, refine
+from ahnn.shooting.starts import FOLLOWING, LOST, SURE, Fitted, Trial, fit_starts, refine
 
 NORMAL95 = 1.959963984540054
 """Standard deviations within which a normal number lies with 95 %."""
 OUTLYING = 6.0
 """Standard deviations beyond which a number is an outlier, where the training weighed these down."""
-LOST = 25.0
-"""Mean squared residual of a segment that its measurements were not met in."""
 
 
 class Explained(NamedTuple):

@@ -5,14 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from ahnn.data.noise_floor import NORMAL, TWICE
 from ahnn.evaluation.explained import OUTLYING, fit_to, serial
 from ahnn.measurements import Segment
 from ahnn.shooting.robust import RobustName
 
-NORMAL = 0.6745
-"""Median absolute value of a standard normal number."""
-TWICE = 2.0
-"""Factor by which stated and found noise may differ without a word."""
 WHITE, APART = 0.3, (1, 2, 3, 4)
 """Correlation of residuals from which it is the dynamics that are off, and not the noise, and how far apart
 they are: a quarter of a period apart those of wrong dynamics do not correlate."""

@@ -27,6 +27,8 @@ HOPELESS = 1e9
 """Mean squared residual of a segment that is given up; what fits badly is limited, and not left out."""
 ROUGHLY, ITERATIONS = 3, 8
 """Steps on a span that is still to grow, and on the last one."""
+LOST = 25.0
+"""Mean squared residual of a segment that trained dynamics do not explain."""
 SETTLED = 1e-3
 """Change of a segment's chi-square that is none."""
 SMALLEST, LARGEST = 1e-9, 1e9

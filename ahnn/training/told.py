@@ -8,13 +8,12 @@ from torch import Tensor
 from ahnn.dynamics import Dynamics
 from ahnn.measurements import Segment
 from ahnn.shooting.robust import ROBUST, RobustName
+from ahnn.shooting.starts import LOST
 from ahnn.training.shooting import ShootingProblem
-from ahnn.uncertainty.directions import MOST, Watched, filtered_directions
+from ahnn.uncertainty.directions import ARCS, MOST, Watched, filtered_directions
 
-ARCS, INTERVALS = 12, 2000
-"""Trajectories that are looked at, about, and measurement intervals of them, at most."""
-UNMET = 25.0
-"""Squared residuals per degree of freedom of a trajectory that was not met."""
+INTERVALS = 2000
+"""Measurement intervals of a trajectory that are looked at, at most."""
 
 
 @torch.no_grad()
@@ -33,7 +32,7 @@ def least_told(dynamics: Dynamics, spread: Tensor, train: Segment, robust: Robus
         None where the dynamics meet none of these trajectories.
     """
     some = train.first(INTERVALS).rows(slice(None, None, max(1, len(train.times) // ARCS)))
-    met = ShootingProblem(dynamics, some, ROBUST[robust], UNMET)
+    met = ShootingProblem(dynamics, some, ROBUST[robust], LOST)
     if not len(met.starts):
         return None
     sizes = met.fitted.states[met.kept].unflatten(-1, (2, -1)).square().nanmean((0, 1, 3)).sqrt()

@@ -27,6 +27,8 @@ from ahnn.jacobians import pointwise_jacobian
 from ahnn.measurements import Segment
 from ahnn.shooting.paths import Steps, path, sensitivities, steps_between, transitions
 
+ARCS = 12
+"""Training trajectories, about, along which directions are weighed."""
 MOST = 50
 """Directions of the parameters that a filter has as states, at most."""
 SAMPLES = 100

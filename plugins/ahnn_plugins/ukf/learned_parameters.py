@@ -14,11 +14,9 @@ from ahnn.dynamics import Dynamics
 from ahnn.estimation.scenario import Setting, simulated
 from ahnn.evaluation import Case
 from ahnn.measurements import Instrument, Segment
-from ahnn.uncertainty.directions import Chosen, Watched
+from ahnn.uncertainty.directions import ARCS, Chosen, Watched
 from ahnn_plugins.ukf.parameter_error import ParameterError, field_columns
 
-ARCS = 12
-"""Training trajectories, about, along which the directions of the parameters are weighed."""
 ENOUGH = 0.01
 """What other directions may add to the NEES, per state component, where what a filter sees is known."""
 
