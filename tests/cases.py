@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
+from ahnn.dynamics.base import Dynamics
 from ahnn.evaluation import Case, Results, Row, Who
 from ahnn.evaluation.case import perturbations
 from ahnn.evaluation.open_loop import integrated
@@ -25,6 +26,32 @@ KEPLER = Kepler(name="kepler", dt=0.05, steps=80)
 ORBITS = Molniya(name="orbits", dt=60.0, steps=60)
 SPACE = Space("spring", ("q", "p"), Units("s", "m", "m/s", "J"), 2.0)
 MODEL = Who("model", "true")
+
+
+class Stiffness(nn.Module):
+    """A spring whose stiffness is learned."""
+
+    def __init__(self, stiffness):
+        super().__init__()
+        self.stiffness = nn.Parameter(torch.tensor([stiffness], dtype=torch.float64))
+
+    def forward(self, x):
+        q, p = x.chunk(2, dim=-1)
+        return torch.cat((p / SPRING.mass, -self.stiffness * q), dim=-1)
+
+
+class Learned(Dynamics):
+    """The same by RK4."""
+
+    def __init__(self, stiffness=SPRING.stiffness + 0.01):
+        super().__init__()
+        self.field = Stiffness(stiffness)
+
+    def fit(self, statistics):
+        pass
+
+    def increment(self, x, dt):
+        return RK4.increment(self.field, x, dt)
 
 
 def trajectories(system: System, count: int, seed: int) -> Trajectories:

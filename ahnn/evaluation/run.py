@@ -10,8 +10,10 @@ from ahnn.evaluation.case import Case, EvaluationPlugin, Findings, Row
 from ahnn.evaluation.explained import explain
 from ahnn.evaluation.figures import open_loop_figures
 from ahnn.evaluation.force_bound import force_bound
+from ahnn.evaluation.forecast import forecast
 from ahnn.evaluation.open_loop import open_loop
 from ahnn.evaluation.remedy import remedy
+from ahnn.measurements import Segment
 from ahnn.uncertainty import Uncertainty
 
 
@@ -42,6 +44,8 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
         findings.numbers["uncertainty"] = {"inflation": known.inflation, **known.about}
         if case.fitted is None:  # a band says nothing of measurements
             add_band(case, known, findings, figures=figures)
+        if case.measured is not None:
+            add_forecast(case, known, case.measured, findings)
     seen = "truth" if case.fitted is None else "measurements"
     findings.arrays |= {seen: case.test.states, "times": case.test.times}
     for name, plugin in plugins.items():
@@ -62,6 +66,17 @@ def add_band(case: Case, uncertainty: Uncertainty, findings: Findings, *, figure
     findings.arrays["true_start_deviations"] = band.deviations
     if figures:
         findings.figures["band"] = band_figure(case, prediction, band.deviations)
+
+
+def add_forecast(case: Case, uncertainty: Uncertainty, measured: Segment, findings: Findings) -> None:
+    """Add what bands hold of forecasts from the first half of unseen measurements."""
+    truth = case.test if case.fitted is None and len(case.test.states) == len(measured.values) else None
+    found = forecast(cast(Any, case.flow), measured, uncertainty.spread, case.robust, truth)
+    if found is not None:
+        row = findings.rows[0]
+        note = "; ".join(part for part in (row.note, found.sentence()) if part)
+        findings.rows[0] = row._replace(note=note)
+        findings.numbers["forecast"] = found.numbers()
 
 
 def add_force_bound(case: Case, findings: Findings) -> None:

@@ -6,43 +6,14 @@ import math
 
 import pytest
 import torch
-from cases import SPRING, drop, make_case
-from torch import nn
+from cases import Learned, drop, make_case
 
-from ahnn.dynamics.base import Dynamics
 from ahnn.evaluation import evaluate
 from ahnn.evaluation.bands import NORMAL, banded, norms
-from ahnn.integrators import INTEGRATORS
 from ahnn.rollouts import rollout
 from ahnn.uncertainty import Uncertainty
 
 DOUBLE = {"dtype": torch.float64}
-
-
-class Stiffness(nn.Module):
-    """A spring whose stiffness is learned."""
-
-    def __init__(self, stiffness):
-        super().__init__()
-        self.stiffness = nn.Parameter(torch.tensor([stiffness], **DOUBLE))
-
-    def forward(self, x):
-        q, p = x.chunk(2, dim=-1)
-        return torch.cat((p / SPRING.mass, -self.stiffness * q), dim=-1)
-
-
-class Learned(Dynamics):
-    """The same by RK4."""
-
-    def __init__(self, stiffness=SPRING.stiffness + 0.01):
-        super().__init__()
-        self.field = Stiffness(stiffness)
-
-    def fit(self, statistics):
-        pass
-
-    def increment(self, x, dt):
-        return INTEGRATORS["rk4"].increment(self.field, x, dt)
 
 
 def known(sd, offset=0.0, inflation=1.0):

@@ -1,0 +1,155 @@
+"""Forecasts from a fit to the first half: against dense linear algebra, and counted over many paths."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+import torch
+from cases import SPRING, Learned, make_case, trajectories
+from helpers import close, generator
+
+from ahnn.data.segments import whole
+from ahnn.data.sensor import Sensor
+from ahnn.evaluation import evaluate
+from ahnn.evaluation.explained import trial_of
+from ahnn.evaluation.forecast import at, first_halves, forecast
+from ahnn.rollouts import rollout
+from ahnn.shooting.paths import path, steps_between
+from ahnn.shooting.starts import linearised
+from ahnn.types import Trajectories
+from ahnn.uncertainty import Uncertainty, forecast_variances
+
+EVERY, NOISE = 4, 0.05
+DOUBLE = {"dtype": torch.float64}
+LONG = dataclasses.replace(SPRING, steps=400)
+
+
+def measured(truth, kind="position", **options):
+    sensor = Sensor(SPRING.space, measured=kind, noise=NOISE, every=EVERY, **options)
+    return whole(sensor.measure(truth, 0), sensor.instrument(SPRING.dt))
+
+
+def known(sd):
+    return torch.tensor([[sd]], **DOUBLE)
+
+
+def basis(stiffness, count):
+    """Positions (count, 2) and states (count, 2, 2) that follow from unit starts at the measured times."""
+    states = rollout(Learned(stiffness), torch.eye(2, **DOUBLE), EVERY * SPRING.dt, count)
+    return states[..., 0].mT, states.permute(1, 2, 0)
+
+
+@torch.no_grad()
+def test_variances_are_those_of_dense_linear_algebra():
+    """A spring is linear in its start: pseudo-inverses fit it, and central differences move the stiffness."""
+    learned, sd = Learned(), 0.3
+    segment = measured(trajectories(SPRING, 5, 1))
+    segment = segment._replace(instrument=segment.instrument._replace(longest=EVERY * SPRING.dt))
+    count, dof = segment.times.shape[1], 1
+    early = torch.arange(count) < 12
+    steps = steps_between(segment.times, segment.instrument.longest)
+    starts = trajectories(SPRING, 5, 7).states[:, 0]
+    states = path(learned.increment, starts, steps.lengths)
+    here = linearised(trial_of(learned), states, segment, steps)
+    found = forecast_variances(learned, starts, steps, here, early.expand(5, -1), known(sd))
+
+    stiffness, h = float(learned.field.stiffness), 1e-4
+    rows, moved = basis(stiffness, count)
+    fit = torch.linalg.pinv(rows[early]) * NOISE
+    of_noise = (moved @ fit).square().sum(-1)
+    data = rows[early] @ starts.mT
+    ends = []
+    for k in (stiffness + h, stiffness - h):
+        rows_k, moved_k = basis(k, count)
+        ends.append(torch.einsum("tde,eb->btd", moved_k, torch.linalg.pinv(rows_k[early]) @ data))
+    of_parameters = ((ends[0] - ends[1]) / (2 * h) * sd).square()
+    close(found[0], of_noise + of_parameters, 2e-3)
+    close(found[1], (of_noise + of_parameters)[..., :dof] / NOISE**2, 2e-3)
+    shares = of_parameters / (of_noise + of_parameters)
+    assert 0.1 < float(shares[:, -1].mean()) < 0.99  # both count
+
+
+def test_bands_of_the_right_model_hold_what_normal_errors_have():
+    truth = trajectories(LONG, 400, 3)
+    found = forecast(Learned(LONG.stiffness), measured(truth), known(1e-9), truth=truth)
+    assert found is not None
+    assert found.trajectories == 400
+    assert found.coverage == pytest.approx((0.6827, 0.9545, 0.9973), abs=0.012)
+    assert found.states == pytest.approx((0.6827, 0.9545, 0.9973), abs=0.03)
+    assert found.width > 1.0
+
+
+def test_what_is_known_of_the_parameters_counts():
+    truth = trajectories(LONG, 100, 3)
+    learned, segment = Learned(LONG.stiffness + 0.6), measured(truth)
+    without, beside = (forecast(learned, segment, known(sd), truth=truth) for sd in (1e-9, 0.6))
+    assert without is not None
+    assert beside is not None
+    assert without.coverage[1] < 0.8
+    assert without.states is not None
+    assert without.states[1] < 0.5
+    assert beside.coverage[1] > 0.95
+    assert beside.states is not None
+    assert beside.states[1] > 0.95
+    assert beside.width > 1.5 * without.width
+
+
+def test_halves_are_of_what_was_measured():
+    segment = measured(trajectories(SPRING, 3, 1))
+    values = segment.values.clone()
+    values[0, :20] = torch.nan
+    values[1, 11:] = torch.nan
+    values[2] = torch.nan
+    early = first_halves(segment._replace(values=values))
+    there = ~values.isnan().all(-1)
+    assert (early & there).sum(1).tolist() == [5, 5, 0]
+    assert bool(early[0, 24])
+    assert not bool(early[0, 25:].any())
+
+
+@pytest.mark.parametrize("robust", ["huber", "student"])
+def test_outliers_are_left_out_where_the_training_weighed_them_down(robust):
+    truth = trajectories(LONG, 60, 3)
+    segment = measured(truth, outliers=0.05)
+    found = forecast(Learned(LONG.stiffness), segment, known(1e-9), robust, truth)
+    assert found is not None
+    assert found.trajectories > 50
+    assert found.coverage == pytest.approx((0.6827, 0.9545, 0.9973), abs=0.03)
+
+
+def test_what_cannot_be_fitted_is_not_forecast():
+    segment = measured(trajectories(SPRING, 3, 1))
+    lost = segment._replace(values=1e3 * torch.randn(segment.values.shape, generator=generator(0), **DOUBLE))
+    assert forecast(Learned(), lost, known(0.1)) is None
+    values = segment.values.clone()
+    values[0, 15:] = torch.nan
+    values[0, 1:14] = torch.nan
+    found = forecast(Learned(), segment._replace(values=values), known(0.1))
+    assert found is not None
+    assert found.trajectories == 2
+    assert found.states is None
+    assert "true states" not in found.sentence()
+
+
+def test_states_at_times_are_exact_and_there_are_none_beyond_the_end():
+    times = torch.tensor([[0.0, 0.1, 0.5, 0.6], [1.0, 1.3, 1.4, 2.0]], **DOUBLE)
+    truth = Trajectories(torch.arange(8, **DOUBLE).reshape(2, 4, 1), times)
+    wanted = torch.tensor([[0.1, 0.6, 1.1]], **DOUBLE)
+    found = at(truth, torch.tensor([True, False]), wanted)
+    assert found[0, :2, 0].tolist() == [1.0, 3.0]
+    assert bool(found[0, 2].isnan())
+
+
+def test_an_evaluation_tells_what_forecasts_hold(tmp_path):
+    truth = trajectories(SPRING, 3, 1)
+    uncertainty = Uncertainty(known(0.1), torch.zeros(1, **DOUBLE), 1.0, {"determined": 1.0})
+    case = make_case(tmp_path, flow=Learned(), test=truth, measured=measured(truth), uncertainty=uncertainty)
+    findings = evaluate(case, {}, figures=False)
+    assert "forecast from the first half of unseen measurements" in findings.rows[0].note
+    assert "true states" in findings.rows[0].note
+    assert findings.numbers["forecast"]["trajectories"] == 3
+    bare = evaluate(dataclasses.replace(case, uncertainty=None), {}, figures=False)
+    assert "forecast" not in bare.numbers
+    own = dataclasses.replace(case, truth=None, fitted=truth.states[:, 0])
+    assert evaluate(own, {}, figures=False).numbers["forecast"]["states"] is None
