@@ -104,7 +104,7 @@ def fitted_to_first(dynamics: Dynamics, segment: Segment, early: Tensor) -> tupl
     part = segment._replace(values=values).first(last)
     fitted, _ = fit_to(dynamics, part)
     met = (part.measured > 2 * part.instrument.dof) & (fitted.sums <= LOST * part.measured)
-    return fitted.starts, met & (segment.measured > part.measured)
+    return fitted.starts, met
 
 
 def at(truth: Trajectories, rows: Tensor, times: Tensor) -> Tensor:

@@ -33,16 +33,16 @@ def forecast_variances(
         fitted: (B, K + 1) bool, the times whose measurements the starts were fitted to.
         factor: L, shape (P, R); L L^T is the covariance of the parameters.
     """
-    ignored = ~fitted[..., None, None]
-    orthogonal, root = torch.linalg.qr(here.of_start.masked_fill(ignored, 0.0).flatten(1, 2))
+    of_start = here.of_start.masked_fill(~fitted[..., None, None], 0.0)
+    orthogonal, root = torch.linalg.qr(of_start.flatten(1, 2))
     carried = transitions(here.jacobians.to(starts))[:, steps.ends]
     noise = torch.linalg.solve_triangular(root.unsqueeze(1), carried, upper=True, left=False)
     of_states, of_values, first = [], [], 0
     for part in rollout_sensitivities(dynamics, starts, steps.lengths, factor):
         rows, first = slice(first, first + len(part)), first + len(part)
         of_state, of_noise, moved = here.of_state[rows].to(part), noise[rows].to(part), part[:, steps.ends]
-        seen = (of_state @ moved).masked_fill(ignored[rows], 0.0).flatten(1, 2)
-        taken = (orthogonal[rows].mT.to(part) @ seen).unsqueeze(1)
+        seen = (of_state @ moved).flatten(1, 2)
+        taken = (orthogonal[rows].mT.to(part) @ seen).unsqueeze(1)  # rows of what was not fitted are zero
         total = torch.cat((of_noise, moved - of_noise @ taken), dim=-1)
         of_states.append(total.square().sum(-1))
         of_values.append((of_state @ total).square().sum(-1))

@@ -18,7 +18,7 @@ from ahnn.rollouts import rollout
 from ahnn.shooting.paths import path, steps_between
 from ahnn.shooting.starts import linearised
 from ahnn.types import Trajectories
-from ahnn.uncertainty import Uncertainty, forecast_variances
+from ahnn.uncertainty import Uncertainty, bands, forecast_variances
 
 EVERY, NOISE = 4, 0.05
 DOUBLE = {"dtype": torch.float64}
@@ -41,8 +41,9 @@ def basis(stiffness, count):
 
 
 @torch.no_grad()
-def test_variances_are_those_of_dense_linear_algebra():
+def test_variances_are_those_of_dense_linear_algebra(monkeypatch):
     """A spring is linear in its start: pseudo-inverses fit it, and central differences move the stiffness."""
+    monkeypatch.setattr(bands, "CELLS", 1)  # one path at a time
     learned, sd = Learned(), 0.3
     segment = measured(trajectories(SPRING, 5, 1))
     segment = segment._replace(instrument=segment.instrument._replace(longest=EVERY * SPRING.dt))
@@ -99,11 +100,12 @@ def test_halves_are_of_what_was_measured():
     segment = measured(trajectories(SPRING, 3, 1))
     values = segment.values.clone()
     values[0, :20] = torch.nan
-    values[1, 11:] = torch.nan
+    values[1, 10:] = torch.nan
     values[2] = torch.nan
     early = first_halves(segment._replace(values=values))
     there = ~values.isnan().all(-1)
     assert (early & there).sum(1).tolist() == [5, 5, 0]
+    assert there.sum(1).tolist() == [11, 10, 0]
     assert bool(early[0, 24])
     assert not bool(early[0, 25:].any())
 
@@ -116,6 +118,17 @@ def test_outliers_are_left_out_where_the_training_weighed_them_down(robust):
     assert found is not None
     assert found.trajectories > 50
     assert found.coverage == pytest.approx((0.6827, 0.9545, 0.9973), abs=0.03)
+
+
+def test_true_states_ahead_count_alone():
+    truth = trajectories(SPRING, 3, 1)
+    states = truth.states.clone()
+    states[:, : states.shape[1] // 2 - EVERY] += 1e3
+    segment = measured(truth)
+    found, beside = (
+        forecast(Learned(), segment, known(0.1), truth=t) for t in (truth, truth._replace(states=states))
+    )
+    assert found == beside
 
 
 def test_what_cannot_be_fitted_is_not_forecast():
