@@ -133,7 +133,7 @@ class Row(NamedTuple):
     Attributes:
         who: its identity.
         scores: the errors.
-        note: what the reader must know to judge the line.
+        note: what the reader must know to judge the line, each finding on a line of its own.
         extra: further numbers for metrics.json.
     """
 
@@ -151,6 +151,11 @@ class Findings:
     numbers: dict[str, Any] = field(default_factory=dict)
     arrays: dict[str, Tensor] = field(default_factory=dict)
     figures: dict[str, Figure] = field(default_factory=dict)
+
+    def tell(self, finding: str) -> None:
+        """Add a finding to the note of the first row; "" adds nothing."""
+        row = self.rows[0]
+        self.rows[0] = row._replace(note="\n".join(part for part in (row.note, finding) if part))
 
 
 @runtime_checkable

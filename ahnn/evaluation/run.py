@@ -33,11 +33,9 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
     if case.measured is not None:
         flow = cast(Any, case.flow)
         explained = explain(flow, case.measured, case.robust)
-        advice = "" if explained.consistent else remedy(flow, case.measured, case.robust)
-        note = "; ".join(part for part in (explained.sentence(), advice) if part)
-        findings.rows[0] = findings.rows[0]._replace(note=note)
+        findings.tell(explained.sentence())
+        findings.tell("" if explained.consistent else remedy(flow, case.measured, case.robust))
         findings.numbers["measurements"] = explained.numbers()
-        add_force_bound(case, findings)
     if figures:
         findings.figures |= open_loop_figures(case, findings.arrays)
     if (known := case.uncertainty) is not None:
@@ -46,6 +44,8 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
             add_band(case, known, findings, figures=figures)
         if case.measured is not None:
             add_forecast(case, known, case.measured, findings)
+    if case.measured is not None and case.fitted is None:
+        add_force_bound(case, findings)
     seen = "truth" if case.fitted is None else "measurements"
     findings.arrays |= {seen: case.test.states, "times": case.test.times}
     for name, plugin in plugins.items():
@@ -59,9 +59,9 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
 
 def add_band(case: Case, uncertainty: Uncertainty, findings: Findings, *, figures: bool) -> None:
     """Add the band of the prediction from the true start to the findings of the open loop."""
-    prediction, row = findings.arrays["true_start"], findings.rows[0]
+    prediction = findings.arrays["true_start"]
     band = banded(case, uncertainty, prediction)
-    findings.rows[0] = row._replace(note="; ".join(part for part in (row.note, band.sentence()) if part))
+    findings.tell(band.sentence())
     findings.numbers["uncertainty"] |= band.numbers()
     findings.arrays["true_start_deviations"] = band.deviations
     if figures:
@@ -73,19 +73,17 @@ def add_forecast(case: Case, uncertainty: Uncertainty, measured: Segment, findin
     truth = case.test if case.fitted is None and len(case.test.states) == len(measured.values) else None
     found = forecast(cast(Any, case.flow), measured, uncertainty.spread, case.robust, truth)
     if found is not None:
-        row = findings.rows[0]
-        note = "; ".join(part for part in (row.note, found.sentence()) if part)
-        findings.rows[0] = row._replace(note=note)
+        findings.tell(found.sentence())
         findings.numbers["forecast"] = found.numbers()
 
 
 def add_force_bound(case: Case, findings: Findings) -> None:
     """Add the bound of the true force to the row of the prediction from the true start, where it is known."""
-    bound = None if case.fitted is not None else force_bound(case, findings.arrays["true_start"])
+    bound = force_bound(case, findings.arrays["true_start"])
     if bound is not None:
+        findings.tell(bound.sentence())
         row = findings.rows[0]
-        extra = {**row.extra, "force_bound": bound.numbers()}
-        findings.rows[0] = row._replace(note=f"{row.note}; {bound.sentence()}", extra=extra)
+        findings.rows[0] = row._replace(extra={**row.extra, "force_bound": bound.numbers()})
 
 
 def distinct(rows: Iterable[Row], taken: Iterable[Row], name: str) -> list[Row]:

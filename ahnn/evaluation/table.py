@@ -44,7 +44,7 @@ def results_table(results: Results, *, detail: bool = False) -> str:
     parts = [*_wrapped(head), "", *_columns(lines, results), "", *_explanations(results)]
     for row in results.rows:
         if row.note:
-            parts += _wrapped(f"{described(row.who, results.label)}: {row.note}", hanging=True)
+            parts += _noted(described(row.who, results.label), row.note.splitlines())
     if detail:
         parts.append("")
         parts += [part for row in results.rows for part in _wrapped(_details(row, results), hanging=True)]
@@ -160,6 +160,14 @@ def _details(row: Row, results: Results) -> str:
         f"{units.position}, pooled velocity {number(row.scores.velocity_pooled)} {units.velocity}; "
         f"components {components}"
     )
+
+
+def _noted(who: str, findings: list[str]) -> list[str]:
+    """Return one finding behind the name of its row, several below it."""
+    if len(findings) == 1:
+        return _wrapped(f"{who}: {findings[0]}", hanging=True)
+    below = (textwrap.wrap(one, WIDTH, initial_indent="  ", subsequent_indent="    ") for one in findings)
+    return [*_wrapped(f"{who}:", hanging=True), *(line for lines in below for line in lines)]
 
 
 def _wrapped(text: str, *, hanging: bool = False) -> list[str]:

@@ -159,7 +159,8 @@ def test_an_evaluation_tells_what_forecasts_hold(tmp_path):
     uncertainty = Uncertainty(known(0.1), torch.zeros(1, **DOUBLE), 1.0, {"determined": 1.0})
     case = make_case(tmp_path, flow=Learned(), test=truth, measured=measured(truth), uncertainty=uncertainty)
     findings = evaluate(case, {}, figures=False)
-    assert "forecast from the first half of unseen measurements" in findings.rows[0].note
+    told = findings.rows[0].note.splitlines()
+    assert [line.split()[0] for line in told] == ["it", "its", "forecast"]
     assert "true states" in findings.rows[0].note
     assert findings.numbers["forecast"]["trajectories"] == 3
     bare = evaluate(dataclasses.replace(case, uncertainty=None), {}, figures=False)

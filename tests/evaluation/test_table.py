@@ -96,6 +96,14 @@ def test_without_floors_and_energies_there_are_no_empty_columns():
 def test_notes_and_details_stand_below():
     row = Row(UKF, scores(), note="2 of 6 lost (not finite)")
     assert "model of mine + UKF, perturbed start, settled: 2 of 6 lost" in results_table(make_results(row))
+    long = "a second finding that is longer than a line of the table, and goes on below, indented"
+    several = results_table(make_results(Row(MODEL, scores(), note=f"a first finding\n{long}")))
+    head, *below = several.splitlines()[-4:]
+    assert head == "model of mine, true start:"
+    assert below[0] == "  a first finding"
+    assert below[1].startswith("  a second")
+    assert below[2].startswith("    ")
+    assert " ".join(line.strip() for line in below[1:]) == long
     detail = results_table(make_results(Row(MODEL, scores(1.5, None, (3.25, 4.5)))), detail=True)
     assert "components q 3.25, p/m 4.50" in detail
 

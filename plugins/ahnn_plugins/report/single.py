@@ -32,7 +32,9 @@ def sections(collection: Collection, grids: dict[str, list[Grid]], pictures: lis
     (entry,) = collection.entries
     scores, *others = grids[entry.system]
     results = entry.results
-    notes = [f"{described(row.who, results.label)}: {row.note}" for row in results.rows if row.note]
+    notes = [
+        f"{described(row.who, results.label)}: {one}" for row in results.rows for one in row.note.splitlines()
+    ]
     told = [*remarks(board(collection, entry.system)), *notes]
     drawn = [Section("figures", "Figures", figures_html(pictures))] if pictures else []
     consistent = (
