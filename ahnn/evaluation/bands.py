@@ -40,10 +40,10 @@ class Band(NamedTuple):
 
     def sentence(self) -> str:
         """Return the finding as a note under the table."""
-        shares = ", ".join(f"{100 * share:.3g}" for share in self.coverage)
         return (
-            f"its bands of 1, 2 and 3 standard deviations hold {shares} % of unseen states; the error is "
-            f"{self.efficiency[0]:.2f} (position) and {self.efficiency[1]:.2f} (velocity) of the noise bound"
+            f"its bands of 1, 2 and 3 standard deviations hold {percent(self.coverage)} % of unseen states; "
+            f"the error is {self.efficiency[0]:.2f} (position) and {self.efficiency[1]:.2f} (velocity) "
+            "of the noise bound"
         )
 
     def numbers(self) -> dict[str, Any]:
@@ -75,6 +75,11 @@ def banded(case: Case, uncertainty: Uncertainty, prediction: Tensor) -> Band:
         bound=bound,
         efficiency=(real[0] / bound[0], real[1] / bound[1]),
     )
+
+
+def percent(shares: tuple[float, ...]) -> str:
+    """Return shares as text."""
+    return ", ".join(f"{100 * share:.3g}" for share in shares)
 
 
 def norms(values: Tensor, inertia: float) -> tuple[float, float]:

@@ -55,8 +55,9 @@ class ForceBound(NamedTuple):
     def sentence(self) -> str:
         """Return the finding as a note under the table."""
         return (
-            f"the error is {self.efficiency[0]:.3g} (position) and {self.efficiency[1]:.3g} (velocity) "
-            f"of the bound of the true force with unknown {', '.join(self.constants)} and starts"
+            f"the error from the true start is {self.efficiency[0]:.3g} (position) and "
+            f"{self.efficiency[1]:.3g} (velocity) of the bound of the true force with unknown "
+            f"{', '.join(self.constants)} and starts"
         )
 
     def numbers(self) -> dict[str, Any]:

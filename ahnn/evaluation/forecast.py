@@ -1,7 +1,7 @@
-"""Do forecasts keep what their bands promise? The second half of unseen measurements says it.
+"""What bands of forecasts hold of measurements: a check that needs no truth.
 
-A start is fitted to the first half of each trajectory and predicts the second, as somebody would who knows
-no more. It takes no truth; where that is known, true states are held against the bands, too.
+A start is fitted to the first half of each unseen trajectory and predicts the second, as somebody would who
+knows no more. Where the truth is known, true states are held against the bands, too.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from ahnn.dynamics import Dynamics
-from ahnn.evaluation.bands import NORMAL, SIGMAS
-from ahnn.evaluation.explained import fit_to, trial_of, without_outliers
+from ahnn.evaluation.bands import NORMAL, SIGMAS, percent
+from ahnn.evaluation.explained import OUTLYING, fit_to, trial_of, without_outliers
 from ahnn.measurements import Segment
 from ahnn.shooting.paths import path, steps_between
 from ahnn.shooting.robust import RobustName
@@ -23,27 +23,34 @@ from ahnn.uncertainty import forecast_variances
 
 
 class Forecast(NamedTuple):
-    """What the bands of forecasts were worth.
+    """What the bands of forecasts hold.
 
     Attributes:
         coverage: shares of the measured numbers ahead within 1, 2 and 3 standard deviations.
-        width: these standard deviations, rms, in those of the noise alone.
+        width: these standard deviations, rms, in those of the noise; near 1 little else was tested.
         states: the same shares of the components of true states; None where these are not known.
-        trajectories: how many were forecast.
+        lost: trajectories whose first half no start fits, which do not count in the others.
+        trajectories: how many were tried.
+        outliers: share of the measured numbers ahead that were taken for outliers and left out.
     """
 
     coverage: tuple[float, ...]
     width: float
     states: tuple[float, ...] | None
+    lost: int
     trajectories: int
+    outliers: float = 0.0
 
     def sentence(self) -> str:
         """Return the finding as a note under the table."""
         text = (
-            "forecast from the first half of unseen measurements, the second is within 1, 2 and 3 standard "
-            f"deviations in {percent(self.coverage)} %"
+            f"forecasts of the second half of {self.trajectories - self.lost} unseen trajectories from the "
+            f"first: bands of 1, 2 and 3 standard deviations, rms {self.width:.3g} times those of the noise, "
+            f"hold {percent(self.coverage)} % of the measured numbers"
         )
-        return text + ("" if self.states is None else f", the true states in {percent(self.states)} %")
+        text += "" if self.states is None else f" and {percent(self.states)} % of the true states"
+        text += f"; {100 * self.outliers:.2g} % left out as outliers" if self.outliers else ""
+        return text + (f"; {self.lost} first halves not fitted" if self.lost else "")
 
     def numbers(self) -> dict[str, Any]:
         """Return plain values for metrics.json."""
@@ -64,30 +71,33 @@ def forecast(
         dynamics: with a field, float64.
         segment: measurements that the dynamics were not trained on.
         spread: L, shape (P, R); L L^T is the covariance of the parameters.
-        robust: the loss of the training; one that weighs outliers down leaves them out here.
+        robust: the loss of the training. One that weighs outliers down leaves them out here: in the first
+            half what is far from its robust fit, in the second what is far from the forecast.
         truth: of the same trajectories, at these times and perhaps others.
     """
-    if robust != "none":
-        segment = without_outliers(dynamics, segment, robust)
     early = first_halves(segment)
-    starts, met = fitted_to_first(dynamics, segment, early)
+    starts, met = fitted_to_first(dynamics, segment, early, robust)
     if not bool(met.any()):
         return None
-    starts, early, segment = starts[met], early[met], segment.rows(met)
-    steps = steps_between(segment.times, segment.instrument.longest)
+    starts, early, part = starts[met], early[met], segment.rows(met)
+    steps = steps_between(part.times, part.instrument.longest)
     states = path(dynamics.increment, starts, steps.lengths)
-    here = linearised(trial_of(dynamics), states, segment, steps)
+    here = linearised(trial_of(dynamics), states, part, steps)
     of_states, of_values = forecast_variances(dynamics, starts, steps, here, early, spread)
     later, of_true = ~early.unsqueeze(-1), None
     if truth is not None:
-        true = at(truth, met, segment.times)
+        true = at(truth, met, part.times)
         of_true = shares(((states[:, steps.ends] - true) / of_states.sqrt())[later & true.isfinite()])
-    ahead = later & ~segment.values.isnan()
+    ahead = later & ~part.values.isnan()
+    off, width = (here.residuals / (1 + of_values).sqrt())[ahead], (1 + of_values)[ahead]
+    counted = torch.ones_like(off, dtype=torch.bool) if robust == "none" else ~(off.abs() > OUTLYING)
     return Forecast(
-        coverage=shares((here.residuals / (1 + of_values).sqrt())[ahead]),
-        width=float((1 + of_values)[ahead].nanmean().sqrt()),
+        coverage=shares(off[counted]),
+        width=float(width[counted].nanmean().sqrt()),
         states=of_true,
-        trajectories=len(starts),
+        lost=int((~met).sum()),
+        trajectories=len(met),
+        outliers=1 - float(counted.double().mean()),
     )
 
 
@@ -97,30 +107,28 @@ def first_halves(segment: Segment) -> Tensor:
     return there.cumsum(1) <= there.sum(1, keepdim=True) / 2
 
 
-def fitted_to_first(dynamics: Dynamics, segment: Segment, early: Tensor) -> tuple[Tensor, Tensor]:
+def fitted_to_first(
+    dynamics: Dynamics, segment: Segment, early: Tensor, robust: RobustName
+) -> tuple[Tensor, Tensor]:
     """Return the starts (B, D) that meet what was measured early, and which of them do, (B,) bool."""
-    last = int(early.any(0).nonzero().amax())
-    values = segment.values.masked_fill(~early.unsqueeze(-1), torch.nan)
-    part = segment._replace(values=values).first(last)
+    last = max(int(early.any(0).sum()) - 1, 1)
+    part = segment._replace(values=segment.values.masked_fill(~early.unsqueeze(-1), torch.nan)).first(last)
+    if robust != "none":
+        part = without_outliers(dynamics, part, robust)
     fitted, _ = fit_to(dynamics, part)
-    met = (part.measured > 2 * part.instrument.dof) & (fitted.sums <= LOST * part.measured)
-    return fitted.starts, met
+    return fitted.starts, (part.measured > 2 * part.instrument.dof) & (fitted.sums <= LOST * part.measured)
 
 
 def at(truth: Trajectories, rows: Tensor, times: Tensor) -> Tensor:
-    """Return the states (b, K + 1, D) of some trajectories at some of their times, NaN beyond their end."""
-    known, states = truth.times[rows].contiguous(), truth.states[rows]
-    near = 1e-6 * float(known.diff(dim=1).nanmean())
-    index = torch.searchsorted(known, (times - near).contiguous())
-    states = torch.nn.functional.pad(states, (0, 0, 0, 1), value=torch.nan)
-    return states.gather(1, index.unsqueeze(-1).expand(-1, -1, states.shape[-1]))
+    """Return the states (b, K + 1, D) of some trajectories at times (b, K + 1), NaN where they have none."""
+    known = truth.times[rows].nan_to_num(nan=torch.inf)
+    near = 1e-6 * float(truth.times.diff(dim=1).nanmean())
+    index = torch.searchsorted(known, times - near).clamp(max=known.shape[1] - 1)
+    same = (known.gather(1, index) - times).abs() <= near
+    states = truth.states[rows].gather(1, index.unsqueeze(-1).expand(-1, -1, truth.states.shape[-1]))
+    return states.masked_fill(~same.unsqueeze(-1), torch.nan)
 
 
 def shares(off: Tensor) -> tuple[float, ...]:
     """Return the shares within 1, 2 and 3 of errors in standard deviations; a NaN is outside."""
     return tuple(float((off.abs() <= k).double().mean()) for k in SIGMAS)
-
-
-def percent(found: tuple[float, ...]) -> str:
-    """Return shares as text."""
-    return ", ".join(f"{100 * share:.3g}" for share in found)

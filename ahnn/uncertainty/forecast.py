@@ -23,7 +23,8 @@ def forecast_variances(
 ) -> tuple[Tensor, Tensor]:
     """Return variances of the states, (B, K + 1, D), and of what is measured of them, (B, K + 1, M).
 
-    The latter are in squared standard deviations of the noise, and without the noise itself.
+    The latter are in squared standard deviations of the noise, without the noise itself, and 0 where nothing
+    was measured.
 
     Args:
         dynamics: with a field, float64.
@@ -33,17 +34,20 @@ def forecast_variances(
         fitted: (B, K + 1) bool, the times whose measurements the starts were fitted to.
         factor: L, shape (P, R); L L^T is the covariance of the parameters.
     """
-    of_start = here.of_start.masked_fill(~fitted[..., None, None], 0.0)
-    orthogonal, root = torch.linalg.qr(of_start.flatten(1, 2))
+    later = ~fitted[..., None, None]
+    orthogonal, root = torch.linalg.qr(here.of_start.masked_fill(later, 0.0).flatten(1, 2))
+    pulls = here.of_state.masked_fill(later, 0.0).mT @ orthogonal.unflatten(1, here.of_state.shape[1:3])
     carried = transitions(here.jacobians.to(starts))[:, steps.ends]
     noise = torch.linalg.solve_triangular(root.unsqueeze(1), carried, upper=True, left=False)
-    of_states, of_values, first = [], [], 0
+    covariances, first = [], 0
     for part in rollout_sensitivities(dynamics, starts, steps.lengths, factor):
         rows, first = slice(first, first + len(part)), first + len(part)
-        of_state, of_noise, moved = here.of_state[rows].to(part), noise[rows].to(part), part[:, steps.ends]
-        seen = (of_state @ moved).flatten(1, 2)
-        taken = (orthogonal[rows].mT.to(part) @ seen).unsqueeze(1)  # rows of what was not fitted are zero
-        total = torch.cat((of_noise, moved - of_noise @ taken), dim=-1)
-        of_states.append(total.square().sum(-1))
-        of_values.append((of_state @ total).square().sum(-1))
-    return torch.cat(of_states).to(starts), torch.cat(of_values).to(starts)
+        moved = part[:, steps.ends].to(starts)
+        # Where nothing was fitted paths may be lost: zeros in their place, since 0 times NaN is none.
+        taken = torch.einsum("bkde,bkdr->ber", pulls[rows], moved.masked_fill(later[rows], 0.0))
+        own = noise[rows]
+        total = moved - own @ taken.unsqueeze(1)
+        covariances.append(own @ own.mT + total @ total.mT)
+    covariance = torch.cat(covariances)
+    of_values = ((here.of_state @ covariance) * here.of_state).sum(-1)
+    return covariance.diagonal(dim1=-2, dim2=-1), of_values
