@@ -50,7 +50,7 @@ class Forecast(NamedTuple):
         )
         text += "" if self.states is None else f" and {percent(self.states)} % of the true states"
         text += f"; {100 * self.outliers:.2g} % left out as outliers" if self.outliers else ""
-        return text + (f"; {self.lost} first halves not fitted" if self.lost else "")
+        return text + (f"; first halves not fitted: {self.lost}" if self.lost else "")
 
     def numbers(self) -> dict[str, Any]:
         """Return plain values for metrics.json."""

@@ -162,7 +162,7 @@ def test_trajectories_are_forecast_as_each_would_be_alone():
     assert found is not None
     assert found.states is not None
     assert (found.lost, found.trajectories) == (1, 5)
-    assert "; 1 first halves not fitted" in found.sentence()
+    assert "; first halves not fitted: 1" in found.sentence()
     shares, of_states = torch.zeros(3, **DOUBLE), torch.zeros(3, **DOUBLE)
     numbers = components = 0
     for k in range(1, 5):
