@@ -6,18 +6,19 @@ knows no more. Where the truth is known, true states are held against the bands,
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import torch
 from torch import Tensor
 
-from ahnn.dynamics import Dynamics
+from ahnn.dynamics import Dynamics, HasField
 from ahnn.evaluation.bands import NORMAL, SIGMAS, percent
 from ahnn.evaluation.explained import OUTLYING, fit_to, trial_of, without_outliers
 from ahnn.measurements import Segment
 from ahnn.shooting.paths import path, steps_between
+from ahnn.shooting.quadrature import coarse
 from ahnn.shooting.robust import RobustName
-from ahnn.shooting.starts import LOST, linearised
+from ahnn.shooting.starts import FOLLOWING, LOST, SURE, linearised, refine
 from ahnn.types import Trajectories
 from ahnn.uncertainty import forecast_variances
 
@@ -28,6 +29,7 @@ class Forecast(NamedTuple):
     Attributes:
         coverage: shares of the measured numbers ahead within 1, 2 and 3 standard deviations.
         width: these standard deviations, rms, in those of the noise; near 1 little else was tested.
+        parameters: what the parameters have of the variances of states ahead, on average.
         states: the same shares of the components of true states; None where these are not known.
         lost: trajectories whose first half no start fits, which do not count in the others.
         trajectories: how many were tried.
@@ -36,6 +38,7 @@ class Forecast(NamedTuple):
 
     coverage: tuple[float, ...]
     width: float
+    parameters: float
     states: tuple[float, ...] | None
     lost: int
     trajectories: int
@@ -49,6 +52,7 @@ class Forecast(NamedTuple):
             f"hold {percent(self.coverage)} % of the measured numbers"
         )
         text += "" if self.states is None else f" and {percent(self.states)} % of the true states"
+        text += f"; the parameters have {100 * self.parameters:.2g} % of the variance of a state"
         text += f"; {100 * self.outliers:.2g} % left out as outliers" if self.outliers else ""
         return text + (f"; first halves not fitted: {self.lost}" if self.lost else "")
 
@@ -76,24 +80,26 @@ def forecast(
         truth: of the same trajectories, at these times and perhaps others.
     """
     early = first_halves(segment)
-    starts, met = fitted_to_first(dynamics, segment, early, robust)
+    starts, met, quartered = fitted_to_first(dynamics, segment, early, robust)
     if not bool(met.any()):
         return None
     starts, early, part = starts[met], early[met], segment.rows(met)
-    steps = steps_between(part.times, part.instrument.longest)
+    steps = steps_between(part.times, part.instrument.longest, quartered=quartered)
     states = path(dynamics.increment, starts, steps.lengths)
     here = linearised(trial_of(dynamics), states, part, steps)
-    of_states, of_values = forecast_variances(dynamics, starts, steps, here, early, spread)
+    variances = forecast_variances(dynamics, states, steps, here, early, spread)
     later, of_true = ~early.unsqueeze(-1), None
     if truth is not None:
         true = at(truth, met, part.times)
-        of_true = shares(((states[:, steps.ends] - true) / of_states.sqrt())[later & true.isfinite()])
-    ahead = later & ~part.values.isnan()
-    off, width = (here.residuals / (1 + of_values).sqrt())[ahead], (1 + of_values)[ahead]
+        far = (states[:, steps.ends] - true) / variances.states.sqrt()
+        of_true = shares(far[later & true.isfinite()])
+    ahead, total = later & ~part.values.isnan(), 1 + variances.values
+    off, width = (here.residuals / total.sqrt())[ahead], total[ahead]
     counted = torch.ones_like(off, dtype=torch.bool) if robust == "none" else ~(off.abs() > OUTLYING)
     return Forecast(
         coverage=shares(off[counted]),
         width=float(width[counted].nanmean().sqrt()),
+        parameters=float((variances.parameters / variances.states)[ahead.any(-1)].nanmean()),
         states=of_true,
         lost=int((~met).sum()),
         trajectories=len(met),
@@ -109,14 +115,19 @@ def first_halves(segment: Segment) -> Tensor:
 
 def fitted_to_first(
     dynamics: Dynamics, segment: Segment, early: Tensor, robust: RobustName
-) -> tuple[Tensor, Tensor]:
-    """Return the starts (B, D) that meet what was measured early, and which of them do, (B,) bool."""
+) -> tuple[Tensor, Tensor, bool]:
+    """Return starts (B, D) of a fit to what was measured early, which meet it, (B,), if in quarter steps."""
     last = max(int(early.any(0).sum()) - 1, 1)
     part = segment._replace(values=segment.values.masked_fill(~early.unsqueeze(-1), torch.nan)).first(last)
     if robust != "none":
         part = without_outliers(dynamics, part, robust)
     fitted, _ = fit_to(dynamics, part)
-    return fitted.starts, (part.measured > 2 * part.instrument.dof) & (fitted.sums <= LOST * part.measured)
+    enough, most = part.measured > 2 * part.instrument.dof, LOST * part.measured
+    quartered = coarse(cast(HasField, dynamics).field, fitted.states[enough & (fitted.sums <= most)])
+    if quartered:
+        steps = steps_between(part.times, part.instrument.longest, quartered=True)
+        fitted = refine(trial_of(dynamics), fitted.starts, part, steps, FOLLOWING, SURE)
+    return fitted.starts, enough & (fitted.sums <= most), quartered
 
 
 def at(truth: Trajectories, rows: Tensor, times: Tensor) -> Tensor:

@@ -10,18 +10,12 @@ from torch import Tensor
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.measurements import Segment
+from ahnn.shooting.quadrature import coarse
 from ahnn.shooting.robust import Robust
 from ahnn.shooting.starts import FOLLOWING, SURE, refine
 from ahnn.training.evidence import Prior, determined, posterior_factor
 from ahnn.training.normal_equations import Block
 from ahnn.training.shooting import Limit, ShootingProblem, freedom
-
-COARSE = 3e-3
-"""Error of the trapezoidal rule, as a share of the field, beyond which steps are quartered.
-
-A start undoes up to all but 1e-5 of what parameters do to a path: what a rule leaves of that looks like
-information, about parameters that no measurement determines.
-"""
 
 
 class WideProblem(ShootingProblem):
@@ -41,7 +35,7 @@ class WideProblem(ShootingProblem):
 def whole_problem(dynamics: Dynamics, batch: Segment, robust: Robust) -> WideProblem:
     """Return all segments as a problem, with steps quartered where whole ones know J too badly."""
     problem = WideProblem(dynamics, batch, robust)
-    if rule_error(dynamics, problem.fitted.states[problem.kept]) <= COARSE:
+    if not coarse(cast(HasField, dynamics).field, problem.fitted.states[problem.kept]):
         return problem
     return WideProblem(dynamics, batch, robust, starts=problem.fitted.starts, quartered=True)
 
@@ -67,14 +61,6 @@ def of_functions(problem: WideProblem, dynamics: Dynamics, origin: Tensor, weigh
     _, _, (block,) = problem.equations(weights, [])
     problem.forcing = own
     return block
-
-
-@torch.no_grad()
-def rule_error(dynamics: Dynamics, states: Tensor) -> float:
-    """Return about what the trapezoidal rule is off by along paths (B, N + 1, D), as a share of the field."""
-    field = cast(HasField, dynamics).field(states)[..., states.shape[-1] // 2 :]
-    bend = field.diff(n=2, dim=1).norm(dim=-1) / 12
-    return float(bend.mean() / field.norm(dim=-1).mean()) if bend.numel() else 0.0
 
 
 def with_prior(block: Block, prior: Prior, theta: Tensor) -> Block:

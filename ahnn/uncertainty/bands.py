@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.func import vjp, vmap
 from torch.nn.utils import parameters_to_vector
 
-from ahnn.dynamics import Dynamics
+from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import field_jacobian, parametrised
 from ahnn.dynamics.variations import own_jacobians
 from ahnn.shooting.paths import Steps, path, sensitivities
@@ -48,14 +48,32 @@ def rollout_sensitivities(
         lengths: of the steps, (B, N).
         factor: L, shape (P, R).
     """
-    theta = parameters_to_vector(dynamics.parameters()).detach()
-    jacobians, forcing = own_jacobians(dynamics), field_jacobian(dynamics)  # pyright: ignore[reportArgumentType]
+    states = path(dynamics.increment, start, lengths)
+    jacobians = own_jacobians(dynamics)(states[:, :-1], lengths)
     ends = torch.arange(lengths.shape[1] + 1)
-    rows = max(1, int(CELLS // (len(ends) * start.shape[1] * len(theta))))
-    together = path(dynamics.increment, start, lengths)
-    for states, dt in zip(together.split(rows), lengths.split(rows), strict=True):
-        moved = jacobians(states[:, :-1], dt)
-        yield sensitivities(moved, forcing(theta, states) @ factor.float(), Steps(dt, ends))
+    return path_sensitivities(dynamics, states, jacobians, Steps(lengths, ends), factor)
+
+
+@torch.no_grad()
+def path_sensitivities(
+    dynamics: Dynamics, states: Tensor, jacobians: Tensor, steps: Steps, factor: Tensor
+) -> Iterator[Tensor]:
+    """Yield (dx_k/dtheta) L at the times that steps end on, (b, K + 1, D, R), of some paths at a time.
+
+    Args:
+        dynamics: with a field, float64; the parameters are theta.
+        states: of the paths, (B, N + 1, D).
+        jacobians: of their steps, (B, N, D, D), in the precision that is wanted.
+        steps: between the times.
+        factor: L, shape (P, R).
+    """
+    theta = parameters_to_vector(dynamics.parameters()).detach()
+    forcing = field_jacobian(cast(HasField, dynamics), jacobians.dtype)
+    rows = max(1, int(CELLS // (states[0].numel() * len(theta))))
+    for k in range(0, len(states), rows):
+        part = slice(k, k + rows)
+        driven = forcing(theta, states[part]) @ factor.to(jacobians)
+        yield sensitivities(jacobians[part], driven, steps.rows(part))
 
 
 @torch.no_grad()

@@ -9,7 +9,7 @@ import torch
 from cases import Learned, drop, make_case
 
 from ahnn.evaluation import evaluate
-from ahnn.evaluation.bands import NORMAL, banded, norms
+from ahnn.evaluation.bands import NORMAL, banded, held, imagined, norms
 from ahnn.rollouts import rollout
 from ahnn.uncertainty import Uncertainty
 
@@ -61,6 +61,23 @@ def test_absent_samples_do_not_count(tmp_path):
     assert all(math.isfinite(value) for value in (*band.expected, *band.bound, *band.efficiency))
 
 
+def test_right_bands_of_one_direction_hold_all_or_nothing(tmp_path):
+    case = case_of(tmp_path, known(0.02))
+    band = banded(case, known(0.02), prediction(case))
+    assert list(band.right[:2]) == [(0, 1), (0, 1)]  # 4.6 % of trainings are beyond 2
+    assert band.right[2][1] == 1
+
+
+def test_right_bands_of_many_directions_hold_what_normal_errors_have():
+    """The share of n independent errors scatters by sqrt(p (1 - p) / n)."""
+    count = 2000
+    shares = held(3.0 * torch.eye(count), imagined(count)) / count
+    for share, normal in zip(shares, NORMAL, strict=True):
+        scatter = (normal * (1 - normal) / count) ** 0.5
+        assert float(share.mean()) == pytest.approx(normal, abs=0.5 * scatter)
+        assert float(share.std()) == pytest.approx(scatter, rel=0.25)
+
+
 def test_norms_are_those_of_positions_and_velocities():
     values = torch.tensor([[[3.0, 4.0, 6.0, 8.0]], [[0.0, 0.0, 0.0, 0.0]]])
     assert norms(values, 2.0) == pytest.approx((5 / 2**0.5, 5 / 2**0.5))
@@ -72,7 +89,9 @@ def test_an_evaluation_tells_and_draws_the_band(tmp_path):
     assert findings.rows[0].note.startswith(
         "its bands of 1, 2 and 3 standard deviations hold 100, 100, 100 %"
     )
+    assert "(right ones 0 to 100, 0 to 100, " in findings.rows[0].note
     assert findings.numbers["uncertainty"]["coverage"] == [1, 1, 1]
+    assert findings.numbers["uncertainty"]["right"][0] == (0, 1)
     assert findings.numbers["uncertainty"]["determined"] == 1.0
     assert "band" in findings.figures
     assert findings.arrays["true_start_deviations"].shape == findings.arrays["true_start"].shape

@@ -13,6 +13,7 @@ from torch.nn.utils import parameters_to_vector
 from ahnn.dynamics import make_dynamics
 from ahnn.dynamics.linearised import linearised
 from ahnn.measurements import Position
+from ahnn.shooting.quadrature import rule_error
 from ahnn.shooting.robust import ROBUST
 from ahnn.training import functions, laplace
 from ahnn.training.evidence import Prior
@@ -24,7 +25,6 @@ from ahnn.training.posterior import (
     WideProblem,
     after,
     of_functions,
-    rule_error,
     whole_problem,
 )
 
@@ -162,7 +162,7 @@ def test_the_error_of_the_trapezoidal_rule_is_read_off_paths():
     still.field.force = lambda q: -4.0 * q
     t = 0.3 * torch.arange(200, **DOUBLE)
     states = torch.stack(((2 * t).sin(), 2 * (2 * t).cos()), dim=-1).unsqueeze(0)
-    assert rule_error(still, states) == pytest.approx((1 - math.cos(0.6)) / 6, rel=1e-2)
+    assert rule_error(still.field, states) == pytest.approx((1 - math.cos(0.6)) / 6, rel=1e-2)
 
 
 @pytest.mark.parametrize(("longest", "quartered"), [(0.05, False), (0.5, True)])
