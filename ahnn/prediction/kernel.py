@@ -9,20 +9,21 @@ there faster than its parameters know.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
 from torch.nn.utils import parameters_to_vector
 
-from ahnn.dynamics import Dynamics
+from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.dynamics.variations import own_jacobians
 from ahnn.errors import UserError
 from ahnn.memory import require_memory
 from ahnn.progress import track
-from ahnn.shooting.paths import Steps, sensitivities, steps_between
+from ahnn.shooting.paths import Steps, path, sensitivities, steps_between
+from ahnn.shooting.quadrature import coarse
 from ahnn.uncertainty import Domain, growth
 
 CELLS = 4e6
@@ -106,10 +107,10 @@ def predicted(
     wanted[steps.ends] = True
     stretch = max(1, min(int(CELLS // (count * size * max(known.columns, 1))), TOGETHER // count))
     parts = list(zip(steps.lengths[0].split(stretch), wanted[1:].split(stretch), strict=True))
-    path = _Path(dynamics, known)
-    rows = [path.begin(start)]
+    paths = _Path(dynamics, known)
+    rows = [paths.begin(start)]
     for lengths, chosen in track(parts, description, len(parts)) if description else parts:
-        rows.append(path.follow(lengths).at(chosen))
+        rows.append(paths.follow(lengths).at(chosen))
     return Prediction(times, *_Rows.joined(rows))
 
 
@@ -163,12 +164,19 @@ class _Path:
         later = None if novelty is None else novelty[:, 1:]
         if not self.known.columns:
             return _Rows(states[:, 1:], None, later)
-        dt = lengths.expand(len(states), -1)
-        steps = Steps(dt, torch.arange(len(lengths) + 1))
-        jacobians = self.jacobians(states[:, :-1], dt)
-        moved = sensitivities(jacobians, self._forcing(states, novelty), steps, self.moved)
+        moved = self._follow_columns(states, lengths, novelty)
         self.moved = moved[:, -1]
         return _Rows(states[:, 1:], self._covariances(moved[:, 1:]), later)
+
+    def _follow_columns(self, states: Tensor, lengths: Tensor, novelty: Tensor | None) -> Tensor:
+        """Return the columns at the states (B, N + 1, D), shape (B, N + 1, D, R)."""
+        steps = Steps(lengths.expand(len(states), -1), torch.arange(len(lengths) + 1))
+        if self.known.spread is not None and coarse(cast(HasField, self.dynamics).field, states):
+            steps = steps.quarters()
+            states = path(self.dynamics.increment, states[:, 0], steps.lengths)
+            novelty = self._novelty(states)
+        jacobians = self.jacobians(states[:, :-1], steps.lengths)
+        return sensitivities(jacobians, self._forcing(states, novelty), steps, self.moved)
 
     def _forcing(self, states: Tensor, novelty: Tensor | None) -> Tensor:
         """Return what drives the columns (B, N, L, R): the parameters theirs, and nothing those of starts."""

@@ -25,6 +25,7 @@ def coarse(field: Field, states: Tensor) -> bool:
 @torch.no_grad()
 def rule_error(field: Field, states: Tensor) -> float:
     """Return about what share of the forces the trapezoidal rule is off by along paths (B, N + 1, D)."""
-    forces = field(states)[..., states.shape[-1] // 2 :]
+    sound = states[states.isfinite().flatten(1).all(1)]
+    forces = field(sound)[..., states.shape[-1] // 2 :]
     bend = forces.diff(n=2, dim=1).norm(dim=-1) / 12
     return float(bend.mean() / forces.norm(dim=-1).mean()) if bend.numel() else 0.0

@@ -14,6 +14,7 @@ from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import field_jacobian, parametrised
 from ahnn.dynamics.variations import own_jacobians
 from ahnn.shooting.paths import Steps, path, sensitivities
+from ahnn.shooting.quadrature import coarse
 
 CELLS = 4e7
 """Numbers in the largest tensor of sensitivities; longer batches are cut into parts."""
@@ -48,10 +49,13 @@ def rollout_sensitivities(
         lengths: of the steps, (B, N).
         factor: L, shape (P, R).
     """
+    steps = Steps(lengths, torch.arange(lengths.shape[1] + 1))
     states = path(dynamics.increment, start, lengths)
-    jacobians = own_jacobians(dynamics)(states[:, :-1], lengths)
-    ends = torch.arange(lengths.shape[1] + 1)
-    return path_sensitivities(dynamics, states, jacobians, Steps(lengths, ends), factor)
+    if coarse(cast(HasField, dynamics).field, states):
+        steps = steps.quarters()
+        states = path(dynamics.increment, start, steps.lengths)
+    jacobians = own_jacobians(dynamics)(states[:, :-1], steps.lengths)
+    return path_sensitivities(dynamics, states, jacobians, steps, factor)
 
 
 @torch.no_grad()

@@ -49,6 +49,19 @@ def test_on_the_grid_it_is_the_rollout_with_its_band(monkeypatch):
     close(found.deviations**2, found.covariances.diagonal(dim1=-2, dim2=-1), 1e-12)
 
 
+@torch.no_grad()
+@pytest.mark.parametrize("domain", [None, known_everywhere()])
+def test_long_steps_are_followed_in_quarters(domain):
+    """The trapezoidal rule would be off by 3 % of the variance."""
+    times, lengths = 0.2 * torch.arange(31, **DOUBLE), torch.full((2, 30), 0.2, **DOUBLE)
+    found, fine = (predicted(Swing(), START, times, dt, Knowledge(FACTOR, domain)) for dt in (0.2, 0.01))
+    assert found.covariances is not None
+    assert fine.covariances is not None
+    close(found.covariances, rollout_covariances(Swing(), START, lengths, FACTOR), 1e-5)
+    close(found.covariances, fine.covariances, 1e-2)
+    assert found.novelty is None or found.novelty.shape == (2, 31)
+
+
 def test_the_covariance_of_a_start_is_carried_along_by_the_flow(monkeypatch):
     """Through derivatives of the whole path by autograd; the one of the parameters is added to it."""
     times, sd = 0.1 * torch.arange(21, **DOUBLE), torch.tensor([0.3, 0.05], **DOUBLE)
