@@ -44,10 +44,9 @@ class Band(NamedTuple):
 
     def sentence(self) -> str:
         """Return the finding as a note under the table."""
-        right = ", ".join(f"{100 * low:.3g} to {100 * high:.3g}" for low, high in self.right)
         return (
             f"its bands of 1, 2 and 3 standard deviations hold {percent(self.coverage)} % of unseen states "
-            f"(right ones {right} % in 19 trainings of 20); "
+            f"({expected(self.right)}); "
             f"the error is {self.efficiency[0]:.2f} (position) and {self.efficiency[1]:.2f} (velocity) "
             "of the noise bound"
         )
@@ -69,18 +68,17 @@ def banded(case: Case, uncertainty: Uncertainty, prediction: Tensor) -> Band:
     for moved in rollout_sensitivities(dynamics, start, lengths, spread):
         rows, first = slice(first, first + len(moved)), first + len(moved)
         parts.append((moved.double().square().sum(-1), moved[..., :-1].double().square().sum(-1)))
-        within += held(moved[:, 1:][there[rows, 1:]], draws)
+        later = moved[:, 1:][there[rows, 1:]]
+        within += held(later @ draws, later.norm(dim=-1, keepdim=True))
     deviations, alone = (torch.cat(some).sqrt() for some in zip(*parts, strict=True))
     alone = alone / uncertainty.inflation**0.5  # the last column is the offset, and both are inflated
     bound = norms(alone.where(there, torch.nan), case.space.inertia)
     real = norms(off, case.space.inertia)
     later, band = off[:, 1:].abs(), deviations[:, 1:]
-    ends = torch.tensor([(1 - MIDDLE) / 2, (1 + MIDDLE) / 2], dtype=torch.float64)
-    right = torch.quantile(within.double() / int(there[:, 1:].sum()), ends, dim=1)
     return Band(
         deviations=deviations,
         coverage=tuple(float((later <= k * band)[there[:, 1:]].double().mean()) for k in SIGMAS),
-        right=tuple((float(low), float(high)) for low, high in right.mT),
+        right=middle(within / int(there[:, 1:].sum())),
         expected=norms(deviations.where(there, torch.nan), case.space.inertia),
         bound=bound,
         efficiency=(real[0] / bound[0], real[1] / bound[1]),
@@ -92,14 +90,25 @@ def imagined(columns: int) -> Tensor:
     return torch.randn(columns, DRAWS, generator=torch.Generator().manual_seed(0))
 
 
-def held(moved: Tensor, draws: Tensor) -> Tensor:
-    """Return how many of n numbers, moved by columns (n, R), each draw leaves within its band, (3, DRAWS).
+def held(off: Tensor, sd: Tensor) -> Tensor:
+    """Return how many of n errors (n, DRAWS), with deviations (n, 1), each draw has within bands, (3, DRAWS).
 
     Errors of one training move together: where nearly all of them are one direction, a right band holds
     nearly all or few.
     """
-    off, sd = (moved @ draws).abs(), moved.norm(dim=-1, keepdim=True)
-    return torch.stack([(off <= k * sd).sum(0) for k in SIGMAS])
+    return torch.stack([(off.abs() <= k * sd).sum(0) for k in SIGMAS])
+
+
+def middle(shares: Tensor) -> tuple[tuple[float, float], ...]:
+    """Return the ends of the middle 95 % of shares (3, DRAWS)."""
+    ends = torch.tensor([(1 - MIDDLE) / 2, (1 + MIDDLE) / 2], dtype=torch.float64)
+    return tuple((float(low), float(high)) for low, high in torch.quantile(shares.double(), ends, dim=1).mT)
+
+
+def expected(right: tuple[tuple[float, float], ...]) -> str:
+    """Return what right bands hold, as text."""
+    ends = ", ".join(f"{100 * low:.3g} to {100 * high:.3g}" for low, high in right)
+    return f"right ones {ends} % in 19 trainings of 20"
 
 
 def percent(shares: tuple[float, ...]) -> str:

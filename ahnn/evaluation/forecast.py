@@ -6,13 +6,14 @@ knows no more. Where the truth is known, true states are held against the bands,
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, NamedTuple, cast
 
 import torch
 from torch import Tensor
 
 from ahnn.dynamics import Dynamics, HasField
-from ahnn.evaluation.bands import NORMAL, SIGMAS, percent
+from ahnn.evaluation.bands import DRAWS, NORMAL, SIGMAS, expected, held, imagined, middle, percent
 from ahnn.evaluation.explained import OUTLYING, fit_to, trial_of, without_outliers
 from ahnn.measurements import Segment
 from ahnn.shooting.paths import path, steps_between
@@ -20,7 +21,7 @@ from ahnn.shooting.quadrature import coarse
 from ahnn.shooting.robust import RobustName
 from ahnn.shooting.starts import FOLLOWING, LOST, SURE, linearised, refine
 from ahnn.types import Trajectories
-from ahnn.uncertainty import forecast_variances
+from ahnn.uncertainty import forecast_columns
 
 
 class Forecast(NamedTuple):
@@ -31,6 +32,7 @@ class Forecast(NamedTuple):
         width: these standard deviations, rms, in those of the noise; near 1 little else was tested.
         parameters: what the parameters have of the variances of states ahead, on average.
         states: the same shares of the components of true states; None where these are not known.
+        right: least and largest share of states ahead that right bands hold in the middle 95 % of draws.
         lost: trajectories whose first half no start fits, which do not count in the others.
         trajectories: how many were tried.
         outliers: share of the measured numbers ahead that were taken for outliers and left out.
@@ -40,6 +42,7 @@ class Forecast(NamedTuple):
     width: float
     parameters: float
     states: tuple[float, ...] | None
+    right: tuple[tuple[float, float], ...]
     lost: int
     trajectories: int
     outliers: float = 0.0
@@ -51,7 +54,8 @@ class Forecast(NamedTuple):
             f"first: bands of 1, 2 and 3 standard deviations, rms {self.width:.3g} times those of the noise, "
             f"hold {percent(self.coverage)} % of the measured numbers"
         )
-        text += "" if self.states is None else f" and {percent(self.states)} % of the true states"
+        if self.states is not None:
+            text += f" and {percent(self.states)} % of the true states ({expected(self.right)})"
         text += f"; the parameters have {100 * self.parameters:.2g} % of the variance of a state"
         text += f"; {100 * self.outliers:.2g} % left out as outliers" if self.outliers else ""
         return text + (f"; first halves not fitted: {self.lost}" if self.lost else "")
@@ -87,12 +91,13 @@ def forecast(
     steps = steps_between(part.times, part.instrument.longest, quartered=quartered)
     states = path(dynamics.increment, starts, steps.lengths)
     here = linearised(trial_of(dynamics), states, part, steps)
-    variances = forecast_variances(dynamics, states, steps, here, early, spread)
-    later, of_true = ~early.unsqueeze(-1), None
-    if truth is not None:
-        true = at(truth, met, part.times)
-        far = (states[:, steps.ends] - true) / variances.states.sqrt()
-        of_true = shares(far[later & true.isfinite()])
+    later = ~early.unsqueeze(-1)
+    there = later.expand_as(states[:, steps.ends])
+    true = None if truth is None else at(truth, met, part.times)
+    if true is not None:
+        there = there & true.isfinite()
+    causes = forecast_columns(dynamics, states, steps, here, early, spread)
+    variances = Variances.of(causes, here.of_state, there, spread.shape[1])
     ahead, total = later & ~part.values.isnan(), 1 + variances.values
     off, width = (here.residuals / total.sqrt())[ahead], total[ahead]
     counted = torch.ones_like(off, dtype=torch.bool) if robust == "none" else ~(off.abs() > OUTLYING)
@@ -100,11 +105,57 @@ def forecast(
         coverage=shares(off[counted]),
         width=float(width[counted].nanmean().sqrt()),
         parameters=float((variances.parameters / variances.states)[ahead.any(-1)].nanmean()),
-        states=of_true,
+        states=None
+        if true is None
+        else shares(((states[:, steps.ends] - true) / variances.states.sqrt())[there]),
+        right=middle(variances.within / int(there.sum())),
         lost=int((~met).sum()),
         trajectories=len(met),
         outliers=1 - float(counted.double().mean()),
     )
+
+
+class Variances(NamedTuple):
+    """How far off forecasts are.
+
+    Attributes:
+        states: variances, (B, K + 1, D).
+        parameters: what the parameters have of them.
+        values: variances of what is measured, (B, K + 1, M), in those of the noise and without it; 0 where
+            nothing was measured.
+        within: how many states ahead are within 1, 2 and 3 standard deviations in each of some draws of noise
+            and parameters, (3, DRAWS).
+    """
+
+    states: Tensor
+    parameters: Tensor
+    values: Tensor
+    within: Tensor
+
+    @classmethod
+    def of(
+        cls, causes: Iterable[tuple[Tensor, Tensor]], of_state: Tensor, there: Tensor, columns: int
+    ) -> Variances:
+        """Return what the columns of `forecast_columns` make.
+
+        Args:
+            causes: the columns, those of so many parameters.
+            of_state: derivatives of measurements, (B, K + 1, M, D).
+            there: which states count in `within`, (B, K + 1, D).
+            columns: of the parameters.
+        """
+        parts, within, first = [], torch.zeros(len(SIGMAS), DRAWS, dtype=torch.int64), 0
+        together, apart = imagined(columns), imagined(there[:, 0].numel()).view(len(there), 1, -1, DRAWS)
+        for noise, moved in causes:
+            rows, first = slice(first, first + len(noise)), first + len(noise)
+            covariance = noise @ noise.mT + moved @ moved.mT
+            of_states = covariance.diagonal(dim1=-2, dim2=-1)
+            values = ((of_state[rows] @ covariance) * of_state[rows]).sum(-1)
+            parts.append((of_states, moved.square().sum(-1), values))
+            off = moved.float() @ together + noise.float() @ apart[rows]
+            within += held(off[there[rows]], of_states[there[rows]].sqrt().float().unsqueeze(-1))
+        states, parameters, values = (torch.cat(part) for part in zip(*parts, strict=True))
+        return cls(states, parameters, values, within)
 
 
 def first_halves(segment: Segment) -> Tensor:

@@ -5,18 +5,17 @@ from __future__ import annotations
 from ahnn.uncertainty.bands import rollout_covariances, rollout_sensitivities, sampled_rollouts
 from ahnn.uncertainty.domain import BEYOND, Domain, domain_of, find_domain, growth
 from ahnn.uncertainty.force import force_deviation
-from ahnn.uncertainty.forecast import ForecastVariances, forecast_variances
+from ahnn.uncertainty.forecast import forecast_columns
 from ahnn.uncertainty.posterior import Uncertainty, load_uncertainty, save_uncertainty
 
 __all__ = [
     "BEYOND",
     "Domain",
-    "ForecastVariances",
     "Uncertainty",
     "domain_of",
     "find_domain",
     "force_deviation",
-    "forecast_variances",
+    "forecast_columns",
     "growth",
     "load_uncertainty",
     "rollout_covariances",

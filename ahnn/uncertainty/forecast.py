@@ -9,7 +9,7 @@ all but cancel, so that both are in float64, along steps short enough for the ru
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterator
 
 import torch
 from torch import Tensor
@@ -20,26 +20,14 @@ from ahnn.shooting.starts import Linearised
 from ahnn.uncertainty.bands import path_sensitivities
 
 
-class ForecastVariances(NamedTuple):
-    """Variances of a forecast.
-
-    Attributes:
-        states: (B, K + 1, D).
-        parameters: what the parameters have of that, by themselves and through the start.
-        values: of what is measured, (B, K + 1, M), in squared standard deviations of the noise and without
-            the noise itself; 0 where nothing was measured.
-    """
-
-    states: Tensor
-    parameters: Tensor
-    values: Tensor
-
-
 @torch.no_grad()
-def forecast_variances(
+def forecast_columns(
     dynamics: Dynamics, states: Tensor, steps: Steps, here: Linearised, fitted: Tensor, factor: Tensor
-) -> ForecastVariances:
-    """Return the variances of forecasts at the times of measurements.
+) -> Iterator[tuple[Tensor, Tensor]]:
+    """Yield how far one standard deviation of each cause moves forecasts, for some of them at a time.
+
+    Causes are the noise of what was fitted, columns (b, K + 1, D, D) at the times of measurements, and the
+    parameters, (b, K + 1, D, R). The covariance of a state is the sum of C C^T of both.
 
     Args:
         dynamics: with a field, float64.
@@ -54,15 +42,9 @@ def forecast_variances(
     pulls = here.of_state.masked_fill(later, 0.0).mT @ orthogonal.unflatten(1, here.of_state.shape[1:3])
     carried = transitions(jacobians)[:, steps.ends]
     noise = torch.linalg.solve_triangular(root.unsqueeze(1), carried, upper=True, left=False)
-    covariances, shares, first = [], [], 0
+    first = 0
     for moved in path_sensitivities(dynamics, states, jacobians, steps, factor):
         rows, first = slice(first, first + len(moved)), first + len(moved)
         # Where nothing was fitted paths may be lost: zeros in their place, since 0 times NaN is none.
         taken = torch.einsum("bkde,bkdr->ber", pulls[rows], moved.masked_fill(later[rows], 0.0))
-        own = noise[rows]
-        total = moved - own @ taken.unsqueeze(1)
-        covariances.append(own @ own.mT + total @ total.mT)
-        shares.append(total.square().sum(-1))
-    covariance = torch.cat(covariances)
-    values = ((here.of_state @ covariance) * here.of_state).sum(-1)
-    return ForecastVariances(covariance.diagonal(dim1=-2, dim2=-1), torch.cat(shares), values)
+        yield noise[rows], moved - noise[rows] @ taken.unsqueeze(1)

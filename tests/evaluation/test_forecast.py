@@ -13,14 +13,11 @@ from torch import nn
 from ahnn.data.segments import whole
 from ahnn.data.sensor import Sensor
 from ahnn.evaluation import evaluate
-from ahnn.evaluation.explained import trial_of
 from ahnn.evaluation.forecast import at, first_halves, forecast
 from ahnn.measurements import Segment
 from ahnn.rollouts import rollout
-from ahnn.shooting.paths import path, steps_between
-from ahnn.shooting.starts import linearised
 from ahnn.types import Trajectories
-from ahnn.uncertainty import Uncertainty, bands, forecast_variances
+from ahnn.uncertainty import Uncertainty, bands
 
 EVERY, NOISE = 4, 0.05
 DOUBLE = {"dtype": torch.float64}
@@ -36,44 +33,6 @@ def known(sd):
     return torch.tensor([[sd]], **DOUBLE)
 
 
-def basis(stiffness, count):
-    """Positions (count, 2) and states (count, 2, 2) that follow from unit starts at the measured times."""
-    states = rollout(Learned(stiffness), torch.eye(2, **DOUBLE), EVERY * SPRING.dt, count)
-    return states[..., 0].mT, states.permute(1, 2, 0)
-
-
-@torch.no_grad()
-def test_variances_are_those_of_dense_linear_algebra(monkeypatch):
-    """A spring is linear in its start: pseudo-inverses fit it, and central differences move the stiffness."""
-    monkeypatch.setattr(bands, "CELLS", 1)  # one path at a time
-    learned, sd = Learned(), 0.3
-    segment = measured(trajectories(SPRING, 5, 1))
-    segment = segment._replace(instrument=segment.instrument._replace(longest=EVERY * SPRING.dt))
-    count, dof = segment.times.shape[1], 1
-    early = torch.arange(count) < 12
-    steps = steps_between(segment.times, segment.instrument.longest)
-    starts = trajectories(SPRING, 5, 7).states[:, 0]
-    states = path(learned.increment, starts, steps.lengths)
-    here = linearised(trial_of(learned), states, segment, steps)
-    found = forecast_variances(learned, states, steps, here, early.expand(5, -1), known(sd))
-
-    stiffness, h = float(learned.field.stiffness), 1e-4
-    rows, moved = basis(stiffness, count)
-    fit = torch.linalg.pinv(rows[early]) * NOISE
-    of_noise = (moved @ fit).square().sum(-1)
-    data = rows[early] @ starts.mT
-    ends = []
-    for k in (stiffness + h, stiffness - h):
-        rows_k, moved_k = basis(k, count)
-        ends.append(torch.einsum("tde,eb->btd", moved_k, torch.linalg.pinv(rows_k[early]) @ data))
-    of_parameters = ((ends[0] - ends[1]) / (2 * h) * sd).square()
-    close(found.states, of_noise + of_parameters, 2e-3)
-    close(found.parameters, of_parameters, 2e-3)
-    close(found.values, (of_noise + of_parameters)[..., :dof] / NOISE**2, 2e-3)
-    shares = of_parameters / (of_noise + of_parameters)
-    assert 0.1 < float(shares[:, -1].mean()) < 0.99  # both count
-
-
 def test_bands_of_the_right_model_hold_what_normal_errors_have():
     truth = trajectories(LONG, 400, 3)
     found = forecast(Learned(LONG.stiffness), measured(truth), known(1e-9), truth=truth)
@@ -82,6 +41,24 @@ def test_bands_of_the_right_model_hold_what_normal_errors_have():
     assert found.coverage == pytest.approx((0.6827, 0.9545, 0.9973), abs=0.012)
     assert found.states == pytest.approx((0.6827, 0.9545, 0.9973), abs=0.03)
     assert found.width > 1.0
+    for (low, high), share in zip(found.right, found.states, strict=True):
+        assert low <= share <= high
+        assert high - low < 0.06  # four directions of the noise each, 400 times
+
+
+def test_right_bands_of_forecasts_hold_all_or_few_where_parameters_are_all_that_is_uncertain():
+    truth = trajectories(LONG, 20, 3)
+    few, many = (
+        forecast(Learned(LONG.stiffness), measured(truth), known(sd), truth=truth) for sd in (9.0, 0.01)
+    )
+    assert few is not None
+    assert many is not None
+    assert few.parameters > 0.99
+    assert few.right[0][0] < 0.1
+    assert few.right[0][1] > 0.9
+    assert many.parameters < 0.1
+    assert many.right[0][0] > 0.5
+    assert many.right[0][1] < 0.9
 
 
 def test_what_is_known_of_the_parameters_counts():

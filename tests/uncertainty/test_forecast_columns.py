@@ -1,0 +1,61 @@
+"""Causes that move forecasts from a fitted start, against dense linear algebra."""
+
+from __future__ import annotations
+
+import torch
+from cases import SPRING, Learned, trajectories
+from helpers import close
+
+from ahnn.data.segments import whole
+from ahnn.data.sensor import Sensor
+from ahnn.evaluation.explained import trial_of
+from ahnn.evaluation.forecast import Variances
+from ahnn.rollouts import rollout
+from ahnn.shooting.paths import path, steps_between
+from ahnn.shooting.starts import linearised
+from ahnn.uncertainty import bands, forecast_columns
+
+EVERY, NOISE = 4, 0.05
+DOUBLE = {"dtype": torch.float64}
+
+
+def basis(stiffness, count):
+    """Positions (count, 2) and states (count, 2, 2) that follow from unit starts at the measured times."""
+    states = rollout(Learned(stiffness), torch.eye(2, **DOUBLE), EVERY * SPRING.dt, count)
+    return states[..., 0].mT, states.permute(1, 2, 0)
+
+
+@torch.no_grad()
+def test_variances_are_those_of_dense_linear_algebra(monkeypatch):
+    """A spring is linear in its start: pseudo-inverses fit it, and central differences move the stiffness."""
+    monkeypatch.setattr(bands, "CELLS", 1)  # one path at a time
+    learned, sd = Learned(), 0.3
+    sensor = Sensor(SPRING.space, measured="position", noise=NOISE, every=EVERY)
+    segment = whole(sensor.measure(trajectories(SPRING, 5, 1), 0), sensor.instrument(SPRING.dt))
+    segment = segment._replace(instrument=segment.instrument._replace(longest=EVERY * SPRING.dt))
+    count, dof = segment.times.shape[1], 1
+    early = torch.arange(count) < 12
+    steps = steps_between(segment.times, segment.instrument.longest)
+    starts = trajectories(SPRING, 5, 7).states[:, 0]
+    states = path(learned.increment, starts, steps.lengths)
+    here = linearised(trial_of(learned), states, segment, steps)
+    causes = forecast_columns(
+        learned, states, steps, here, early.expand(5, -1), torch.tensor([[sd]], **DOUBLE)
+    )
+    found = Variances.of(causes, here.of_state, torch.ones_like(states[:, steps.ends], dtype=torch.bool), 1)
+
+    stiffness, h = float(learned.field.stiffness), 1e-4
+    rows, moved = basis(stiffness, count)
+    fit = torch.linalg.pinv(rows[early]) * NOISE
+    of_noise = (moved @ fit).square().sum(-1)
+    data = rows[early] @ starts.mT
+    ends = []
+    for k in (stiffness + h, stiffness - h):
+        rows_k, moved_k = basis(k, count)
+        ends.append(torch.einsum("tde,eb->btd", moved_k, torch.linalg.pinv(rows_k[early]) @ data))
+    of_parameters = ((ends[0] - ends[1]) / (2 * h) * sd).square()
+    close(found.states, of_noise + of_parameters, 2e-3)
+    close(found.parameters, of_parameters, 2e-3)
+    close(found.values, (of_noise + of_parameters)[..., :dof] / NOISE**2, 2e-3)
+    shares = of_parameters / (of_noise + of_parameters)
+    assert 0.1 < float(shares[:, -1].mean()) < 0.99  # both count
