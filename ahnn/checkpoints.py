@@ -54,12 +54,12 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     return content
 
 
-def replace_weights(path: Path, state: dict[str, Tensor], loss: float) -> None:
-    """Write other weights of the dynamics, and their validation loss, into a Lightning checkpoint."""
+def replace_weights(path: Path, state: dict[str, Tensor], about: dict[str, Any]) -> None:
+    """Write other weights of the dynamics, and what is new about them, into a Lightning checkpoint."""
     content = read_checkpoint(path)
     own = content["state_dict"]
     own |= {f"dynamics.{key}": value.to(own[f"dynamics.{key}"]) for key, value in state.items()}
-    content["ahnn"]["val_loss"] = loss
+    content["ahnn"] |= about
     buffer = io.BytesIO()
     torch.save(content, buffer)
     write_atomically(path, buffer.getvalue())

@@ -8,7 +8,7 @@ start=FILE          first sample of each trajectory in a file (docs/data.md); or
 start_sd=[..]       its standard deviations, one for each component (of one degree of freedom q and p), or
                     [position,velocity]; exact without them
 duration=1d         with a unit, or a number in the model's unit of time
-step=90min          between two predicted states; the sampling interval of the training without it
+step=90min          between two predicted states; that of the training without it
 output=FILE         .csv, .parquet, .oem or .xml; without it a summary alone
 figure=FILE         .png or .svg
 epoch=2024-03-01T12:00:00       of time zero; a message that holds the start has its own

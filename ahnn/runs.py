@@ -38,7 +38,8 @@ class Run:
     Attributes:
         dynamics: the flow, a float64 module without gradients: `run.dynamics(x, dt)`.
         space: names and units of the state components.
-        dt: sampling interval of the training data, in the unit of time.
+        dt: sampling interval of the training data, or the step of the integrator between measurements where
+            that is shorter, in the unit of time.
         about: what the weights were trained on, plain values.
         folder: of the run, or of the shipped model.
         uncertainty: covariance of the parameters; None unless these weights were trained on measurements.

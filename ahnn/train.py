@@ -119,6 +119,7 @@ def train_once(cfg: DictConfig, source: Source | None = None) -> float:
         cfg: one job.
         source: of the trajectories; None takes the system of the configuration.
     """
+    from ahnn.cli.closing import concluded
     from ahnn.cli.stops import held, interruptible
     from ahnn.files import claimed, require_writable
 
@@ -158,7 +159,8 @@ def fit(
     folder = Path(cfg.folder)
     statistics = data.statistics()
     model.calibrate(statistics)
-    model.about["dt"] = statistics.dt
+    # Between measurements the integrator may take shorter steps, and the dynamics are learned for these.
+    model.about["dt"] = min(statistics.dt, math.inf if data.sensor is None else data.instrument.longest)
     if cfg.weights is not None and checkpoint is None:
         begin_at(model, cfg.weights)
     model.about["domain"] = find_domain(model.dynamics.frozen(), data.examples()).about()
@@ -244,28 +246,6 @@ def judge(
     if boards:
         log.info("TensorBoard: tensorboard --logdir %s", folder)
     return loss
-
-
-def concluded(cfg: DictConfig, data: WindowDataModule) -> float:
-    """Take the last steps of a training on measurements, keep weights and uncertainty, return the seconds."""
-    from ahnn.checkpoints import read_weights, replace_weights
-    from ahnn.runs import made, weights_path
-    from ahnn.training import Shooting
-    from ahnn.training.laplace import conclude
-    from ahnn.uncertainty import save_uncertainty
-
-    folder, steps, robust = Path(cfg.folder), cfg.loss.closing, cfg.loss.robust
-    started, best = time.monotonic(), weights_path(folder)
-    dynamics = made(read_weights(best), folder).dynamics
-    after = f" after at most {steps} last steps" if steps else ""
-    log.info("what all measurements leave open%s: prior and covariance of the weights", after)
-    found = conclude(dynamics, data.whole("train"), data.whole("val"), steps, robust)
-    if found is not None:
-        learned, _ = found.taken(dynamics)
-        loss = Shooting(None, robust).validation(learned, next(iter(data.val_dataloader())))["loss"]
-        replace_weights(best, dynamics.state_dict(), float(loss))
-        save_uncertainty(folder, found, made(read_weights(best), folder).dynamics.state_dict())
-    return time.monotonic() - started
 
 
 def go_on(cfg: DictConfig) -> str:

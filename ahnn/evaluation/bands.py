@@ -68,8 +68,8 @@ def banded(case: Case, uncertainty: Uncertainty, prediction: Tensor) -> Band:
     for moved in rollout_sensitivities(dynamics, start, lengths, spread):
         rows, first = slice(first, first + len(moved)), first + len(moved)
         parts.append((moved.double().square().sum(-1), moved[..., :-1].double().square().sum(-1)))
-        later = moved[:, 1:][there[rows, 1:]]
-        within += held(later @ draws, later.norm(dim=-1, keepdim=True))
+        for own, seen in zip(moved[:, 1:], there[rows, 1:], strict=True):
+            within += held(own[seen] @ draws, own[seen].norm(dim=-1, keepdim=True))
     deviations, alone = (torch.cat(some).sqrt() for some in zip(*parts, strict=True))
     alone = alone / uncertainty.inflation**0.5  # the last column is the offset, and both are inflated
     bound = norms(alone.where(there, torch.nan), case.space.inertia)
@@ -86,7 +86,7 @@ def banded(case: Case, uncertainty: Uncertainty, prediction: Tensor) -> Band:
 
 
 def imagined(columns: int) -> Tensor:
-    """Return draws eta of `DRAWS` trainings whose parameters are off by L eta, (columns, DRAWS)."""
+    """Return `DRAWS` draws of so many independent causes, in their standard deviations, (columns, DRAWS)."""
     return torch.randn(columns, DRAWS, generator=torch.Generator().manual_seed(0))
 
 
@@ -108,7 +108,7 @@ def middle(shares: Tensor) -> tuple[tuple[float, float], ...]:
 def expected(right: tuple[tuple[float, float], ...]) -> str:
     """Return what right bands hold, as text."""
     ends = ", ".join(f"{100 * low:.3g} to {100 * high:.3g}" for low, high in right)
-    return f"right ones {ends} % in 19 trainings of 20"
+    return f"right ones {ends} % in 19 draws of 20"
 
 
 def percent(shares: tuple[float, ...]) -> str:

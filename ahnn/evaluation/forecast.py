@@ -84,12 +84,19 @@ def forecast(
         truth: of the same trajectories, at these times and perhaps others.
     """
     early = first_halves(segment)
-    starts, met, quartered = fitted_to_first(dynamics, segment, early, robust)
+    first = part_fitted(dynamics, segment, early, robust)
+    fitted, _ = fit_to(dynamics, first)
+    met = (first.measured > 2 * first.instrument.dof) & (fitted.sums <= LOST * first.measured)
     if not bool(met.any()):
         return None
-    starts, early, part = starts[met], early[met], segment.rows(met)
-    steps = steps_between(part.times, part.instrument.longest, quartered=quartered)
+    starts, early, first, part = fitted.starts[met], early[met], first.rows(met), segment.rows(met)
+    steps = steps_between(part.times, part.instrument.longest)
     states = path(dynamics.increment, starts, steps.lengths)
+    if coarse(cast(HasField, dynamics).field, states, steps.lengths):
+        steps = steps.quarters()
+        along = steps.first(first.times.shape[1] - 1)
+        starts = refine(trial_of(dynamics), starts, first, along, FOLLOWING, SURE).starts
+        states = path(dynamics.increment, starts, steps.lengths)
     here = linearised(trial_of(dynamics), states, part, steps)
     later = ~early.unsqueeze(-1)
     there = later.expand_as(states[:, steps.ends])
@@ -145,15 +152,18 @@ class Variances(NamedTuple):
             columns: of the parameters.
         """
         parts, within, first = [], torch.zeros(len(SIGMAS), DRAWS, dtype=torch.int64), 0
-        together, apart = imagined(columns), imagined(there[:, 0].numel()).view(len(there), 1, -1, DRAWS)
+        draws = imagined(columns + there[:, 0].numel())
+        together, apart = draws[:columns], draws[columns:].view(len(there), 1, -1, DRAWS)
         for noise, moved in causes:
             rows, first = slice(first, first + len(noise)), first + len(noise)
             covariance = noise @ noise.mT + moved @ moved.mT
             of_states = covariance.diagonal(dim1=-2, dim2=-1)
             values = ((of_state[rows] @ covariance) * of_state[rows]).sum(-1)
             parts.append((of_states, moved.square().sum(-1), values))
-            off = moved.float() @ together + noise.float() @ apart[rows]
-            within += held(off[there[rows]], of_states[there[rows]].sqrt().float().unsqueeze(-1))
+            for k, own in enumerate(there[rows], start=rows.start):
+                j = k - rows.start
+                off = moved[j].float() @ together + noise[j].float() @ apart[k]
+                within += held(off[own], of_states[j][own].sqrt().float().unsqueeze(-1))
         states, parameters, values = (torch.cat(part) for part in zip(*parts, strict=True))
         return cls(states, parameters, values, within)
 
@@ -164,21 +174,11 @@ def first_halves(segment: Segment) -> Tensor:
     return there.cumsum(1) <= there.sum(1, keepdim=True) / 2
 
 
-def fitted_to_first(
-    dynamics: Dynamics, segment: Segment, early: Tensor, robust: RobustName
-) -> tuple[Tensor, Tensor, bool]:
-    """Return starts (B, D) of a fit to what was measured early, which meet it, (B,), if in quarter steps."""
+def part_fitted(dynamics: Dynamics, segment: Segment, early: Tensor, robust: RobustName) -> Segment:
+    """Return what was measured early, (B, K + 1), up to the last of these times; outliers are left out."""
     last = max(int(early.any(0).sum()) - 1, 1)
     part = segment._replace(values=segment.values.masked_fill(~early.unsqueeze(-1), torch.nan)).first(last)
-    if robust != "none":
-        part = without_outliers(dynamics, part, robust)
-    fitted, _ = fit_to(dynamics, part)
-    enough, most = part.measured > 2 * part.instrument.dof, LOST * part.measured
-    quartered = coarse(cast(HasField, dynamics).field, fitted.states[enough & (fitted.sums <= most)])
-    if quartered:
-        steps = steps_between(part.times, part.instrument.longest, quartered=True)
-        fitted = refine(trial_of(dynamics), fitted.starts, part, steps, FOLLOWING, SURE)
-    return fitted.starts, enough & (fitted.sums <= most), quartered
+    return part if robust == "none" else without_outliers(dynamics, part, robust)
 
 
 def at(truth: Trajectories, rows: Tensor, times: Tensor) -> Tensor:

@@ -22,7 +22,7 @@ from ahnn.dynamics.variations import own_jacobians
 from ahnn.errors import UserError
 from ahnn.memory import require_memory
 from ahnn.progress import track
-from ahnn.shooting.paths import Steps, path, sensitivities, steps_between
+from ahnn.shooting.paths import Steps, in_quarters, path, sensitivities, steps_between
 from ahnn.shooting.quadrature import coarse
 from ahnn.uncertainty import Domain, growth
 
@@ -103,15 +103,23 @@ def predicted(
     numbers = count * samples * size * (size + 3) + float(times[-1] - times[0]) / longest
     require_memory("times", "predicted states", 8.0 * numbers)
     steps = steps_between(times.unsqueeze(0), longest)
+    quartered = known.spread is not None and needs_quarters(dynamics, start, steps)
     wanted = torch.zeros(int(steps.ends[-1]) + 1, dtype=torch.bool)
     wanted[steps.ends] = True
-    stretch = max(1, min(int(CELLS // (count * size * max(known.columns, 1))), TOGETHER // count))
+    cells = count * size * max(known.columns, 1) * (4 if quartered else 1)
+    stretch = max(1, min(int(CELLS // cells), TOGETHER // count))
     parts = list(zip(steps.lengths[0].split(stretch), wanted[1:].split(stretch), strict=True))
-    paths = _Path(dynamics, known)
+    paths = _Path(dynamics, known, quartered)
     rows = [paths.begin(start)]
     for lengths, chosen in track(parts, description, len(parts)) if description else parts:
         rows.append(paths.follow(lengths).at(chosen))
     return Prediction(times, *_Rows.joined(rows))
+
+
+def needs_quarters(dynamics: Dynamics, start: Tensor, steps: Steps) -> bool:
+    """Return whether the first `TOGETHER` steps from starts (B, D) are long for the trapezoidal rule."""
+    lengths = steps.lengths[:, :TOGETHER].expand(len(start), -1)
+    return coarse(cast(HasField, dynamics).field, path(dynamics.increment, start, lengths), lengths)
 
 
 class _Rows(NamedTuple):
@@ -139,8 +147,8 @@ class _Rows(NamedTuple):
 class _Path:
     """Where a batch of paths has come to, and how it moves with the start and the parameters."""
 
-    def __init__(self, dynamics: Dynamics, known: Knowledge) -> None:
-        self.dynamics, self.known = dynamics, known
+    def __init__(self, dynamics: Dynamics, known: Knowledge, quartered: bool) -> None:
+        self.dynamics, self.known, self.quartered = dynamics, known, quartered
         if known.columns:
             self.jacobians = own_jacobians(dynamics)
         if known.spread is not None:
@@ -164,16 +172,15 @@ class _Path:
         later = None if novelty is None else novelty[:, 1:]
         if not self.known.columns:
             return _Rows(states[:, 1:], None, later)
-        moved = self._follow_columns(states, lengths, novelty)
+        moved = self._columns(states, lengths.expand(len(states), -1), novelty)
         self.moved = moved[:, -1]
         return _Rows(states[:, 1:], self._covariances(moved[:, 1:]), later)
 
-    def _follow_columns(self, states: Tensor, lengths: Tensor, novelty: Tensor | None) -> Tensor:
-        """Return the columns at the states (B, N + 1, D), shape (B, N + 1, D, R)."""
-        steps = Steps(lengths.expand(len(states), -1), torch.arange(len(lengths) + 1))
-        if self.known.spread is not None and coarse(cast(HasField, self.dynamics).field, states):
-            steps = steps.quarters()
-            states = path(self.dynamics.increment, states[:, 0], steps.lengths)
+    def _columns(self, states: Tensor, lengths: Tensor, novelty: Tensor | None) -> Tensor:
+        """Return the columns at states (B, N + 1, D), shape (B, N + 1, D, R)."""
+        steps = Steps(lengths, torch.arange(lengths.shape[1] + 1))
+        if self.quartered:
+            steps, states = steps.quarters(), in_quarters(self.dynamics.increment, states, lengths)
             novelty = self._novelty(states)
         jacobians = self.jacobians(states[:, :-1], steps.lengths)
         return sensitivities(jacobians, self._forcing(states, novelty), steps, self.moved)

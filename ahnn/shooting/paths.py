@@ -74,6 +74,19 @@ def path(increment: Increment, start: Tensor, lengths: Tensor) -> Tensor:
     return torch.stack(states, dim=1)
 
 
+def in_quarters(increment: Increment, states: Tensor, lengths: Tensor) -> Tensor:
+    """Return the states (B, 4 N + 1, D) at the quarters of steps (B, N) along a path (B, N + 1, D).
+
+    Each step is begun anew at the state that the path has there.
+    """
+    dt, x = (lengths / 4).flatten(), states[:, :-1].flatten(0, 1)
+    quarters = [x]
+    for _ in range(3):
+        quarters.append(quarters[-1] + increment(quarters[-1], dt))
+    inner = torch.stack(quarters, dim=1).view(len(states), -1, states.shape[-1])
+    return torch.cat((inner, states[:, -1:]), dim=1)
+
+
 def transitions(jacobians: Tensor, anew: Collection[int] = ()) -> Tensor:
     """Return dx_k/dx_0 of each state of a path, shape (B, N + 1, D, D), from the Jacobians of its steps.
 

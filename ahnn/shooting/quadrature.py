@@ -17,15 +17,29 @@ information about parameters that no measurement determines, or like a path that
 """
 
 
-def coarse(field: Field, states: Tensor) -> bool:
-    """Return whether steps between states (B, N + 1, D) are to be quartered before parameters move them."""
-    return rule_error(field, states) > COARSE
+def coarse(field: Field, states: Tensor, lengths: Tensor) -> bool:
+    """Return whether steps of lengths (B, N) along paths (B, N + 1, D) are to be quartered.
+
+    They are where one path asks for it, and where a path has one step alone, which says nothing of itself.
+    """
+    return bool((rule_error(field, states, lengths) > COARSE).any())
 
 
 @torch.no_grad()
-def rule_error(field: Field, states: Tensor) -> float:
-    """Return about what share of the forces the trapezoidal rule is off by along paths (B, N + 1, D)."""
-    sound = states[states.isfinite().flatten(1).all(1)]
-    forces = field(sound)[..., states.shape[-1] // 2 :]
-    bend = forces.diff(n=2, dim=1).norm(dim=-1) / 12
-    return float(bend.mean() / forces.norm(dim=-1).mean()) if bend.numel() else 0.0
+def rule_error(field: Field, states: Tensor, lengths: Tensor) -> Tensor:
+    """Return about what share of the forces the trapezoidal rule is off by along each path, shape (B,).
+
+    It is h^2 / 12 times their second derivative; of steps that are not finite nothing counts, and infinity
+    is that of a path without two steps in a row.
+
+    Args:
+        field: whose forces count, the last half of the rates.
+        states: (B, N + 1, D).
+        lengths: of the steps, (B, N).
+    """
+    forces = field(states)[..., states.shape[-1] // 2 :]
+    slopes = forces.diff(dim=1) / lengths.unsqueeze(-1)
+    before, after = lengths[:, :-1], lengths[:, 1:]
+    bends = before * after / (6 * (before + after)) * slopes.diff(dim=1).norm(dim=-1)
+    bend, force = (x.where(x.isfinite(), torch.nan).nanmean(1) for x in (bends, forces.norm(dim=-1)))
+    return (bend / force).where(bend.isfinite(), torch.inf)

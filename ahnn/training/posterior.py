@@ -35,7 +35,8 @@ class WideProblem(ShootingProblem):
 def whole_problem(dynamics: Dynamics, batch: Segment, robust: Robust) -> WideProblem:
     """Return all segments as a problem, with steps quartered where whole ones know J too badly."""
     problem = WideProblem(dynamics, batch, robust)
-    if not coarse(cast(HasField, dynamics).field, problem.fitted.states[problem.kept]):
+    states = problem.fitted.states[problem.kept]
+    if not coarse(cast(HasField, dynamics).field, states, problem.steps.lengths):
         return problem
     return WideProblem(dynamics, batch, robust, starts=problem.fitted.starts, quartered=True)
 

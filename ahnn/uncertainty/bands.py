@@ -13,7 +13,7 @@ from torch.nn.utils import parameters_to_vector
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import field_jacobian, parametrised
 from ahnn.dynamics.variations import own_jacobians
-from ahnn.shooting.paths import Steps, path, sensitivities
+from ahnn.shooting.paths import Steps, in_quarters, path, sensitivities
 from ahnn.shooting.quadrature import coarse
 
 CELLS = 4e7
@@ -43,6 +43,8 @@ def rollout_sensitivities(
 ) -> Iterator[Tensor]:
     """Yield (dx_k/dtheta) L in float32, (b, N + 1, D, R), of some rollouts at a time.
 
+    Steps that are long for the trapezoidal rule are quartered.
+
     Args:
         dynamics: with a field, float64; the parameters are theta.
         start: (B, D).
@@ -51,9 +53,8 @@ def rollout_sensitivities(
     """
     steps = Steps(lengths, torch.arange(lengths.shape[1] + 1))
     states = path(dynamics.increment, start, lengths)
-    if coarse(cast(HasField, dynamics).field, states):
-        steps = steps.quarters()
-        states = path(dynamics.increment, start, steps.lengths)
+    if coarse(cast(HasField, dynamics).field, states, lengths):
+        steps, states = steps.quarters(), in_quarters(dynamics.increment, states, lengths)
     jacobians = own_jacobians(dynamics)(states[:, :-1], steps.lengths)
     return path_sensitivities(dynamics, states, jacobians, steps, factor)
 

@@ -58,6 +58,7 @@ def test_absent_samples_do_not_count(tmp_path):
     cut[:, 0] = False
     band = banded(drop(case, cut), found, prediction(case))
     assert band.coverage == (1, 1, 1)
+    assert band.right == banded(case, found, prediction(case)).right  # one direction: all or none
     assert all(math.isfinite(value) for value in (*band.expected, *band.bound, *band.efficiency))
 
 

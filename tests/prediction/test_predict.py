@@ -62,6 +62,35 @@ def test_long_steps_are_followed_in_quarters(domain):
     assert found.novelty is None or found.novelty.shape == (2, 31)
 
 
+@torch.no_grad()
+def test_long_steps_are_the_same_in_any_stretches_and_one_alone(monkeypatch):
+    times = 0.2 * torch.arange(31, **DOUBLE)
+    whole = predicted(Swing(), START, times, 0.2, Knowledge(FACTOR)).covariances
+    alone = predicted(Swing(), START, times[:2], 0.2, Knowledge(FACTOR)).covariances
+    monkeypatch.setattr("ahnn.prediction.kernel.CELLS", 1)  # stretches of a step
+    stretched = predicted(Swing(), START, times, 0.2, Knowledge(FACTOR)).covariances
+    assert whole is not None
+    assert alone is not None
+    assert stretched is not None
+    close(stretched, whole, 1e-5)
+    close(alone, whole[:, :2], 1e-6)
+
+
+@torch.no_grad()
+def test_novelty_counts_between_long_steps():
+    """Known ground at the ends of a step alone: all that is novel lies within it."""
+    times = 0.2 * torch.arange(2, **DOUBLE)
+    ends = predicted(Swing(), START[:1], times, 0.2).states[0]
+    domain = Domain(ends, 0.01 * float((ends[1] - ends[0]).norm()))
+    known = predicted(Swing(), START[:1], times, 0.2, Knowledge(FACTOR)).deviations
+    found = predicted(Swing(), START[:1], times, 0.2, Knowledge(FACTOR, domain))
+    assert known is not None
+    assert found.deviations is not None
+    assert found.novelty is not None
+    assert float(found.novelty.max()) == pytest.approx(0, abs=1e-6)
+    assert float(found.deviations[0, 1].max()) > 100 * float(known[0, 1].max())
+
+
 def test_the_covariance_of_a_start_is_carried_along_by_the_flow(monkeypatch):
     """Through derivatives of the whole path by autograd; the one of the parameters is added to it."""
     times, sd = 0.1 * torch.arange(21, **DOUBLE), torch.tensor([0.3, 0.05], **DOUBLE)

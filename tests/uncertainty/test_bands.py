@@ -35,7 +35,7 @@ def lengths(count=5, steps=150):
 
 
 @torch.no_grad()
-@pytest.mark.parametrize(("longer", "count", "off"), [(1, 150, 1e-3), (5, 60, 4e-3)])
+@pytest.mark.parametrize(("longer", "count", "off"), [(1, 150, 1e-3), (5, 60, 7e-4)])
 def test_covariances_are_those_of_central_differences(longer, count, off):
     """Steps that are long for the trapezoidal rule, but not for the flow, are followed in quarters."""
     dynamics, x, dt = Swing(), starts(), longer * lengths(steps=count)
@@ -51,6 +51,15 @@ def test_covariances_are_those_of_central_differences(longer, count, off):
     found = rollout_covariances(dynamics, x, dt, FACTOR)
     close(found, design @ design.mT, off)
     assert float(found[:, 0].abs().max()) == 0  # the start is known
+
+
+@torch.no_grad()
+def test_a_band_does_not_depend_on_its_neighbours():
+    """A long step beside fifty rollouts in short ones is looked into as it would be alone."""
+    x, long = starts(51), 5 * lengths(1, 60)
+    dt = torch.cat((long, 0.05 * long.expand(50, -1)))
+    together = rollout_covariances(Swing(), x, dt, FACTOR)
+    close(together[:1], rollout_covariances(Swing(), x[:1], long, FACTOR), 1e-5)
 
 
 @torch.no_grad()

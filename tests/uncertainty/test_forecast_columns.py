@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from cases import SPRING, Learned, trajectories
 from helpers import close
 
 from ahnn.data.segments import whole
 from ahnn.data.sensor import Sensor
+from ahnn.evaluation.bands import NORMAL
 from ahnn.evaluation.explained import trial_of
 from ahnn.evaluation.forecast import Variances
 from ahnn.rollouts import rollout
@@ -59,3 +61,25 @@ def test_variances_are_those_of_dense_linear_algebra(monkeypatch):
     close(found.values, (of_noise + of_parameters)[..., :dof] / NOISE**2, 2e-3)
     shares = of_parameters / (of_noise + of_parameters)
     assert 0.1 < float(shares[:, -1].mean()) < 0.99  # both count
+
+
+def test_draws_have_the_variances_of_the_causes():
+    """Two trajectories in parts of one: noise of their own, parameters in common."""
+    generator = torch.Generator().manual_seed(3)
+    noise, moved = (torch.randn(2, 40, 2, n, generator=generator, **DOUBLE) for n in (2, 5))
+    of_state, there = torch.zeros(2, 40, 1, 2, **DOUBLE), torch.ones(2, 40, 2, dtype=torch.bool)
+    at_once = Variances.of([(noise, moved)], of_state, there, 5)
+    in_parts = Variances.of(zip(noise.split(1), moved.split(1), strict=True), of_state, there, 5)
+    assert bool((at_once.within == in_parts.within).all())
+    close(at_once.states, noise.square().sum(-1) + moved.square().sum(-1), 1e-12)
+    mean = at_once.within.double().mean(1) / there.sum()
+    for share, normal in zip(mean.tolist(), NORMAL, strict=True):
+        assert share == pytest.approx(normal, abs=0.02)
+
+
+def test_draws_of_noise_and_parameters_are_not_the_same():
+    """Causes that would cancel if they were: nothing would then be off."""
+    size, there = (1, 30, 2, 2), torch.ones(1, 30, 2, dtype=torch.bool)
+    one = torch.randn(size, generator=torch.Generator().manual_seed(3), **DOUBLE)
+    found = Variances.of([(one, -one)], torch.zeros(1, 30, 1, 2, **DOUBLE), there, 2)
+    assert float(found.within[0].double().mean()) / 60 < 0.8

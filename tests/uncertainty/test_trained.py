@@ -71,7 +71,7 @@ def test_other_weights_have_no_band(folder, tmp_path):
     other = shutil.copy(folder / "checkpoints" / "best.ckpt", tmp_path / "other.ckpt")
     trained = made(read_weights(other), folder).dynamics.state_dict()
     moved = {name: value + 1e-6 for name, value in trained.items()}
-    replace_weights(other, moved, 0.25)
+    replace_weights(other, moved, {"val_loss": 0.25})
     run = ahnn.load(folder, str(other))
     assert run.about["val_loss"] == 0.25
     assert all(torch.equal(value, moved[name]) for name, value in run.dynamics.state_dict().items())
