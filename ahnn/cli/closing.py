@@ -33,8 +33,8 @@ def concluded(cfg: DictConfig, data: WindowDataModule) -> float:
         learned, _ = found.taken(dynamics)
         loss = Shooting(None, robust).validation(learned, next(iter(data.val_dataloader())))["loss"]
         about: dict[str, Any] = {"val_loss": float(loss)}
-        if len(states := visited(learned, train, robust)) > 1:
-            about["domain"] = find_domain(learned, states).about()
+        if len(states := visited(dynamics, train, robust)) > 1:
+            about["domain"] = find_domain(dynamics, states).about()
         replace_weights(best, dynamics.state_dict(), about)
         save_uncertainty(folder, found, made(read_weights(best), folder).dynamics.state_dict())
     return time.monotonic() - started

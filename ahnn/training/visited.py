@@ -14,7 +14,7 @@ from ahnn.measurements import Segment
 from ahnn.shooting.robust import ROBUST, RobustName
 from ahnn.training.posterior import whole_problem
 
-PATHS, STATES = 300, 50_000
+PATHS, STATES = 150, 50_000
 """Trajectories of the training that are followed, and states of these that are returned, at most."""
 
 

@@ -51,6 +51,18 @@ def test_a_training_goes_on_from_the_parameters_before_the_step_of_functions(fol
     assert ahnn.load(tmp_path / "more").trained.spec["network"]["width"] == 4
 
 
+def test_a_run_knows_the_paths_and_the_steps_that_it_learned_from(folder):
+    """Measured every 0.1 s, followed in steps of 0.025 s; smoothed measurements were known before."""
+    assert ahnn.load(folder).dt == pytest.approx(0.025)
+    learned = ahnn.load(folder)
+    assert learned.domain is not None
+    before = ahnn.load(folder, "last").domain
+    assert before is not None
+    assert learned.domain.unit != before.unit
+    ends = learned.rollout(learned.domain.states[:5], 1)[:, 1]
+    assert float(learned.novelty(ends).max()) < 2
+
+
 def test_a_run_has_bands_for_any_start(folder):
     run = ahnn.load(folder)
     band = run.band([[0.5, 0.0], [1.0, 0.0]], 30)
