@@ -46,7 +46,7 @@ class Band(NamedTuple):
         """Return the finding as a note under the table."""
         return (
             f"its bands of 1, 2 and 3 standard deviations hold {percent(self.coverage)} % of unseen states "
-            f"({expected(self.right)}); "
+            f"({right_bands(self.right)}); "
             f"the error is {self.efficiency[0]:.2f} (position) and {self.efficiency[1]:.2f} (velocity) "
             "of the noise bound"
         )
@@ -105,7 +105,7 @@ def middle(shares: Tensor) -> tuple[tuple[float, float], ...]:
     return tuple((float(low), float(high)) for low, high in torch.quantile(shares.double(), ends, dim=1).mT)
 
 
-def expected(right: tuple[tuple[float, float], ...]) -> str:
+def right_bands(right: tuple[tuple[float, float], ...]) -> str:
     """Return what right bands hold, as text."""
     ends = ", ".join(f"{100 * low:.3g} to {100 * high:.3g}" for low, high in right)
     return f"right ones {ends} % in 19 draws of 20"

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from ahnn.dynamics import Dynamics, HasField
-from ahnn.evaluation.bands import DRAWS, NORMAL, SIGMAS, expected, held, imagined, middle, percent
+from ahnn.evaluation.bands import DRAWS, NORMAL, SIGMAS, held, imagined, middle, percent, right_bands
 from ahnn.evaluation.explained import OUTLYING, fit_to, trial_of, without_outliers
 from ahnn.measurements import Segment
 from ahnn.shooting.paths import path, steps_between
@@ -55,7 +55,7 @@ class Forecast(NamedTuple):
             f"hold {percent(self.coverage)} % of the measured numbers"
         )
         if self.states is not None:
-            text += f" and {percent(self.states)} % of the true states ({expected(self.right)})"
+            text += f" and {percent(self.states)} % of the true states ({right_bands(self.right)})"
         text += f"; the parameters have {100 * self.parameters:.2g} % of the variance of a state"
         text += f"; {100 * self.outliers:.2g} % left out as outliers" if self.outliers else ""
         return text + (f"; first halves not fitted: {self.lost}" if self.lost else "")
@@ -101,10 +101,11 @@ def forecast(
     later = ~early.unsqueeze(-1)
     there = later.expand_as(states[:, steps.ends])
     true = None if truth is None else at(truth, met, part.times)
-    if true is not None:
-        there = there & true.isfinite()
+    there = there if true is None else there & true.isfinite()
     causes = forecast_columns(dynamics, states, steps, here, early, spread)
     variances = Variances.of(causes, here.of_state, there, spread.shape[1])
+    standard = variances.states.sqrt()
+    of_true = None if true is None else shares(((states[:, steps.ends] - true) / standard)[there])
     ahead, total = later & ~part.values.isnan(), 1 + variances.values
     off, width = (here.residuals / total.sqrt())[ahead], total[ahead]
     counted = torch.ones_like(off, dtype=torch.bool) if robust == "none" else ~(off.abs() > OUTLYING)
@@ -112,9 +113,7 @@ def forecast(
         coverage=shares(off[counted]),
         width=float(width[counted].nanmean().sqrt()),
         parameters=float((variances.parameters / variances.states)[ahead.any(-1)].nanmean()),
-        states=None
-        if true is None
-        else shares(((states[:, steps.ends] - true) / variances.states.sqrt())[there]),
+        states=of_true,
         right=middle(variances.within / int(there.sum())),
         lost=int((~met).sum()),
         trajectories=len(met),

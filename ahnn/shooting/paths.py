@@ -53,17 +53,16 @@ class Steps(NamedTuple):
         return self._replace(lengths=self.lengths[:, : int(ends[-1])], ends=ends)
 
 
-def steps_between(times: Tensor, longest: float, *, quartered: bool = False) -> Steps:
-    """Return steps that end on all of the times (B, K + 1), none longer than `longest`, or quarters of such.
+def steps_between(times: Tensor, longest: float) -> Steps:
+    """Return steps that end on all of the times (B, K + 1), none longer than `longest`.
 
     An interval has as many steps in every row as its longest one needs.
     """
     gaps = times.diff(dim=1)
     # A gap of 60.000000000000007 is one step of 60, not two of 30.
     counts = torch.ceil(gaps.amax(0) / longest - 1e-9).clamp(min=1).long()
-    counts = 4 * counts if quartered else counts
     ends = torch.cat((counts.new_zeros(1), counts.cumsum(0)))
-    return Steps((gaps / counts).repeat_interleave(counts, dim=1), ends, quartered)
+    return Steps((gaps / counts).repeat_interleave(counts, dim=1), ends)
 
 
 def path(increment: Increment, start: Tensor, lengths: Tensor) -> Tensor:

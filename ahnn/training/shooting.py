@@ -140,7 +140,8 @@ class ShootingProblem:
             )
             raise UserError(message)
         self.robust, self.forcing = robust, field_jacobian(dynamics, self.precision)
-        steps = steps_between(batch.times, batch.instrument.longest, quartered=quartered)
+        steps = steps_between(batch.times, batch.instrument.longest)
+        steps = steps.quarters() if quartered else steps
         self._exact = Increments(dynamics, PATHS * steps.lengths.shape[1])
         self._jacobians = jacobians_of_steps(dynamics)
         trial = self.trial(parameters_to_vector(dynamics.parameters()).detach())
@@ -150,9 +151,8 @@ class ShootingProblem:
             self.fitted = refine(trial, starts, batch, steps, FOLLOWING, SURE)
         self.kept = kept = near(self.fitted.sums, freedom(batch), hopeless)
         self.steps, self.batch, self.starts = steps.rows(kept), batch.rows(kept), self.fitted.starts[kept]
-        self.lost = int((~kept).sum())
         self.limit = Limit.of(self.fitted.sums[kept], freedom(self.batch))
-        self.count = int(freedom(self.batch).sum())
+        self.lost, self.count = int((~kept).sum()), int(freedom(self.batch).sum())
         self._refitted: tuple[Tensor, Fitted] | None = None  # of the last parameters, which are asked again
         self._linear: tuple[Tensor, Fitted, Linearised] | None = None
 

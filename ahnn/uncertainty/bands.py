@@ -74,8 +74,8 @@ def path_sensitivities(
     """
     theta = parameters_to_vector(dynamics.parameters()).detach()
     forcing = field_jacobian(cast(HasField, dynamics), jacobians.dtype)
-    rows = max(1, int(CELLS // (states[0].numel() * len(theta))))
-    for k in range(0, len(states), rows):
+    rows = max(1, int(CELLS // (states.shape[1] * states.shape[2] * len(theta))))
+    for k in range(0, max(1, len(states)), rows):
         part = slice(k, k + rows)
         driven = forcing(theta, states[part]) @ factor.to(jacobians)
         yield sensitivities(jacobians[part], driven, steps.rows(part))

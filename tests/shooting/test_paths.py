@@ -91,7 +91,8 @@ def test_sensitivities_converge_with_the_order_of_their_rule(quartered, order):
     errors = []
     for count in (4, 8, 16):
         times = torch.tensor([[0.0, 1.0]], dtype=torch.float64)
-        steps = steps_between(times, 1.0 / count, quartered=quartered)
+        whole = steps_between(times, 1.0 / count)
+        steps = whole.quarters() if quartered else whole
         number = 4 * count if quartered else count
         assert steps.lengths.shape == (1, number)
         jacobian = torch.linalg.matrix_exp(A / number).expand(1, number, 2, 2)

@@ -69,6 +69,7 @@ def test_a_run_has_bands_for_any_start(folder):
     assert band.shape == (2, 31, 2)
     assert float(band[:, 0].abs().max()) == 0
     assert bool((band[:, 1:].isfinite() & (band[:, 1:] > 0)).all())
+    assert run.band(torch.zeros(0, 2), 3).shape == (0, 4, 2)
 
 
 def test_a_later_evaluation_finds_the_band_too(folder):
