@@ -103,6 +103,7 @@ def assimilate(arguments: list[str]) -> None:
     state = None if options.state is None else Path(options.state)
     if state is None or not state.exists():
         require_new(options.output)
+    _require_places(options)
     with closing(Lines(_opened(options.measurements, state))) as lines:
         filtering = stream.build_assimilation(options, nodes, cfg, run)
         kind = options.format or ("json" if Path(options.output).suffix in (".json", ".jsonl") else "csv")
@@ -131,6 +132,31 @@ def _opened(path: str, state: Path | None) -> BinaryIO | Journal:
     return pipe if state is None else Journal(pipe.raw, Path(f"{state}.lines"))
 
 
+def _require_places(options: Asked) -> None:
+    """Refuse places for state, figures and message where something else is; raises UserError."""
+    from ahnn.errors import UserError
+    from ahnn.manifest import require_own
+
+    if options.state is not None and Path(options.state).is_symlink():
+        message = f"state: expected a file; received {options.state}, a link. Name the file itself"
+        raise UserError(message)
+    given = [Path(path).resolve() for path in (options.output, options.state, options.oem) if path]
+    if len({*given}) < len(given):
+        message = "assimilate: expected an output, a state and an oem of their own; received one path twice"
+        raise UserError(message)
+    require_own(_made_at_the_end(options), "assimilate")
+
+
+def _made_at_the_end(options: Asked) -> list[Path]:
+    """Return the files that are made of the output."""
+    from ahnn.assimilation.figures import NAMES
+    from ahnn.evaluation.sinks.figures import FORMATS
+
+    names = [f"{name}{suffix}" for name in NAMES for suffix in FORMATS]
+    pictures = [Path(options.figures) / name for name in names] if options.figures else []
+    return [*pictures, *([Path(options.oem)] if options.oem else [])]
+
+
 def _pictures(options: Asked, space: Space) -> None:
     """Make figures and message of the output, if they are asked for."""
     if not (options.figures or options.oem):
@@ -142,11 +168,9 @@ def _pictures(options: Asked, space: Space) -> None:
 
     record = read_record(Path(options.output), space.components)
     if options.figures:
-        folder = Path(options.figures)
-        folder.mkdir(parents=True, exist_ok=True)
         for name, figure in figures_of(record, space).items():
             for suffix in FORMATS:
-                write_atomically(folder / f"{name}{suffix}", drawn(figure, suffix))
+                write_atomically(Path(options.figures) / f"{name}{suffix}", drawn(figure, suffix))
     if options.oem:
         names = ("object", "epoch", "frame", "center", "time_system")
         write_ephemeris(Path(options.oem), record, space, {name: getattr(options, name) for name in names})

@@ -56,15 +56,15 @@ def evaluate(arguments: list[str]) -> None:
     note = splits.beside(run.about.get("data"))
     training = load_results(run.folder).training if (run.folder / "metrics.json").exists() else {}
     options = report_options(cfg)
-    folder = evaluation_folder(request.folder, request.name)
     learned = {"uncertainty": run.uncertainty, "domain": run.domain, "robust": robust_of(run)}
-    case = make_case(
-        run.dynamics, splits, label=cfg.label, seed=cfg.evaluation.seed, folder=folder, **learned
-    )
     about = {"ckpt": request.ckpt, "data": note}
-    board = TensorBoardSink(Board(folder), about)
     known: dict[str, Any] = {**training, "val_loss": run.about["val_loss"], **about}
-    report(case, plugins, known, more=[board] if cfg.evaluation.figures else [], **options)
+    with evaluation_folder(request.folder, request.name) as folder:
+        case = make_case(
+            run.dynamics, splits, label=cfg.label, seed=cfg.evaluation.seed, folder=folder, **learned
+        )
+        board = TensorBoardSink(Board(folder), about)
+        report(case, plugins, known, more=[board] if cfg.evaluation.figures else [], **options)
 
 
 def set_threads(count: int) -> None:

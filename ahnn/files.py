@@ -17,30 +17,52 @@ import yaml
 from filelock import FileLock, Timeout
 
 from ahnn.errors import Occupied, UserError
+from ahnn.manifest import digest_of, record, recorded, require_own
 
 LARGEST = 2_000_000
 """Characters of a configuration; ours have a few thousand."""
-UNFINISHED = re.compile(r"\..+\.[0-9a-f]{32}\.tmp")
-"""Name of a temporary file."""
+UNFINISHED = re.compile(r"\.(.+)\.([0-9a-f]{32})\.tmp")
+"""Name of a temporary file: of its target, and of the first digits of its content where that is known."""
+MARK = 24
+"""Digits of a content in the name of a temporary file; random ones follow."""
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write bytes to a file that appears whole or not at all; see `atomic_file`."""
+    """Write bytes to a file that appears whole or not at all, and record it in the folder's manifest.
+
+    Raises:
+        UserError: something is there that this program did not write, or a link.
+    """
+    require_own([path], "file")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    record(path, digest := digest_of(content))
+    with atomic_file(path, digest[:MARK]) as file:
+        file.write(content)
+
+
+def write_cached(path: Path, content: bytes) -> None:
+    """Write bytes to a file of a cache, or of a state that proves by its content that it is ours."""
     with atomic_file(path) as file:
         file.write(content)
 
 
 @contextlib.contextmanager
-def atomic_file(path: Path) -> Iterator[BinaryIO]:
+def atomic_file(path: Path, mark: str = "") -> Iterator[BinaryIO]:
     """Give a temporary file beside `path`; afterwards flush it to the disk and rename it into place.
 
-    What was at `path` survives any failure; a link there is replaced and its target left alone. Whoever
-    writes holds a lock on its temporary file, which ends with the process: what killed writers left in the
-    folder is not locked, and the next one removes it.
+    Results are written by `write_atomically`, which looks first whose file is there. What was at `path`
+    survives any failure; a link there is replaced and its target left alone. Whoever writes holds a lock on
+    its temporary file, which ends with the process: what killed writers left in the folder is not locked, and
+    the next one removes it.
+
+    Args:
+        path: of the file.
+        mark: first digits of the content's digest, by which the manifest knows a temporary file; without
+            them the folder is a cache, where all temporary files are ours.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    _remove_unfinished(path.parent)
-    temporary, file = _unfinished(path)
+    _remove_unfinished(path.parent, recorded(path.parent) if mark else None)
+    temporary, file = _unfinished(path, mark)
     with file:
         try:
             yield file
@@ -54,10 +76,10 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
             raise
 
 
-def _unfinished(path: Path) -> tuple[Path, BinaryIO]:
+def _unfinished(path: Path, mark: str) -> tuple[Path, BinaryIO]:
     """Return a new temporary file with a lock on it; another one where a remover came before the lock."""
     while True:
-        temporary = path.with_name(f".{path.name}.{uuid4().hex}.tmp")
+        temporary = path.with_name(f".{path.name}.{(mark + uuid4().hex)[:32]}.tmp")
         file = open(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666), "wb")  # noqa: SIM115
         with contextlib.suppress(OSError):  # a file system without locks: nobody removes anything there
             fcntl.flock(file, fcntl.LOCK_EX)
@@ -66,10 +88,13 @@ def _unfinished(path: Path) -> tuple[Path, BinaryIO]:
         file.close()
 
 
-def _remove_unfinished(folder: Path) -> None:
-    """Remove the temporary files of writers that are gone."""
+def _remove_unfinished(folder: Path, known: dict[str, set[str]] | None) -> None:
+    """Remove the temporary files of writers that are gone; in a folder of results those on record alone."""
     for path in folder.glob(".*.tmp"):
-        if not (UNFINISHED.fullmatch(path.name) and path.is_file()):
+        found = UNFINISHED.fullmatch(path.name)
+        if not found or path.is_symlink() or not path.is_file():
+            continue
+        if known is not None and found[2][:MARK] not in {each[:MARK] for each in known.get(found[1], ())}:
             continue
         with contextlib.suppress(OSError), path.open("r+b") as file:  # it is gone, or its writer lives
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -86,14 +111,19 @@ def claimed(folder: Path, name: str = ".claim") -> Iterator[None]:
 
     Raises:
         Occupied: another process holds it.
+        UserError: somebody's file has the name of the claim.
     """
-    lock = FileLock(folder / name, timeout=0)
+    place = folder / name
+    if place.is_symlink() or (place.exists() and (not place.is_file() or place.stat().st_size)):
+        message = f"{place}: expected no file of that name, or an empty one; received another. Move it"
+        raise UserError(message)
+    lock = FileLock(place, timeout=0)
     try:
         with lock:
             try:
                 yield
             finally:
-                (folder / name).unlink(missing_ok=True)
+                place.unlink(missing_ok=True)
     except Timeout as error:
         message = f"folder {folder}: expected one of its own; received one that another process writes into"
         raise Occupied(message) from error

@@ -30,7 +30,7 @@ def fit(
     Raises:
         UserError: trajectories or overrides that make no training, or a folder with another one.
     """
-    from ahnn.cli.before import quiet, require_new
+    from ahnn.cli.before import quiet
     from ahnn.cli.compose import compose_job
     from ahnn.cli.settings import check_settings
     from ahnn.data import Given
@@ -45,6 +45,5 @@ def fit(
     cfg = compose_job(overrides, Path(folder))
     cfg.system = {"name": space.name, "given": about_space(space)}
     check_settings(cfg)
-    require_new(Path(folder), cfg.ckpt)
     train_once(cfg, source)
     return load(folder)

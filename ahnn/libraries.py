@@ -21,7 +21,7 @@ from torch import Tensor
 from torch.autograd import forward_ad
 from torch.nn import Parameter
 
-from ahnn.files import write_atomically
+from ahnn.files import write_cached
 from ahnn.types import TimeStep
 
 # No errno and no traps, so that square roots are vector operations; infinities and NaN stay what they are.
@@ -86,7 +86,7 @@ def _built(source: Path, command: list[str]) -> ctypes.CDLL:
         subprocess.run(line, check=True, capture_output=True, text=True)
         if own:
             with contextlib.suppress(OSError):  # a full disk, say: it serves this process alone
-                write_atomically(path, made.read_bytes())
+                write_cached(path, made.read_bytes())
         return ctypes.CDLL(str(made))
 
 

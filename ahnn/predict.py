@@ -84,6 +84,8 @@ def predict(arguments: list[str]) -> None:
         output.require_output(Path(asked.output), begin, space, frame)
     if asked.figure is not None:
         output.require_figure(Path(asked.figure))
+    if asked.output is not None and isinstance(asked.start, str):
+        output.require_other(Path(asked.output), Path(asked.start))
     if not all(run.uncertainty for run in runs):  # the mean of what some know would be of nobody
         runs = [replace(run, uncertainty=None) for run in runs]
     text = "predicting with {}".format

@@ -36,6 +36,7 @@ def report(arguments: list[str]) -> None:
         from ahnn.errors import UserError
         from ahnn.evaluation.results import FILE
         from ahnn.evaluation.terminal import show
+        from ahnn.manifest import require_plain
 
     given = [text for text in arguments if "=" not in text or Path(text).is_dir()]
     cfg = composed("report", [text for text in arguments if text not in given])
@@ -49,6 +50,8 @@ def report(arguments: list[str]) -> None:
         raise UserError(message)
     folders = [Path(text) for text in given] or [Path(str(cfg.run))]
     output = folders[0] / "report" if cfg.output is None else Path(str(cfg.output))
+    if cfg.output is None:
+        require_plain(output)
     show(build(cfg.report, "report")(folders, output))
 
 

@@ -119,11 +119,13 @@ def train_once(cfg: DictConfig, source: Source | None = None) -> float:
         cfg: one job.
         source: of the trajectories; None takes the system of the configuration.
     """
+    from ahnn.cli.before import require_new
     from ahnn.cli.closing import concluded
     from ahnn.cli.stops import held, interruptible
     from ahnn.files import claimed, require_writable
 
     folder = Path(cfg.folder)
+    require_new(folder, cfg.ckpt)
     with held():
         data, model, plugins, trainer, checkpoint = prepare(cfg, source)
     data.train_dataloader()  # the last that may be refused: from here on files are written

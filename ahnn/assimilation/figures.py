@@ -12,15 +12,13 @@ from ahnn.types import Space
 
 AVERAGED = 50
 """Readings that a mean NIS is of."""
+NAMES = ("innovations", "consistency", "deviations")
 
 
 def figures_of(record: Record, space: Space) -> dict[str, Figure]:
     """Return the figures of a record under their names."""
-    return {
-        "innovations": innovations(record, space),
-        "consistency": consistency(record, space),
-        "deviations": deviations(record, space),
-    }
+    drawn = (draw(record, space) for draw in (innovations, consistency, deviations))
+    return dict(zip(NAMES, drawn, strict=True))
 
 
 def innovations(record: Record, space: Space) -> Figure:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import io
+import os
 from pathlib import Path
 from typing import BinaryIO
 
 from ahnn.errors import UserError
-from ahnn.files import write_atomically
+from ahnn.files import write_cached
 
 
 class Journal(io.RawIOBase):
@@ -32,7 +33,7 @@ class Journal(io.RawIOBase):
         Raises:
             UserError: one is there, of a state that is not.
         """
-        if self.path.exists():
+        if os.path.lexists(self.path):
             message = f"state: expected the state of the journal {self.path}; received none. Remove it"
             raise UserError(message)
         self.saved(0)
@@ -76,7 +77,7 @@ class Journal(io.RawIOBase):
         """A state holds the stream up to a place: keep what was read beyond it."""
         del self._kept[: place - self._base]
         self._base = place
-        write_atomically(self.path, b"%d\n%b" % (place, self._kept))
+        write_cached(self.path, b"%d\n%b" % (place, self._kept))
         self._close()
         self._file = self.path.open("ab")
 

@@ -107,7 +107,7 @@ class Output:
 
 def require_new(path: str) -> None:
     """Refuse to begin where something is already; raises UserError."""
-    if path != "-" and Path(path).exists():
+    if path != "-" and os.path.lexists(path):
         message = (
             f"output: expected a new file; received {path}, which is there. Name another one or remove it"
         )

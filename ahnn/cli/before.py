@@ -12,6 +12,7 @@ from ahnn.cli.importing import import_torchmetrics, importing
 from ahnn.cli.settings import check_settings
 from ahnn.cli.stops import held
 from ahnn.errors import UserError
+from ahnn.manifest import require_folder
 
 HINTS = (
     ".*smaller than the logging interval.*",
@@ -24,6 +25,9 @@ HINTS = (
     "GPU available but not used.*",
 )
 """What Lightning warns of though it is intended, such as short epochs or a login node without `srun`."""
+
+WRITTEN = ("config.yaml", "metrics.json", "predictions.safetensors")
+"""Results beside figures and checkpoints."""
 
 
 def begin(cfg: DictConfig) -> None:
@@ -52,15 +56,20 @@ def quiet() -> None:
 
 
 def require_new(folder: Path, ckpt: str | None) -> None:
-    """Check that a training from the start replaces no other.
+    """Check that a training replaces no other from the start, and nothing of somebody else at all.
 
     Raises:
-        UserError: the folder holds checkpoints.
+        UserError: the folder holds checkpoints and none is resumed, or files that are not ours.
     """
-    found = sorted(path.name for path in (folder / "checkpoints").glob("*.ckpt"))
-    if found and ckpt is None:
+    from ahnn.evaluation.sinks.figures import pictures_in
+
+    checkpoints = sorted((folder / "checkpoints").glob("*.ckpt"))
+    if checkpoints and ckpt is None:
         message = (
-            f"run {folder}: expected a folder without checkpoints; received one with {', '.join(found)}. "
-            "Resume with ckpt=last, or choose another run="
+            f"run {folder}: expected a folder without checkpoints; received one with "
+            f"{', '.join(path.name for path in checkpoints)}. Resume with ckpt=last, or choose another run="
         )
         raise UserError(message)
+    results = [folder / name for name in WRITTEN]
+    files = [*results, *checkpoints, *pictures_in(folder / "figures")]
+    require_folder(folder, "run", files, ("figures", "checkpoints", "evaluations", "tensorboard"))

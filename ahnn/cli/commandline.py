@@ -26,6 +26,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import flatten, nearest
 from ahnn.errors import UserError
+from ahnn.manifest import require_folder
 from ahnn.paths import conf_dir
 
 MODES = ("run", "multirun", "cfg", "info", "shell_completion")
@@ -108,7 +109,8 @@ def check(args: Namespace, config_name: str) -> None:
     """Compose what a command line asks for, each swept option of a group with the first of all others.
 
     Raises:
-        UserError: an option or key that is unknown, options that do not go together, or a sweep without -m.
+        UserError: an option or key that is unknown, options that do not go together, a sweep without -m, or
+            one into a folder of somebody else.
     """
     if args.config_path or args.experimental_rerun or args.shell_completion:
         return
@@ -121,6 +123,9 @@ def check(args: Namespace, config_name: str) -> None:
         raise UserError(message)
     first = [options[0] for options in values]
     others = ((place, option) for place, options in enumerate(values) for option in options[1:])
+    if args.multirun:
+        folder = Path(compose(loader, name, first).hydra.sweep.dir)
+        require_folder(folder, "hydra.sweep.dir", [folder / "multirun.yaml"])
     for job in (first, *([*first[:place], option, *first[place + 1 :]] for place, option in others)):
         compose(loader, name, job)
 

@@ -1,4 +1,4 @@
-"""What Hydra calls when the last job of a multirun is done."""
+"""What Hydra calls at the start of a job, and after the last one of a multirun."""
 
 from __future__ import annotations
 
@@ -6,11 +6,23 @@ from pathlib import Path
 from typing import Any
 
 from hydra.experimental.callback import Callback
+from hydra.types import RunMode
 from omegaconf import DictConfig
+
+from ahnn.manifest import digest_of, record
+
+FILE = "multirun.yaml"
 
 
 class SweepTable(Callback):
     """Collects the results in every job folder of the sweep."""
+
+    def on_job_start(self, config: DictConfig, **kwargs: Any) -> None:
+        """Record the file that Hydra wrote by itself before the first job."""
+        del kwargs
+        file = Path(config.hydra.sweep.dir) / FILE
+        if config.hydra.mode == RunMode.MULTIRUN and file.is_file():
+            record(file, digest_of(file.read_bytes()))
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Print the table, jobs in order, a job without results marked; folders with names have another."""

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.state import FilterState, detached
-from ahnn.files import write_atomically
+from ahnn.files import write_cached
 
 FORMAT = "ahnn filter state 1"
 """Raise the number when the meaning of a stored tensor changes."""
@@ -30,9 +30,7 @@ def save_state(state: FilterState, path: Path | str, notes: Mapping[str, str] | 
     parts = _named(detached(state))
     orders = {name: _order(part) for name, part in parts.items()}
     content = {name: part.permute(orders[name]).contiguous().clone() for name, part in parts.items()}
-    write_atomically(
-        Path(path), save(content, {**(notes or {}), "format": FORMAT, "orders": json.dumps(orders)})
-    )
+    write_cached(Path(path), save(content, {**(notes or {}), "format": FORMAT, "orders": json.dumps(orders)}))
 
 
 def load_state(path: Path | str, device: torch.device | str = "cpu") -> FilterState:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from ahnn.data.files.content import Content
 from ahnn.evaluation import style
 from ahnn.evaluation.sinks.figures import FORMATS, drawn
 from ahnn.files import write_atomically
+from ahnn.manifest import require_own
 from ahnn.progress import track
 
 SHOWN = 5
@@ -65,14 +67,20 @@ def shortened(findings: list[Finding]) -> Iterator[tuple[str, str, str, str, str
 
 
 def draw(found: Examined, folder: Path) -> None:
-    """Write a picture of each file into a folder."""
+    """Write a picture of each file into a folder.
+
+    Raises:
+        UserError: the folder holds other files of these names.
+    """
     files = [content.tracks[0].file for content in found.contents]
     names = [Path(file).name for file in files]
+    unique = [name if names.count(name) == 1 else f"{k + 1}_{name}" for k, name in enumerate(names)]
+    places = [[folder / f"{name}{suffix}" for suffix in FORMATS] for name in unique]
+    require_own(chain.from_iterable(places), "figures")
     for k, content in enumerate(track(found.contents, "drawing figures", len(files))):
         figure = picture(content, [one for one in found.findings if one.file == files[k]])
-        name = names[k] if names.count(names[k]) == 1 else f"{k + 1}_{names[k]}"
-        for suffix in FORMATS:
-            write_atomically(folder / f"{name}{suffix}", drawn(figure, suffix))
+        for path in places[k]:
+            write_atomically(path, drawn(figure, path.suffix))
 
 
 def picture(content: Content, findings: list[Finding]) -> Figure:

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import datetime
 from itertools import count
 from pathlib import Path
 
 from ahnn.errors import UserError
 from ahnn.evaluation.results import FILE
+from ahnn.evaluation.sinks.figures import pictures_in
+from ahnn.files import claimed
+from ahnn.manifest import own_folder, require_folder
 
 NAME = re.compile(r"\w[\w.+=@-]{0,99}")
 """Names that are one folder on any system, and no hidden one."""
 
 
-def evaluation_folder(run: Path, name: str | None = None) -> Path:
-    """Make and return the folder of a new evaluation, `run/evaluations/NAME`.
+@contextmanager
+def evaluation_folder(run: Path, name: str | None = None) -> Iterator[Path]:
+    """Make the folder of a new evaluation, `run/evaluations/NAME`, and hold it for this process alone.
 
     Args:
         run: the run folder.
@@ -23,6 +29,7 @@ def evaluation_folder(run: Path, name: str | None = None) -> Path:
 
     Raises:
         UserError: the name is no plain one, or taken; or the folder cannot be made.
+        Occupied: another process evaluates under this name.
     """
     parent = run / "evaluations"
     if name is not None and not NAME.fullmatch(name):
@@ -32,18 +39,27 @@ def evaluation_folder(run: Path, name: str | None = None) -> Path:
         )
         raise UserError(message)
     try:
-        parent.mkdir(parents=True, exist_ok=True)
-        return _dated(parent) if name is None else _named(parent / name)
+        own_folder(parent)
+        folder = _dated(parent) if name is None else _made(parent / name)
     except OSError as error:
         message = f"{parent}: expected a place for a new folder; received: {error.strerror}"
         raise UserError(message) from error
+    with claimed(folder):
+        require_unfinished(folder)  # another process may have finished it since
+        yield folder
 
 
-def _named(folder: Path) -> Path:
-    """Return the folder of this name, new or left without results by an evaluation that did not finish."""
+def require_unfinished(folder: Path) -> None:
+    """Refuse the folder of a finished evaluation, and any that is somebody else's; raises UserError."""
     if folder.is_symlink() or (folder / FILE).exists():
         message = f"evaluation {folder.name}: expected a new name; received that of {folder}"
         raise UserError(message)
+    require_folder(folder, "evaluation", pictures_in(folder / "figures"), ("figures",))
+
+
+def _made(folder: Path) -> Path:
+    """Return the folder of this name, new or left without results by an evaluation that did not finish."""
+    require_unfinished(folder)
     folder.mkdir(exist_ok=True)
     return folder
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ def write_export(run: Run, folder: Path) -> list[str]:
     Raises:
         UserError: the folder exists, a package is missing, or the model has no graph.
     """
-    if folder.exists():
+    if os.path.lexists(folder):
         message = f"output: expected a new folder; received {folder}, which exists"
         raise UserError(message)
     require_onnx()

@@ -8,6 +8,7 @@ from ahnn.data.files.messages import SUFFIXES as MESSAGES
 from ahnn.data.files.messages import write_oem
 from ahnn.errors import UserError
 from ahnn.files import write_atomically
+from ahnn.manifest import require_own
 from ahnn.prediction.kernel import Prediction
 from ahnn.prediction.message import ephemerides, frame_of
 from ahnn.prediction.starts import Starts, words
@@ -27,9 +28,17 @@ def require_output(path: Path, starts: Starts, space: Space, frame: str) -> None
     if path.suffix.lower() not in SUFFIXES or not path.parent.is_dir() or path.is_dir():
         message = f"output: expected a file {', '.join(SUFFIXES)} in a folder that exists; received {path}"
         raise UserError(message)
+    require_own([path], "output")
     if path.suffix.lower() in MESSAGES:
         nothing = Prediction(starts.times[:1], starts.states.unsqueeze(1))
         ephemerides(nothing, starts, space, frame_of(frame))
+
+
+def require_other(path: Path, start: Path) -> None:
+    """Refuse to write a prediction over its own start; raises UserError."""
+    if path.exists() and start.exists() and path.samefile(start):
+        message = f"output: expected another file than the start; received {path} for both"
+        raise UserError(message)
 
 
 def write(path: Path, prediction: Prediction, starts: Starts, space: Space, frame: str) -> None:
@@ -52,6 +61,7 @@ def require_figure(path: Path) -> None:
     if path.suffix.lower() not in PICTURES or not path.parent.is_dir():
         message = f"figure: expected a file {', '.join(PICTURES)} in a folder that exists; received {path}"
         raise UserError(message)
+    require_own([path], "figure")
 
 
 def draw(path: Path, prediction: Prediction, space: Space, title: str) -> None:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from ahnn.files import write_atomically
+from ahnn.files import write_cached
 from ahnn.training.tracing import Traced
 
 FOLDER = "compiled"
@@ -55,7 +55,7 @@ def compiled(traced: Traced, cache: Path) -> Program:
         made = standalone_compile(traced.graph, [*traced.arguments], dynamic_shapes="from_example_inputs")
     if not known.exists():
         seconds = time.perf_counter() - began
-        write_atomically(known, json.dumps(seconds / len(traced.graph.graph.nodes)).encode())
+        write_cached(known, json.dumps(seconds / len(traced.graph.graph.nodes)).encode())
     return Program(made, traced.touched)
 
 

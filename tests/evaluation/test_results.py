@@ -143,29 +143,34 @@ def test_no_password_is_kept(monkeypatch, tmp_path):
 
 
 def test_a_later_evaluation_has_a_folder_of_its_own(tmp_path):
-    first, second = evaluation_folder(tmp_path), evaluation_folder(tmp_path)
-    assert first != second
-    assert first.parent == second.parent == tmp_path / "evaluations"
-    named = evaluation_folder(tmp_path, "ukf_ground_station")
-    assert evaluation_folder(tmp_path, "ukf_ground_station") == named
-    (named / "metrics.json").write_text("{}")
-    with pytest.raises(UserError, match="expected a new name"):
-        evaluation_folder(tmp_path, "ukf_ground_station")
+    with evaluation_folder(tmp_path) as first, evaluation_folder(tmp_path) as second:
+        assert first != second
+        assert first.parent == second.parent == tmp_path / "evaluations"
+    with evaluation_folder(tmp_path, "ukf_ground_station") as named:
+        pass
+    with evaluation_folder(tmp_path, "ukf_ground_station") as again:
+        assert again == named
+        (named / "metrics.json").write_text("{}")
+    with pytest.raises(UserError, match="expected a new name"), evaluation_folder(tmp_path, named.name):
+        pass
 
 
 @pytest.mark.parametrize(
     "name", ["", "..", ".", "a/b", "a\\b", ".hidden", "a\nb", "a\n", "a b", "-x", "x" * 101]
 )
 def test_names_that_are_paths_are_refused(tmp_path, name):
-    with pytest.raises(UserError, match="evaluation name: expected"):
-        evaluation_folder(tmp_path / "run", name)
+    with (
+        pytest.raises(UserError, match="evaluation name: expected"),
+        evaluation_folder(tmp_path / "run", name),
+    ):
+        pass
     assert not (tmp_path / "run").exists()
 
 
 def test_a_run_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "evaluations").write_text("a file")
-    with pytest.raises(UserError, match="evaluations: expected a place for a new folder"):
-        evaluation_folder(tmp_path)
+    with pytest.raises(UserError, match="evaluations: expected a folder"), evaluation_folder(tmp_path):
+        pass
 
 
 def test_the_commit_is_read_without_a_lock_on_the_repository(tmp_path):

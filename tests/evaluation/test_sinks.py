@@ -38,10 +38,10 @@ def test_pictures_are_written_fresh_in_two_formats(tmp_path):
     FigureSink(tmp_path)(RESULTS, findings("error", "orbit"))
     (tmp_path / "figures" / "notes.txt").write_text("mine")
     FigureSink(tmp_path)(RESULTS, findings("error", "ukf/state"))
-    expected = {"error.png", "error.svg", "ukf_state.png", "ukf_state.svg", "notes.txt"}
+    expected = {"error.png", "error.svg", "ukf_state.png", "ukf_state.svg", "notes.txt", ".ahnn-files"}
     assert names(tmp_path / "figures") == expected
     FigureSink(tmp_path)(RESULTS, findings())
-    assert names(tmp_path / "figures") == {"notes.txt"}
+    assert names(tmp_path / "figures") == {"notes.txt", ".ahnn-files"}
 
 
 def test_the_same_figure_is_the_same_file(tmp_path):
@@ -51,42 +51,29 @@ def test_the_same_figure_is_the_same_file(tmp_path):
         assert path.read_bytes() == (tmp_path / "b" / "figures" / path.name).read_bytes()
 
 
-def test_links_are_not_followed(tmp_path):
+def test_links_are_neither_followed_nor_removed(tmp_path):
     kept = tmp_path / "kept.png"
     kept.write_text("mine")
     folder = tmp_path / "run" / "figures"
     folder.mkdir(parents=True)
-    (folder / "error.png").symlink_to(kept)
     (folder / "old.png").symlink_to(kept)
     FigureSink(tmp_path / "run")(RESULTS, findings("error"))
     assert kept.read_text() == "mine"
-    assert names(folder) == {"error.png", "error.svg"}
-    assert not (folder / "error.png").is_symlink()
-
-
-def test_a_figures_folder_that_is_a_link_is_replaced(tmp_path):
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    (elsewhere / "error.png").write_text("mine")
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "figures").symlink_to(elsewhere)
-    FigureSink(tmp_path / "run")(RESULTS, findings("error"))
-    assert (elsewhere / "error.png").read_text() == "mine"
-    assert names(tmp_path / "run" / "figures") == {"error.png", "error.svg"}
+    assert names(folder) == {"error.png", "error.svg", "old.png", ".ahnn-files"}
 
 
 def test_files_have_the_usual_permissions_and_leave_nothing_behind(tmp_path):
     (tmp_path / "usual").write_text("")
     write_atomically(tmp_path / "ours", b"x")
     assert (tmp_path / "ours").stat().st_mode == (tmp_path / "usual").stat().st_mode
-    assert names(tmp_path) == {"usual", "ours"}
+    assert names(tmp_path) == {"usual", "ours", ".ahnn-files"}
 
 
 def test_predictions_are_kept_or_removed(tmp_path):
     PredictionSink(tmp_path)(RESULTS, findings())
     assert torch.equal(load_file(tmp_path / "predictions.safetensors")["a"], torch.arange(3.0))
     PredictionSink(tmp_path, keep=False)(RESULTS, findings())
-    assert not names(tmp_path)
+    assert names(tmp_path) == {".ahnn-files"}
 
 
 def test_tensorboard_gets_one_name_for_all_models():

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from ahnn.evaluation.case import Findings
 from ahnn.evaluation.results import Results
 from ahnn.files import write_atomically
+from ahnn.manifest import own_folder, remove_own
 from ahnn.progress import track
 
 DPI = 150
@@ -27,7 +28,7 @@ _DRAWN: WeakKeyDictionary[Figure, dict[str, bytes]] = WeakKeyDictionary()
 @final
 @dataclass(frozen=True)
 class FigureSink:
-    """Writes the figures into a folder that holds no others.
+    """Writes the figures into a folder.
 
     Attributes:
         folder: of the evaluation; pictures of an earlier one in `folder/figures` are removed.
@@ -36,8 +37,8 @@ class FigureSink:
     folder: Path
 
     def __call__(self, results: Results, findings: Findings) -> None:  # noqa: ARG002
-        """Write every figure in each format; a picture that is a link is replaced, never followed."""
-        folder = self.folder / "figures"
+        """Write every figure in each format."""
+        folder = own_folder(self.folder / "figures")
         clear(folder)
         figures = findings.figures
         for name, figure in track(figures.items(), "drawing figures", len(figures)):
@@ -46,12 +47,14 @@ class FigureSink:
 
 
 def clear(folder: Path) -> None:
-    """Remove the pictures in a folder; of a link, the link alone."""
-    if folder.is_symlink():
-        folder.unlink()
-    for path in folder.iterdir() if folder.is_dir() else ():
-        if path.suffix in FORMATS and (path.is_symlink() or path.is_file()):
-            path.unlink()
+    """Remove the pictures in a folder that we drew."""
+    for path in pictures_in(folder):
+        remove_own(path)
+
+
+def pictures_in(folder: Path) -> list[Path]:
+    """Return the files of a folder with names of pictures, whoever drew them."""
+    return sorted(p for p in folder.iterdir() if p.suffix in FORMATS) if folder.is_dir() else []
 
 
 def drawn(figure: Figure, suffix: str) -> bytes:

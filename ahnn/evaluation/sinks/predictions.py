@@ -11,6 +11,7 @@ from safetensors.torch import save
 from ahnn.evaluation.case import Findings
 from ahnn.evaluation.results import Results
 from ahnn.files import write_atomically
+from ahnn.manifest import remove_own
 
 
 @final
@@ -30,7 +31,7 @@ class PredictionSink:
         """Write truth, times, predictions and the arrays of plugins, float64."""
         path = self.folder / "predictions.safetensors"
         if not self.keep:
-            path.unlink(missing_ok=True)
+            remove_own(path)
             return
         arrays = {key: value.contiguous() for key, value in findings.arrays.items()}
         write_atomically(path, save(arrays, {"system": results.space.name, "model": results.label}))

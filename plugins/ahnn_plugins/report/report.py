@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Annotated, final
 
 from ahnn.arguments import Within, checked
-from ahnn.errors import UserError
-from ahnn.evaluation.sinks.figures import clear
+from ahnn.evaluation.sinks.figures import pictures_in
 from ahnn.files import claimed, require_writable, write_atomically
+from ahnn.manifest import own_folder, remove_own, require_folder
 from ahnn_plugins.report import many, single
 from ahnn_plugins.report.collection import Collection, collect
 from ahnn_plugins.report.document import page
@@ -22,6 +22,7 @@ from ahnn_plugins.report.pictures import Picture, library, pictures, require_plo
 from ahnn_plugins.report.spreadsheet import scores_csv
 
 FILE = "report.html"
+FOLDERS = ("figures", "tables")
 
 
 @final
@@ -52,16 +53,17 @@ class Report:
         """
         if self.figures:
             require_plotly()
-        require_own(output)
+        files = (output / FILE, output / "tables.csv", *earlier(output))
+        require_folder(output, "output", files, FOLDERS)
         collection = collect(folders)
         drawings = pictures(collection) if self.figures else []
-        files = self._files(collection, drawings)
+        contents = self._files(collection, drawings)
         require_writable(output)
         with claimed(output):
             clear_earlier(output)
-            for name, content in files.items():
+            for name, content in contents.items():
                 write_atomically(output / name, content)
-        megabytes = len(files[FILE]) / 1e6
+        megabytes = len(contents[FILE]) / 1e6
         count = f"{len(collection.entries)} run" + "s" * (len(collection.entries) != 1)
         return f"{count}, {len(drawings)} figures: {output / FILE} ({megabytes:.1f} MB)"
 
@@ -114,26 +116,16 @@ def named(grids: dict[str, list[Grid]]) -> dict[str, Grid]:
     return found
 
 
-def require_own(output: Path) -> None:
-    """Refuse a folder whose files are not those of an earlier report: pictures in it would be removed.
-
-    Raises:
-        UserError: it is one.
-    """
-    if output.exists() and not (output / FILE).is_file() and (not output.is_dir() or any(output.iterdir())):
-        message = (
-            f"output {output}: expected a new folder, or one of an earlier report; received one with other "
-            "files. Name another"
-        )
-        raise UserError(message)
-
-
 def clear_earlier(output: Path) -> None:
-    """Remove tables and pictures of an earlier report; those of links, the links alone."""
-    clear(output / "figures")
+    """Make the folders of tables and pictures, and remove from them those of an earlier report."""
+    for name in FOLDERS:
+        own_folder(output / name)
+    for path in earlier(output):
+        remove_own(path)
+
+
+def earlier(output: Path) -> list[Path]:
+    """Return tables and pictures in the folder of a report, whoever wrote them."""
     tables = output / "tables"
-    if tables.is_symlink():
-        tables.unlink()
-    for path in tables.iterdir() if tables.is_dir() else ():
-        if path.suffix in (".tex", ".md"):
-            path.unlink()
+    found = [p for p in tables.iterdir() if p.suffix in (".tex", ".md")] if tables.is_dir() else []
+    return [*pictures_in(output / "figures"), *sorted(found)]
