@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from ahnn.progress import track
-from ahnn.types import Flow, TimeStep, steady
+from ahnn.types import Flow, TimeStep
 
 
 @torch.no_grad()
@@ -30,7 +30,6 @@ def rollout(
         description: text of a progress bar; None shows none.
         longest: step of the flow; longer ones are cut into equal parts.
     """
-    follow = steady(flow)
     out = start.new_empty(start.shape[0], samples, start.shape[1])
     out[:, 0] = x = start
     steps = range(1, samples)
@@ -38,7 +37,7 @@ def rollout(
         step = dt[:, k - 1] if isinstance(dt, Tensor) else dt
         parts = 1 if math.isinf(longest) else _parts(step, longest)
         for _ in range(parts):
-            x = follow(x, step / parts)
+            x = flow(x, step / parts)
         out[:, k] = x
     return out
 

@@ -57,20 +57,6 @@ class Flow(Protocol):
         ...
 
 
-@runtime_checkable
-class HasSteady(Protocol):
-    """Flow that can do many steps faster, once its parameters stay as they are."""
-
-    def steady(self) -> Flow:
-        """Return the same flow, to rounding, for as long as nothing of it changes."""
-        ...
-
-
-def steady(flow: Flow) -> Flow:
-    """Return a flow for many steps while nothing of it changes."""
-    return flow.steady() if isinstance(flow, HasSteady) else flow
-
-
 class Units(NamedTuple):
     """Names of the units in which numbers are given."""
 

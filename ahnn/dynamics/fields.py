@@ -15,10 +15,9 @@ from ahnn.dynamics.inputs import Cartesian, InputName
 from ahnn.dynamics.native import Scheme
 from ahnn.dynamics.networks import make_network
 from ahnn.dynamics.scaling import Kind
-from ahnn.dynamics.steady import steady_flow
 from ahnn.integrators import ExplicitRungeKutta, column, make_integrator
 from ahnn.statistics import Statistics
-from ahnn.types import Flow, TimeStep
+from ahnn.types import TimeStep
 
 
 class NeuralField(nn.Module):
@@ -141,12 +140,6 @@ class HamiltonianDynamics(_Integrated):
         """Return the integrator's increment along the field, shape (B, D)."""
         found = self._as_one(x, dt) if x.ndim == 2 else None
         return super().increment(x, dt) if found is None else written_out.step(x, *found)
-
-    @torch.no_grad()
-    def steady(self) -> Flow:
-        """Return the same flow for many steps, as long as parameters and buffers do not change."""
-        found = self._as_one(next(self.parameters()), 1.0)
-        return self if found is None else steady_flow(self, *found)
 
     @torch.no_grad()
     def in_c(self) -> bool:

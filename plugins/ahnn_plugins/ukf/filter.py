@@ -10,7 +10,7 @@ from ahnn.estimation.gate import Gate, check_gate
 from ahnn.estimation.state import FilterState, initial_state
 from ahnn.measurements.base import Measurement
 from ahnn.numbers import Numbers
-from ahnn.types import Flow, steady
+from ahnn.types import Flow
 from ahnn_plugins.ukf.checks import (
     check_belief,
     check_form,
@@ -87,8 +87,7 @@ def unscented_filter(
         parameters = UnscentedParameters() if parameters is None else parameters
         weights = unscented_weights(parameters, size, device, batch=batch)
         chol_q = process_factor(process_noise, state.belief)
-        follow = flow if gradients else steady(flow)
-        model = lambda k: StepModel(follow, chol_q(grid.lengths[k]), sensor)  # noqa: E731
+        model = lambda k: StepModel(flow, chol_q(grid.lengths[k]), sensor)  # noqa: E731
         return run(state, rows, grid, model, weights, form, smoothing=smoothing)
 
 

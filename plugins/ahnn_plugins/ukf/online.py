@@ -19,7 +19,7 @@ from ahnn.assimilation import Process
 from ahnn.dynamics.recorded import recorded
 from ahnn.estimation.covariances import Factor, covariance_factor
 from ahnn.numbers import Numbers
-from ahnn.types import Flow, steady
+from ahnn.types import Flow
 from ahnn_plugins.ukf.estimator import UnscentedKalmanFilter
 from ahnn_plugins.ukf.force_error import ForceError
 from ahnn_plugins.ukf.parameter_error import ParameterError
@@ -61,11 +61,11 @@ def online_process(
     }
     if force_error is None:
         noise = lru_cache(LENGTHS)(lambda dt: Factor(math.sqrt(dt / interval) * chol))
-        return Process(estimator, recorded(steady(flow)), noise, interval, about=known)
+        return Process(estimator, recorded(flow), noise, interval, about=known)
     error = force_error
     noise = lru_cache(LENGTHS)(lambda dt: _augmented(math.sqrt(dt / interval) * chol, error, dt))
     lifted, seen = error.belief, error.measurement
-    return Process(estimator, error.flow(recorded(steady(flow))), noise, interval, lifted, seen, known)
+    return Process(estimator, error.flow(recorded(flow)), noise, interval, lifted, seen, known)
 
 
 def weights_hash(flow: Flow) -> str:
