@@ -105,7 +105,7 @@ def prepare(cfg: DictConfig, source: Source | None = None) -> Parts:
     model = build_model(cfg, data)
     plugins = build_plugins(cfg, data.splits)
     trainer = build_trainer(cfg)
-    check_together(cfg, trainer, model)
+    check_together(trainer, model)
     checkpoint = resume_point(cfg.ckpt, model, trainer, Path(cfg.folder) / "checkpoints")
     return Parts(data, model, plugins, trainer, checkpoint)
 
@@ -153,9 +153,9 @@ def fit(
 ) -> float:
     """Train and return the seconds that it took."""
     from ahnn.checkpoints import read_checkpoint
-    from ahnn.cli.compiling import choose_steps
     from ahnn.cli.stops import interruptible
     from ahnn.files import write_atomically
+    from ahnn.training.cuda_graph import Recorded, can_record
     from ahnn.uncertainty import find_domain
 
     folder = Path(cfg.folder)
@@ -168,7 +168,8 @@ def fit(
     model.about["domain"] = find_domain(model.dynamics.frozen(), data.examples()).about()
     data.trainer = trainer  # steps are tried, and their time told, where they will be taken
     model.to(trainer.strategy.root_device)
-    choose_steps(cfg, trainer, data, model, checkpoint)
+    if cfg.cuda_graphs and can_record(trainer, model):
+        model.recorded = Recorded(len(data.train_dataloader().batches()[0]))
     if trainer.is_global_zero:
         done = 0 if checkpoint is None else read_checkpoint(checkpoint)["global_step"]
         if remark := data.remark():

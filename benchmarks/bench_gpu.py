@@ -3,7 +3,7 @@
     python benchmarks/bench_gpu.py --repeats 5
 
 Steps of generic Hamiltonians of three degrees of freedom through rk4 in float32 (no TF32), by the clock: the
-loss, its gradient and AdamW. `recorded` is what trainings take, `eager` is `compile=false`. Peers: plain
+loss, its gradient and AdamW. `recorded` is what trainings take, `eager` is `cuda_graphs=false`. Peers: plain
 PyTorch (`autograd.grad` with its graph) and JAX (jitted, products in float32), where it is installed.
 Recordings and compilations are not counted.
 """
@@ -24,8 +24,7 @@ from timing import Work, has, in_turn, markdown, ratio, shown
 from works import DT, NEEDS, SIZE, own_step
 
 from ahnn.training import FirstOrder
-from ahnn.training.compiled import Compiled
-from ahnn.training.replayed import replayed
+from ahnn.training.cuda_graph import Recorded
 from ahnn.types import Window
 
 SHAPES = ((64, 2, 1, 256), (64, 2, 5, 256), (256, 4, 5, 256), (256, 4, 5, 8192))
@@ -50,7 +49,7 @@ def row(width: int, depth: int, window: int, size: int, repeats: int) -> list[st
     start = torch.randn(size, SIZE, generator=rng)
     targets = 0.01 * torch.randn(size, window, SIZE, generator=rng)
     batch = Window(start.cuda(), targets.cuda(), DT)
-    steppers = {"recorded": Compiled(size, replayed), "eager": FirstOrder()}
+    steppers = {"recorded": Recorded(size), "eager": FirstOrder()}
     own = width, depth, "gelu", batch
     once = waited(own_step(*own, 1, steppers["recorded"]))
     once()

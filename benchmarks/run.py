@@ -64,9 +64,7 @@ matrix products of torch, which do not use all that some processors have: it can
 - **JAX**: Equinox and Optax, the whole step jitted; compilation is not counted.
 
 The optimiser of ahnn is fused, as `recipe=first_order` has it, that of the peers in PyTorch is the
-default one. Steps of ahnn and their reverse are in C where there is a compiler, as in any training.
-Compiled is the same step with `compile=true`, by torch and its compiler alone, whose time is not counted
-either.""",
+default one. Steps of ahnn and their reverse are in C where there is a compiler, as in any training.""",
         lambda repeats: table([*works.training(repeats)], "one step [ms]"),
         15,
         {peer: works.NEEDS[peer] for peer in ("torchdiffeq", "JAX")},

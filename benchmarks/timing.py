@@ -78,24 +78,17 @@ def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def table(rows: Sequence[Row], what: str, unit: float = 1e3) -> str:
-    """Return rows as a table: ahnn in a unit, the floor, and ahnn over each of the others.
-
-    `compiled`, which is ahnn too, gets a column of its own and stands beside JAX.
-    """
-    others = [*dict.fromkeys(who for row in rows for who in row.times if who not in ("ahnn", "compiled"))]
-    floor, compiled = rows[0].floor is not None, any("compiled" in row.times for row in rows)
+    """Return rows as a table: ahnn in a unit, the floor, and ahnn over each of the others."""
+    others = [*dict.fromkeys(who for row in rows for who in row.times if who != "ahnn")]
+    floor = rows[0].floor is not None
     heads = [what, "ahnn", *(("floor", "ahnn / floor") if floor else ())]
     heads += [f"ahnn / {who}" for who in others]
-    heads += ["compiled", "compiled / JAX"] if compiled else []
     lines = []
     for name, times, base in rows:
         own = times["ahnn"]
         cells = [name, shown(unit * median(own))]
         cells += [shown(unit * median(base)), shown(ratio(own, base))] if base else []
         cells += [shown(ratio(own, times[who])) if who in times else "" for who in others]
-        if compiled:
-            made, jax = times["compiled"], times.get("JAX")
-            cells += [shown(unit * median(made)), shown(ratio(made, jax)) if jax else ""]
         lines.append(cells)
     return markdown(heads, lines)
 

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
-from functools import partial
-from pathlib import Path
 
 import torch
 import torch_peer
@@ -15,14 +12,11 @@ from torch import Tensor
 from ahnn.dynamics import HamiltonianDynamics
 from ahnn.rollouts import rollout
 from ahnn.training import FirstOrder, LossOptions, Stepper
-from ahnn.training.compilation import compiled
-from ahnn.training.compiled import Compiled
 from ahnn.training.loss import Loss
 from ahnn.training.objectives import Recursive
 from ahnn.types import Window
 
 SIZE, DT, STAGES = 6, 0.05, 4
-CACHE = Path(os.environ.get("AHNN_CACHE", "~/.cache/ahnn"))
 NEEDS = {
     "torchdiffeq": ("torchdiffeq",),
     "JAX": ("jax", "equinox", "optax"),
@@ -81,8 +75,7 @@ def training(repeats: int) -> Iterator[Row]:
         targets = 0.01 * torch.randn(batch, window, SIZE, generator=generator)
         steps = max(1, 10 * 256 // (batch * window))
         own = width, depth, activation, Window(start, targets, DT), steps
-        stepper = Compiled(batch, partial(compiled, cache=CACHE))
-        works = {"ahnn": own_step(*own), "compiled": own_step(*own, stepper)}
+        works = {"ahnn": own_step(*own)}
         for peer, follow in torch_peers():
             net = torch_peer.network(width, depth, activation, SIZE)
             works[peer] = torch_peer.training_step(net, follow, start, targets, DT, steps)

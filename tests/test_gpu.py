@@ -13,10 +13,9 @@ from ahnn.evaluation import load_results
 from ahnn.measurements import Position
 from ahnn.rollouts import rollout
 from ahnn.training import FirstOrder, LevenbergMarquardt, LossOptions
-from ahnn.training.compiled import Compiled
+from ahnn.training.cuda_graph import Recorded
 from ahnn.training.loss import Loss
 from ahnn.training.objectives import Derivative, Recursive
-from ahnn.training.replayed import replayed
 from ahnn.training.steppers import problems
 from ahnn.types import Window
 from ahnn_plugins.ukf import unscented_filter
@@ -52,7 +51,7 @@ def test_recorded_steps_are_those_of_the_cpu(kind):
     here, there = dynamics(kind), dynamics(kind).cuda()
     loss, moved = Loss(4, LossOptions()).double(), Loss(4, LossOptions()).double().cuda()
     objective, recorded = Recursive(loss, 2), Recursive(moved, 2)
-    stepper, kept = Compiled(6, replayed), []
+    stepper, kept = Recorded(6), []
     for seed in range(3):
         batch = windows(seed)
         here.zero_grad()

@@ -138,8 +138,6 @@ def settings_of(cfg: DictConfig) -> dict[str, Any]:
     parts = {name: plain_config(cfg[name]) for name in ("model", "loss", "optimizer", "scheduler", "data")}
     parts["data"] = {key: value for key, value in parts["data"].items() if key not in SIMULATION}
     parts |= {key: OmegaConf.select(cfg, key) for key in (*CHOOSING, "window", "seed")}
-    if cfg.compile != "auto":  # then checkpoints say what was chosen
-        parts["compile"] = cfg.compile
     return {**parts, "trainer": {key: cfg.trainer.get(key) for key in DECISIVE}}
 
 
@@ -209,15 +207,11 @@ def build_trainer(cfg: DictConfig) -> Trainer:
     return trainer
 
 
-def check_together(cfg: DictConfig, trainer: Trainer, model: AbstractModel) -> None:
+def check_together(trainer: Trainer, model: AbstractModel) -> None:
     """Let model and callbacks refuse, by a method `check`, what they cannot work with; raises UserError."""
-    from ahnn.training.payback import require_compilable
-
     for part in (model, *trainer.callbacks):  # pyright: ignore[reportAttributeAccessIssue]
         if check := getattr(part, "check", None):
             check(trainer)
-    if cfg.compile is True:
-        require_compilable(trainer, model)
 
 
 def is_multirun() -> bool:

@@ -31,7 +31,7 @@ class Settings(Again):
     weights: str | None
     folder: str
     seeds: list[Seed] | None = None
-    compile: Literal["auto"] | bool = "auto"
+    cuda_graphs: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)

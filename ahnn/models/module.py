@@ -59,7 +59,7 @@ class AbstractModel(LightningModule, ABC):
         self.dof, self.window = dof, window
         self.stepper: Stepper = FirstOrder()
         self.optimisation: Optimisation | None = None
-        self.compiled: Stepper | None = None  # in place of the stepper of optimisers that take gradients
+        self.recorded: Stepper | None = None  # in place of the stepper of optimisers that take gradients
         self.about: dict[str, Any] = {}
 
     @property
@@ -97,7 +97,7 @@ class AbstractModel(LightningModule, ABC):
     def stepper_for(self, optimizer: Optimizer) -> Stepper:
         """Return how an optimiser is asked for a step."""
         own = stepper_of(optimizer)
-        return self.compiled if self.compiled is not None and isinstance(own, FirstOrder) else own
+        return self.recorded if self.recorded is not None and isinstance(own, FirstOrder) else own
 
     def check(self, trainer: Trainer) -> None:
         """Try optimiser and scheduler before anything is generated, and let the stepper look at the trainer.
