@@ -103,7 +103,7 @@ def test_batches_of_another_size_are_left_to_autograd():
 
 
 def test_a_recording_that_fails_leaves_the_training_to_autograd(caplog):
-    def fails(graph):
+    def fails(_):
         message = "operation not permitted when stream is capturing"
         raise RuntimeError(message)
 
