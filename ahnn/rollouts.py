@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from ahnn.progress import track
+from ahnn.substeps import substeps
 from ahnn.types import Flow, TimeStep
 
 
@@ -35,15 +36,8 @@ def rollout(
     steps = range(1, samples)
     for k in track(steps, description, len(steps)) if description else steps:
         step = dt[:, k - 1] if isinstance(dt, Tensor) else dt
-        parts = 1 if math.isinf(longest) else _parts(step, longest)
+        parts = substeps(step, longest) if longest < math.inf else 1
         for _ in range(parts):
             x = flow(x, step / parts)
         out[:, k] = x
     return out
-
-
-def _parts(step: TimeStep, longest: float) -> int:
-    """Return in how many equal parts a step is taken; NaN is the step of a trajectory that has ended."""
-    most = float(step.nan_to_num().max()) if isinstance(step, Tensor) else step
-    # As `steps_between` has it: a gap of 60.000000000000007 is one step of 60.
-    return max(1, math.ceil(most / longest - 1e-9))

@@ -31,6 +31,7 @@ OPEN = {
     "jacobians",
     "libraries",
     "deviations",
+    "substeps",
 }
 GROUND = OPEN | {"integrators", "measurements", "metrics", "rollouts", "statistics", "checkpoints"}
 MAY_IMPORT = {
@@ -45,6 +46,7 @@ MAY_IMPORT = {
     "manifest": {"errors"},
     "files": {"errors", "manifest"},
     "memory": {"errors"},
+    "substeps": {"types"},
     "libraries": {"files", "types"},
     "arguments": {"errors"},
     "deviations": {"errors", "numbers", "types"},

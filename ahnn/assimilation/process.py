@@ -12,6 +12,7 @@ from torch import Tensor
 from ahnn.errors import UserError
 from ahnn.estimation import Belief, Covariance, Factor, FilterState, Recursive
 from ahnn.measurements import Measurement, Position, State
+from ahnn.substeps import substeps
 from ahnn.types import Flow, Space
 
 
@@ -46,8 +47,7 @@ class Process(NamedTuple):
         gap = time - since
         if not gap > 0.0:
             return state
-        # As `schedule` has it: a gap of 60.000000000000007 is one step of 60.
-        count = max(1, math.ceil(gap / self.max_step - 1e-9))
+        count = substeps(gap, self.max_step)
         length = gap / count
         for _ in range(count):
             state = self.estimator.predict(state, self.flow, length, self.noise(length))

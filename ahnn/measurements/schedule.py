@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from ahnn.numbers import Numbers, as_float64
+from ahnn.substeps import substeps_of_each
 
 
 def every(measurements: Numbers, k: int) -> Tensor:
@@ -69,8 +70,7 @@ def schedule(times: Numbers, measurements: Numbers, max_step: float, start_time:
             f"smallest gap {float(gaps.min()):g} and max_step {max_step:g}"
         )
         raise ValueError(message)
-    # A gap of 60.000000000000007 is one step of 60, not two of 30.
-    counts = torch.ceil(gaps / max_step - 1e-9).clamp(min=1.0).to(torch.int64)
+    counts = substeps_of_each(gaps, max_step)
     batch, _, size = given.shape
     rows = given.new_full((batch, int(counts.sum()), size), torch.nan)
     rows[:, counts.cumsum(0) - 1] = given

@@ -12,6 +12,7 @@ from ahnn.data.files.epochs import SECOND
 from ahnn.data.files.units import TIME, unit
 from ahnn.errors import UserError
 from ahnn.memory import require_memory
+from ahnn.substeps import substeps
 
 AMOUNT = re.compile(r"\s*(?P<number>[\d.]+([eE][+-]?\d+)?)\s*(?P<unit>[A-Za-z]+)\s*")
 
@@ -46,7 +47,7 @@ def duration(value: str | float, who: str, base: str) -> float:
 
 def grid(total: float, step: float) -> Tensor:
     """Return the times (T,) from 0 to a duration, a step apart, the last step shorter where it has to be."""
-    count = math.ceil(total / step - 1e-9)
+    count = substeps(total, step)
     require_memory("duration and step", "times", 8.0 * count)
     times = step * torch.arange(count + 1, dtype=torch.float64)
     times[-1] = total

@@ -12,6 +12,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.substeps import substeps_of_each
+
 Increment = Callable[[Tensor, Tensor], Tensor]
 """(x (B, D), dt (B,)) -> x(t + dt) - x(t), shape (B, D)."""
 
@@ -59,8 +61,7 @@ def steps_between(times: Tensor, longest: float) -> Steps:
     An interval has as many steps in every row as its longest one needs.
     """
     gaps = times.diff(dim=1)
-    # A gap of 60.000000000000007 is one step of 60, not two of 30.
-    counts = torch.ceil(gaps.amax(0) / longest - 1e-9).clamp(min=1).long()
+    counts = substeps_of_each(gaps.amax(0), longest)
     ends = torch.cat((counts.new_zeros(1), counts.cumsum(0)))
     return Steps((gaps / counts).repeat_interleave(counts, dim=1), ends)
 

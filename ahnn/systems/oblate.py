@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import math
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -16,6 +15,7 @@ from ahnn.integrators import SymmetricComposition
 from ahnn.libraries import NUMBER as N
 from ahnn.libraries import PART, REAL, compiled_library, numbers_alone
 from ahnn.libraries import POINTER as P
+from ahnn.substeps import substeps
 from ahnn.types import Flow, TimeStep
 
 
@@ -62,7 +62,7 @@ class OblateFlow:
         if not (numbers_alone(x, dt) and x.shape[1] == 6) or library() is None:
             return self.flow(x, dt)
         x, h = x.contiguous(), torch.as_tensor(dt, dtype=torch.float64).contiguous()
-        count = max(1, math.ceil(float(h.abs().max()) / self.longest - 1e-9))
+        count = substeps(h, self.longest)
         out, h = torch.empty_like(x), h / count
 
         def follow(part: slice) -> None:

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ahnn.errors import UserError
 from ahnn.integrators import INTEGRATORS
+from ahnn.substeps import substeps
 from ahnn.systems.base import System
 from ahnn.types import Flow, TimeStep
 
@@ -30,7 +31,7 @@ def exact_flow(system: System) -> Flow:
     Raises:
         UserError: no admissible number of substeps is accurate.
     """
-    count = substeps(system)
+    count = accurate_substeps(system)
     return system.compiled(_substeps_flow(system, count), system.dt / count)
 
 
@@ -47,10 +48,10 @@ def varied_flow(system: System, constants: Mapping[str, Tensor]) -> Flow:
     varied = copy.copy(system)
     for name, values in constants.items():
         object.__setattr__(varied, name, values)  # frozen, and its checks expect one number for all
-    return _substeps_flow(varied, substeps(system))
+    return _substeps_flow(varied, accurate_substeps(system))
 
 
-def substeps(system: System) -> int:
+def accurate_substeps(system: System) -> int:
     """Return into how many substeps the sampling interval is cut.
 
     The error of a trial with n substeps is its difference from the same with 2n, taken to grow in proportion
@@ -101,8 +102,7 @@ def _substeps_flow(system: System, count: int) -> Flow:
     integrator = INTEGRATORS[system.integrator]
 
     def flow(x: Tensor, dt: TimeStep) -> Tensor:
-        longest = float(dt.abs().max()) if isinstance(dt, Tensor) else abs(dt)
-        parts = max(1, math.ceil(count * longest / system.dt - 1e-9))
+        parts = substeps(dt, system.dt / count)
         for _ in range(parts):
             x = integrator.step(system, x, dt / parts)
         return x
