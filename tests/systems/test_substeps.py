@@ -66,17 +66,17 @@ def test_the_fewest_substeps_that_are_accurate_are_taken_and_remembered(drifting
     # Just accurate enough with so many substeps, and not with half of them.
     rate = 0.9 * needed * 2 * truth.ACCURACY * sizes()[0] / (STEPS * SYSTEM.dt**2)
     steps = drifting(rate)
-    assert truth.substeps(SYSTEM) == needed
+    assert truth.accurate_substeps(SYSTEM) == needed
     tried = len(steps)
-    assert truth.substeps(SYSTEM) == needed
+    assert truth.accurate_substeps(SYSTEM) == needed
     assert len(steps) == tried
-    assert truth.substeps(dataclasses.replace(SYSTEM, steps=STEPS // 50)) == max(1, needed // 32)
+    assert truth.accurate_substeps(dataclasses.replace(SYSTEM, steps=STEPS // 50)) == max(1, needed // 32)
 
 
 def test_more_than_64_substeps_are_refused(drifting):
     drifting(1.1 * 64 * 2 * truth.ACCURACY * sizes()[0] / (STEPS * SYSTEM.dt**2))
     with pytest.raises(UserError, match=r"drifting: .*where 64 substeps .* miss it by 1.1e-10"):
-        truth.substeps(SYSTEM)
+        truth.accurate_substeps(SYSTEM)
 
 
 def test_what_is_not_finite_is_left_to_the_generation(drifting):
