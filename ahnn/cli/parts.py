@@ -186,7 +186,6 @@ def build_trainer(cfg: DictConfig) -> Trainer:
     from lightning.pytorch.loggers import Logger
 
     from ahnn.training.checkpoint_io import AtomicCheckpointIO
-    from ahnn.training.epoch_loop import EpochLoop
 
     callbacks = list(build_all(cfg.callbacks, "callbacks", Callback).values())
     logger = list(build_all(cfg.logger, "logger", Logger).values())
@@ -195,7 +194,6 @@ def build_trainer(cfg: DictConfig) -> Trainer:
     if cfg.loss.get("stages") and own.accelerator == "auto":
         own.accelerator = "cpu"  # where measurements are learned from
     trainer = build(own, "trainer", Trainer, plugins=[AtomicCheckpointIO()], **parts)
-    EpochLoop.take(trainer)
     environment = getattr(trainer.strategy, "cluster_environment", None)
     own = environment is not None and environment.creates_processes_externally
     if trainer.world_size > 1 and is_multirun() and not own:
