@@ -140,7 +140,6 @@ def test_the_library_never_names_a_plugin_and_hydra_stays_at_the_doors(path):
 
 LIGHTNING = {
     "training/callbacks",
-    "training/epoch_loop.py",
     "training/checkpoint_io.py",
     "training/restore.py",
     "models",
