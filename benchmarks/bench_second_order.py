@@ -1,4 +1,4 @@
-"""A step of Levenberg-Marquardt beside its floor, and beside the same step with its Jacobian by reverse mode.
+"""A step of Levenberg-Marquardt beside its floor, and beside a jitted one.
 
     python benchmarks/bench_second_order.py [repeats]
 
@@ -17,7 +17,6 @@ import time
 import torch
 from timing import Row, Work, has, in_turn, left_out, settle, table
 
-import ahnn.dynamics.derivatives as derivatives
 from ahnn.dynamics import HamiltonianDynamics
 from ahnn.training import Derivative, LevenbergMarquardt, Loss, LossOptions, Objective, Problem, Recursive
 from ahnn.types import Window
@@ -49,9 +48,9 @@ def oscillations(dof: int, batch: int) -> Window:
     return Window(x[:, 0], x.diff(dim=1), DT)
 
 
-def step(objective: Objective, own: HamiltonianDynamics, batch: Window, *, known: bool) -> Work:
-    """Return work: one step, always from the same weights, with either way to its Jacobian."""
-    parts, closed = objective.divided(batch), derivatives.has_rows
+def step(objective: Objective, own: HamiltonianDynamics, batch: Window) -> Work:
+    """Return work: one step, always from the same weights."""
+    parts = objective.divided(batch)
 
     def problems() -> tuple[Problem, Problem]:  # as the stepper makes them
         return objective.problem(own, parts[0]), objective.problem(own, parts[1])
@@ -64,10 +63,8 @@ def step(objective: Objective, own: HamiltonianDynamics, batch: Window, *, known
 
     def work() -> None:
         own.load_state_dict(state)
-        derivatives.has_rows = closed if known else lambda _: False
         optimizer = LevenbergMarquardt(own.parameters(), damping=damping)
         optimizer.step(problems)
-        derivatives.has_rows = closed
         assert optimizer.param_groups[0]["damping"] < 4 * damping, "the step was not taken at once"
 
     return work
@@ -116,8 +113,7 @@ def measured(repeats: int, threads: int) -> list[Row]:
         ):
             products = floor(size // 5 * 2 * dof, count, 2 * dof, width, stages, threads)
             works = {
-                "ahnn": step(objective, dynamics(dof, width), batch, known=True),
-                "reverse mode": step(objective, dynamics(dof, width), batch, known=False),
+                "ahnn": step(objective, dynamics(dof, width), batch),
             }
             if threads == 1 and name == "derivatives" and has(NEEDS["optimistix"]):
                 works["optimistix"] = by_optimistix(dof, width, oscillations(dof, size // 5))

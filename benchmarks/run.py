@@ -101,8 +101,8 @@ orbits, and its time is that of as many as the others. Errors are of positions, 
     ),
     "second_order": Section(
         "Levenberg-Marquardt",
-        """A step in float64 beside its matrix products alone (the floor), beside the same step with its
-Jacobian by reverse mode, and beside a jitted step of optimistix on as many residuals of the same network.
+        """A step in float64 beside its matrix products alone (the floor), and beside a jitted step of
+optimistix on as many residuals of the same network.
 With one core times are CPU time, with two those of a clock, which mean something on a machine that does
 nothing else.""",
         bench_second_order.steps,

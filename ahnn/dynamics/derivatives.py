@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from functools import partial
 from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call, jacrev, vmap
 
-from ahnn.dynamics.base import Dynamics, HasField
-from ahnn.dynamics.fields import HamiltonianDynamics
-from ahnn.dynamics.hamiltonians import GenericHamiltonian, SeparableHamiltonian
-from ahnn.dynamics.jacobians import field_rows, has_rows, increment_rows
+from ahnn.dynamics.base import HasField
+from ahnn.dynamics.hamiltonians import SeparableHamiltonian
 from ahnn.dynamics.separable_rows import has_separable_rows, separable_rows
-from ahnn.integrators import ExplicitRungeKutta
 from ahnn.types import TimeStep
 
 
@@ -67,19 +63,16 @@ IncrementJacobian = Callable[[Tensor, Tensor, TimeStep], tuple[Tensor, Tensor]]
 
 
 def field_jacobian(dynamics: HasField, dtype: torch.dtype = torch.float32) -> FieldJacobian:
-    """Return the Jacobian of the field, computed in `dtype`: in closed form where the structure is known."""
+    """Return the Jacobian of the field, computed in `dtype`: in closed form where H = T(p) + V(q)."""
     field = dynamics.field
-    if has_rows(field):
-        rows = partial(field_rows, cast(GenericHamiltonian, field))
-    elif has_separable_rows(field):
-        rows = partial(separable_rows, cast(SeparableHamiltonian, field))
-    else:
+    if not has_separable_rows(field):
         return mapped_field_jacobian(dynamics, dtype)
 
     def jacobian(theta: Tensor, x: Tensor, factors: Tensor | None = None) -> Tensor:
         flat = x.flatten(0, -2).to(dtype)
         by = torch.ones_like(flat) if factors is None else factors.flatten(0, -2).to(dtype)
-        return rows(theta.to(dtype), flat, by).unflatten(0, x.shape[:-1])
+        rows = separable_rows(cast(SeparableHamiltonian, field), theta.to(dtype), flat, by)
+        return rows.unflatten(0, x.shape[:-1])
 
     return jacobian
 
@@ -123,25 +116,10 @@ def mapped_jacobian(
     return jacobian
 
 
-def increment_jacobian(dynamics: Dynamics, dtype: torch.dtype = torch.float32) -> IncrementJacobian:
-    """Return the Jacobian of a step, computed in `dtype`: in closed form where the structure is known."""
-    if not (isinstance(dynamics, HamiltonianDynamics) and has_rows(dynamics.field)):
-        return mapped_increment_jacobian(dynamics, dynamics.increment, dtype)
-    field, method = cast(GenericHamiltonian, dynamics.field), dynamics.integrator
-    if not isinstance(method, ExplicitRungeKutta):
-        return mapped_increment_jacobian(dynamics, dynamics.increment, dtype)
-
-    def jacobian(theta: Tensor, x: Tensor, dt: TimeStep) -> tuple[Tensor, Tensor]:
-        h = dt.to(dtype) if isinstance(dt, Tensor) else dt
-        return increment_rows(field, method.tableau, theta.to(dtype), x.to(dtype), h)
-
-    return jacobian
-
-
-def mapped_increment_jacobian(
+def increment_jacobian(
     module: nn.Module, increment: Callable[[Tensor, TimeStep], Tensor], dtype: torch.dtype = torch.float32
 ) -> IncrementJacobian:
-    """Return the Jacobian of any step, computed with the module, by vectorised reverse mode."""
+    """Return the Jacobian of a step, computed with the module in `dtype`, by vectorised reverse mode."""
     single = parametrised(module, increment, dtype)
 
     def of_sample(theta: Tensor, x: Tensor, dt: TimeStep) -> Tensor:
@@ -150,7 +128,7 @@ def mapped_increment_jacobian(
 
     def jacobian(theta: Tensor, x: Tensor, dt: TimeStep) -> tuple[Tensor, Tensor]:
         own = isinstance(dt, Tensor)
-        rows = vmap(jacrev(of_sample, argnums=(0, 1)), (None, 0, 0 if own else None))
+        rows = vmap(jacrev(of_sample, argnums=(0, 1)), (None, 0, 0 if own else None), chunk_size=20_000)
         return rows(theta.to(dtype), x.to(dtype), dt.to(dtype) if isinstance(dt, Tensor) else dt)
 
     return jacobian

@@ -14,10 +14,8 @@ import torch
 from torch import Tensor, nn
 
 from ahnn.cores import each, slices
-from ahnn.dynamics import Dynamics
 from ahnn.dynamics.derivatives import (
     increment_jacobian,
-    mapped_increment_jacobian,
     mapped_jacobian,
     parametrised,
 )
@@ -103,10 +101,7 @@ def recursive_problem(
         weights: of the residuals, (B, W, D).
     """
     function = parametrised(module, increment, batch.start.dtype)
-    if isinstance(module, Dynamics) and increment == module.increment:
-        derivatives = increment_jacobian(module)
-    else:
-        derivatives = mapped_increment_jacobian(module, increment)
+    derivatives = increment_jacobian(module, increment)
 
     def weighted(part: slice) -> Tensor:
         own, rows = batch.rows(part), []
