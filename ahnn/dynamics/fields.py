@@ -7,7 +7,7 @@ from typing import Any, cast, final
 import torch
 from torch import Tensor, nn
 
-from ahnn.dynamics import written_out
+from ahnn.dynamics import native, written_out
 from ahnn.dynamics.base import Dynamics
 from ahnn.dynamics.gradients import Layers
 from ahnn.dynamics.hamiltonians import GenericHamiltonian, Structure, make_hamiltonian
@@ -140,6 +140,15 @@ class HamiltonianDynamics(_Integrated):
         """Return the integrator's increment along the field, shape (B, D)."""
         found = self._as_one(x, dt) if x.ndim == 2 else None
         return super().increment(x, dt) if found is None else written_out.step(x, *found)
+
+    @torch.no_grad()
+    def in_c(self) -> bool:
+        """Return whether a training takes its steps in C."""
+        found = self._as_one(next(self.parameters()), 1.0)
+        if found is None:
+            return False
+        layers, scheme = found
+        return native.applies(scheme, layers.leave, layers.tensors)
 
     def energy(self, x: Tensor) -> Tensor:
         """Return the learned H, shape (...), at the states x, shape (..., D); a constant is free."""
