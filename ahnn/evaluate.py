@@ -63,7 +63,7 @@ def evaluate(arguments: list[str]) -> None:
     )
     about = {"ckpt": request.ckpt, "data": note}
     board = TensorBoardSink(Board(folder), about)
-    known: dict[str, Any] = {**training, "val_loss": run.about["val_loss"], **about}
+    known: dict[str, Any] = {**training, "val_loss": run.about.get("val_loss"), **about}
     report(case, plugins, known, more=[board] if cfg.evaluation.figures else [], **options)
 
 

@@ -16,6 +16,7 @@ TESTS = sorted((ROOT / "tests").rglob("*.py"))
 OPEN = {
     "errors",
     "arguments",
+    "contents",
     "files",
     "memory",
     "numbers",
@@ -27,6 +28,7 @@ OPEN = {
     "jacobians",
     "libraries",
     "deviations",
+    "stored",
 }
 GROUND = OPEN | {"integrators", "measurements", "metrics", "rollouts", "statistics", "checkpoints"}
 MAY_IMPORT = {
@@ -38,10 +40,12 @@ MAY_IMPORT = {
     "progress": set(),
     "cores": set(),
     "jacobians": {"cores"},
+    "contents": {"errors"},
     "files": {"errors"},
     "memory": {"errors"},
-    "libraries": {"files", "types"},
+    "libraries": {"contents", "files", "types"},
     "arguments": {"errors"},
+    "stored": {"arguments", "errors", "types"},
     "deviations": {"errors", "numbers", "types"},
     "metrics": OPEN,
     "rollouts": OPEN,

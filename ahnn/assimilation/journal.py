@@ -6,8 +6,10 @@ import io
 from pathlib import Path
 from typing import BinaryIO
 
+from ahnn.contents import read_whole
 from ahnn.errors import UserError
 from ahnn.files import write_atomically
+from ahnn.memory import available
 
 
 class Journal(io.RawIOBase):
@@ -44,7 +46,7 @@ class Journal(io.RawIOBase):
             UserError: the journal is missing or damaged.
         """
         try:
-            head, _, content = self.path.read_bytes().partition(b"\n")
+            head, _, content = read_whole(self.path, available()).partition(b"\n")
             self._base = int(head)
         except (OSError, ValueError) as error:
             message = (

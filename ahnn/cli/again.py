@@ -11,8 +11,8 @@ from ahnn.arguments import flatten, nearest
 from ahnn.cli.parts import SENSOR, SIMULATION
 from ahnn.cli.settings import check_again
 from ahnn.cli.trust import require_trusted
+from ahnn.contents import read_plain
 from ahnn.errors import UserError
-from ahnn.files import read_plain
 from ahnn.pretrained import shipped
 
 OWN = ("run", "pretrained", "ckpt", "name")
