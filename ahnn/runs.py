@@ -218,7 +218,7 @@ def weights_path(folder: Path, ckpt: str = "best") -> Path:
     candidates = [here / f"{ckpt}.ckpt", folder / "weights.safetensors"]
     if ckpt == "best":
         candidates.append(here / "last.ckpt")
-    return next((path for path in candidates if path.is_file()), candidates[0])
+    return next((path for path in candidates if path.exists()), candidates[0])
 
 
 def made(weights: Weights, folder: Path) -> Run:

@@ -13,6 +13,7 @@ from ahnn.cli.settings import check_again
 from ahnn.cli.trust import require_trusted
 from ahnn.contents import read_plain
 from ahnn.errors import UserError
+from ahnn.paths import cache_dir
 from ahnn.pretrained import shipped
 
 OWN = ("run", "pretrained", "ckpt", "name")
@@ -21,7 +22,8 @@ NODES = ("system", "data", "evaluation", "plugins", "measurement")
 """Parts of a configuration that an evaluation builds from."""
 KEYS = ("label", "threads")
 DATA = (*SIMULATION, "split", *SENSOR)
-"""Keys of `data` that say which trajectories there are and what measures them, not the training."""
+"""Keys of `data` that say which trajectories there are and what measures them, not the training; they are
+kept where this user keeps his own, not where the run did."""
 
 
 class Request(NamedTuple):
@@ -83,7 +85,7 @@ def run_config(folder: Path, request: Request) -> DictConfig:
     if missing:
         message = f"{path}: expected the configuration of a run; received one without {', '.join(missing)}"
         raise UserError(message)
-    content["data"] = {key: content["data"].get(key) for key in DATA}
+    content["data"] = {key: content["data"].get(key) for key in DATA} | {"cache": str(cache_dir())}
     if not request.trust:
         require_trusted(path, content, (*NODES, *KEYS))
     cfg = OmegaConf.create({key: content[key] for key in (*NODES, *KEYS)})
