@@ -43,7 +43,7 @@ MAY_IMPORT = {
     "contents": {"errors"},
     "files": {"errors"},
     "memory": {"errors"},
-    "libraries": {"contents", "files", "types"},
+    "libraries": {"contents", "files", "paths", "types"},
     "arguments": {"errors"},
     "stored": {"arguments", "errors", "types"},
     "deviations": {"errors", "numbers", "types"},

@@ -2,87 +2,29 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import socket
-import threading
 import time
 import zipfile
 from pathlib import Path
 
 import pytest
 import torch
-import yaml
-from entry import SMALL, call
+from entry import call
+from foreign import change, configured, doors, refused, trained
 
 import ahnn
 from ahnn.checkpoints import Weights, read_weights, write_weights
 from ahnn.errors import UserError
-from ahnn.runs import weights_path
-
-FIRST = [*SMALL, "recipe=first_order", "evaluation=scores", "trainer.max_epochs=1"]
 
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    """A run whose configuration names a cache of its own."""
-    folder = tmp_path_factory.mktemp("foreign") / "run"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("AHNN_CACHE", str(folder.parent / "theirs"))
-        assert call("ahnn.train", *FIRST, f"run={folder}") == 0
-    weights = read_weights(weights_path(folder))
-    shutil.rmtree(folder / "checkpoints")
-    write_weights(folder / "weights.safetensors", weights)
-    return folder
+    return trained(tmp_path_factory.mktemp("foreign") / "run")
 
 
 @pytest.fixture
 def run(finished, tmp_path):
     return Path(shutil.copytree(finished, tmp_path / "run"))
-
-
-def doors(run, tmp_path):
-    """Every command on a run, with arguments that are right."""
-    lines = tmp_path / "lines.csv"
-    lines.write_text("time,q,p\n0.01,0.5,0.0\n")
-    start = ["start=[0.5,0]"]
-    return {
-        "predict": ("ahnn.predict", f"run={run}", *start, "duration=1"),
-        "evaluate": ("ahnn.evaluate", f"run={run}"),
-        "export": ("ahnn.export", f"run={run}", f"output={tmp_path / 'exported'}"),
-        "assimilate": (
-            *("ahnn.assimilate", f"run={run}", f"measurements={lines}", *start, "start_sd=[1,1]"),
-            *(
-                "measurement=state",
-                "measurement.sd=0.1",
-                "plugins.ukf.process_noise=[1,1]",
-                f"output={tmp_path / 'out.csv'}",
-            ),
-        ),
-    }
-
-
-def refused(command, capfd, said=""):
-    """Assert that a command ends with one message."""
-    assert call(*command) == 2
-    err = capfd.readouterr().err
-    assert err.startswith("ahnn: ")
-    assert err.count("\n") == 1
-    assert len(err) < 2000
-    assert said in err
-
-
-def change(values, path, new):
-    """Nested plain values with another one under a dotted path; ... takes it out."""
-    key, _, rest = path.partition(".")
-    values = dict(values)
-    if rest:
-        values[key] = change(values[key], rest, new)
-    elif new is ...:
-        del values[key]
-    else:
-        values[key] = new
-    return values
 
 
 INF, NAN = float("inf"), float("nan")
@@ -230,11 +172,6 @@ NODES = [
 ]
 
 
-def configured(run, path, value):
-    file = run / "config.yaml"
-    file.write_text(yaml.safe_dump(change(yaml.safe_load(file.read_text()), path, value)))
-
-
 @pytest.mark.parametrize("wrong", CONFIGURATIONS)
 def test_a_configuration_that_is_none_is_one_message(run, tmp_path, capfd, wrong):
     (run / "config.yaml").write_bytes(CONFIGURATIONS[wrong])
@@ -275,125 +212,3 @@ def test_results_of_wrong_kinds_are_one_message(run, tmp_path, capfd, text):
     refused(("ahnn.report", str(run), f"output={tmp_path / 'report'}"), capfd, str(run / "metrics.json"))
     with pytest.raises(UserError, match=r"metrics\.json"):
         _ = ahnn.load(run).results
-
-
-# Where is written
-
-
-@pytest.mark.parametrize("name", ["evaluate", "assimilate"])
-def test_a_configuration_does_not_say_where_is_written(run, finished, tmp_path, monkeypatch, name):
-    theirs = tmp_path / "theirs"
-    configured(run, "data.cache", str(theirs))
-    monkeypatch.setenv("AHNN_CACHE", str(tmp_path / "mine"))
-    command = doors(run, tmp_path)[name]
-    fitted = [text for text in command if not text.startswith(("plugins.ukf.process", "start_sd"))]
-    assert call(*fitted) == 0  # a filter whose process noise is fitted to data
-    assert not theirs.exists()
-    assert list((tmp_path / "mine").glob("*.safetensors"))
-
-
-def test_nor_does_it_by_the_class_of_its_data(run, tmp_path, capfd):
-    system = yaml.safe_load((run / "config.yaml").read_text())["system"]
-    options = {"trajectories": 20, "seed": 0, "cache": str(tmp_path / "theirs")}
-    configured(run, "system", {"_target_": "ahnn.data.sources.Simulated", "system": system, **options})
-    refused(doors(run, tmp_path)["evaluate"], capfd, "add --trust")
-    configured(run, "system", {"_target_": "ahnn.assimilation.journal.Journal", "path": str(tmp_path / "x")})
-    refused(doors(run, tmp_path)["evaluate"], capfd, "add --trust")
-    configured(run, "plugins", {"x": {"_target_": "ahnn.training.callbacks.BestPoint", "folder": "x"}})
-    refused(doors(run, tmp_path)["evaluate"], capfd, "add --trust")
-    assert {path.name for path in tmp_path.iterdir()} == {"run", "lines.csv"}
-
-
-# Pipes, sockets, devices
-
-
-def pipe(path):
-    os.mkfifo(path)
-
-
-def sock(path):
-    place = Path.cwd()
-    os.chdir(path.parent)  # its name may have 100 characters
-    try:
-        with socket.socket(socket.AF_UNIX) as opened:
-            opened.bind(path.name)
-    finally:
-        os.chdir(place)
-
-
-ODD = {"pipe": pipe, "socket": sock, "device": lambda path: path.symlink_to("/dev/zero")}
-READ = {
-    "weights.safetensors": ("predict", "evaluate", "export", "assimilate"),
-    "covariance.safetensors": ("predict", "evaluate", "assimilate"),
-    "config.yaml": ("evaluate", "assimilate"),
-    "metrics.json": ("evaluate",),
-}
-
-
-def ends(command, capfd, said):
-    """Assert that a command is refused, from a watchdog that nothing holds up."""
-    watchdog = threading.Timer(20, os._exit, [86])
-    watchdog.start()
-    try:
-        refused(command, capfd, said)
-    finally:
-        watchdog.cancel()
-
-
-@pytest.mark.parametrize("kind", ODD)
-@pytest.mark.parametrize("file", READ)
-def test_what_has_no_end_in_place_of_a_file_is_refused(run, tmp_path, capfd, file, kind):
-    (run / file).unlink(missing_ok=True)
-    ODD[kind](run / file)
-    for name in READ[file]:
-        ends(doors(run, tmp_path)[name], capfd, file)
-    if file == "metrics.json":
-        ends(("ahnn.report", str(run), f"output={tmp_path / 'report'}"), capfd, file)
-
-
-@pytest.mark.parametrize("kind", ODD)
-def test_so_is_it_in_place_of_a_file_that_a_command_names(run, tmp_path, capfd, kind):
-    for suffix in ("csv", "oem", "yaml", "safetensors", "ckpt", "gfc", "state"):
-        ODD[kind](tmp_path / f"odd.{suffix}")
-    odd, new = str(tmp_path / "odd"), f"run={tmp_path / 'new'}"
-    commands = doors(run, tmp_path)
-    for command in (
-        ("ahnn.predict", f"run={run}", f"start={odd}.csv", "duration=1"),
-        ("ahnn.predict", f"run={run}", f"start={odd}.oem", "duration=1"),
-        (*commands["predict"], f"ckpt={odd}.safetensors"),
-        (*commands["predict"], f"ckpt={odd}.ckpt"),
-        ("ahnn.data.__main__", "check", f"{odd}.csv"),
-        (*commands["assimilate"][:3], *commands["assimilate"][4:], f"start={odd}.yaml"),
-        (*commands["assimilate"], f"state={odd}.state"),
-        ("ahnn.train", "system=files", f"system.path={odd}.csv", new),
-        ("ahnn.train", "system=molniya_gravity", f"system.gravity={odd}.gfc", new),
-        ("ahnn.train", *FIRST, f"ckpt={odd}.ckpt", new),
-    ):
-        ends(command, capfd, odd)
-    assert not (tmp_path / "new").exists()
-
-
-def test_a_stream_may_come_through_a_pipe(run, tmp_path):
-    command = [text for text in doors(run, tmp_path)["assimilate"] if not text.startswith("measurements=")]
-    os.mkfifo(tmp_path / "stream")
-    writer = threading.Thread(target=lambda: (tmp_path / "stream").write_text("time,q,p\n0.01,0.5,0.0\n"))
-    writer.start()
-    assert call(*command, f"measurements={tmp_path / 'stream'}") == 0
-    writer.join()
-    assert len((tmp_path / "out.csv").read_text().splitlines()) == 2
-
-
-def test_a_folder_with_the_name_of_a_number_is_a_run(run, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for name in ("123", "0123", "1e3", "true"):
-        shutil.copytree(run, name)
-        for named in (f"run={name}", f"run=[{name}]"):
-            assert call("ahnn.predict", named, "start=[0.5,0]", "duration=1") == 0
-        assert call("ahnn.export", f"run={name}", f"output=0{name}7") == 0
-        assert Path(f"0{name}7", "model.json").is_file()
-    assert call("ahnn.report", "run=0123", "output=08", "report.figures=false") == 0
-    assert Path("08", "report.html").is_file()
-    assert call("ahnn.evaluate", "run=1e3", "name=007") == 0
-    assert Path("1e3", "evaluations", "007", "metrics.json").is_file()
-    assert call("ahnn.train", *FIRST, "run=010", "label=5", "weights=0123") == 0
-    assert ahnn.load("010").config["label"] == "5"

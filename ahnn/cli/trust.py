@@ -27,7 +27,7 @@ NEEDED = {
     "measurement": (MEASURES,),
     "data": (MEASURES,),
 }
-"""What a class must have all of to be built for a node, one row or another; nothing is built for any other."""
+"""What a class must have to be built for a node: all of one row or of another."""
 
 
 def require_trusted(path: Path, content: dict[str, Any], nodes: tuple[str, ...]) -> None:

@@ -37,7 +37,7 @@ PLAIN = 80
 NEWTON = 6.6743e-11
 """Newton's constant, m^3/(kg s^2)."""
 DENSITIES, STONES, SMALL = (10.0, 1e5), 4500.0, 1e5
-"""Mean densities of bodies in kg/m^3, the highest of small ones, and the radius in m of the largest of those."""
+"""Mean densities of bodies in kg/m^3, the highest of small ones, and the radius in m that these are below."""
 MASS, OFFSET = 1e-4, 1e-6
 """What C of degree 0 may be off by, and coefficients of degree 1: on the Earth 11 m."""
 CONVENTION: dict[Index, Coefficient] = {(0, 0): (1.0, 0.0), (1, 0): (0.0, 0.0), (1, 1): (0.0, 0.0)}
