@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import flatten, nearest
+from ahnn.cli.importing import let_import
 from ahnn.cli.parts import SENSOR, SIMULATION
 from ahnn.cli.settings import check_again
-from ahnn.cli.trust import require_trusted
+from ahnn.cli.trust import require_trusted, targets
 from ahnn.contents import read_plain
 from ahnn.errors import UserError
 from ahnn.paths import cache_dir
@@ -86,7 +87,9 @@ def run_config(folder: Path, request: Request) -> DictConfig:
         message = f"{path}: expected the configuration of a run; received one without {', '.join(missing)}"
         raise UserError(message)
     content["data"] = {key: content["data"].get(key) for key in DATA} | {"cache": str(cache_dir())}
-    if not request.trust:
+    if request.trust:
+        let_import(targets(content))
+    else:
         require_trusted(path, content, (*NODES, *KEYS))
     cfg = OmegaConf.create({key: content[key] for key in (*NODES, *KEYS)})
     cfg = chosen_again(cfg, request.overrides) if request.overrides else cfg

@@ -26,6 +26,8 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import flatten, nearest
+from ahnn.cli.importing import let_import
+from ahnn.cli.trust import targets
 from ahnn.errors import UserError
 from ahnn.paths import conf_dir
 
@@ -189,6 +191,7 @@ def compose(loader: ConfigLoaderImpl, name: str, overrides: list[str]) -> DictCo
             hint = nearest_key(key, {*plain, *flatten(plain), *loader.list_groups("")})
             message = f"configuration: unknown key {key!r}{hint}"
         raise UserError(message) from error
+    let_import(targets(OmegaConf.to_container(cfg)))
     check_recipe(cfg, overrides)
     check_potential(cfg, overrides)
     return cfg

@@ -82,3 +82,8 @@ def flat(value: Any, name: str) -> Iterator[tuple[str, Any]]:
             yield from flat(item, name)
     else:
         yield name, value
+
+
+def targets(value: Any) -> Iterator[Any]:
+    """Yield what nested values name to be built."""
+    return (leaf for name, leaf in flat(value, "") if name.endswith("._target_"))
