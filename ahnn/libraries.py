@@ -105,7 +105,7 @@ def _built(source: Path, command: list[str]) -> ctypes.CDLL:
 
 def _compile(line: list[str]) -> None:
     """Run a compiler, and end it with all that it started where it takes too long; raises as `_built`."""
-    quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+    quiet: Any = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
     with subprocess.Popen(line, text=True, errors="replace", start_new_session=True, **quiet) as process:
         try:
             _, said = process.communicate(timeout=PATIENCE)

@@ -1,4 +1,4 @@
-"""What lies in the working directory is no library and no plugin; a module that the user names is imported."""
+"""What lies in the working directory is no library and no plugin; a module that the user names is found."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PLUGINS = ("hydra_plugins/mine", "ahnn_plugins/__init__", "hydra_plugins/ahnn_sw
 
 @pytest.fixture(scope="module")
 def hostile(tmp_path_factory):
-    """A run folder with files that have the names of libraries and plugins, and leave a trace when imported."""
+    """A run folder with files named as libraries and plugins, which leave a trace when they are imported."""
     folder = trained(tmp_path_factory.mktemp("hostile") / "run")
     for name in (*LIBRARIES, *PLUGINS):
         path = folder / f"{name}.py"

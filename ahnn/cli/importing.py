@@ -41,9 +41,9 @@ def let_import(targets: Iterable[object]) -> None:
     """
     for target in targets:
         name, here = str(target).partition(".")[0], os.getcwd()
-        if name.isidentifier() and here not in sys.path and find_spec(name) is None:
-            if PathFinder.find_spec(name, [here]) is not None:
-                sys.path.append(here)
+        unknown = name.isidentifier() and here not in sys.path and find_spec(name) is None
+        if unknown and PathFinder.find_spec(name, [here]) is not None:
+            sys.path.append(here)
 
 
 def import_torchmetrics() -> None:
