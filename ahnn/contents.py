@@ -49,9 +49,11 @@ def read_whole(path: Path, most: int = LARGEST) -> bytes:
     """
     require_regular(path)
     with path.open("rb") as file:
-        content = file.read(most + 1)
-    if len(content) > most:
-        raise OSError(errno.EFBIG, f"more than {most:,} bytes", str(path))
+        # What /proc shows has no size.
+        size = min(most, max(os.fstat(file.fileno()).st_size, LARGEST))
+        content = file.read(size + 1)
+    if len(content) > size:
+        raise OSError(errno.EFBIG, f"more than {size:,} bytes", str(path))
     return content
 
 
