@@ -19,6 +19,7 @@ TESTS = sorted((ROOT / "tests").rglob("*.py"))
 OPEN = {
     "errors",
     "arguments",
+    "contents",
     "files",
     "manifest",
     "memory",
@@ -31,6 +32,7 @@ OPEN = {
     "jacobians",
     "libraries",
     "deviations",
+    "stored",
 }
 GROUND = OPEN | {"integrators", "measurements", "metrics", "rollouts", "statistics", "checkpoints"}
 MAY_IMPORT = {
@@ -42,11 +44,13 @@ MAY_IMPORT = {
     "progress": set(),
     "cores": set(),
     "jacobians": {"cores"},
+    "contents": {"errors"},
     "manifest": {"errors"},
     "files": {"errors", "manifest"},
     "memory": {"errors"},
-    "libraries": {"files", "types"},
+    "libraries": {"contents", "files", "paths", "types"},
     "arguments": {"errors"},
+    "stored": {"arguments", "errors", "types"},
     "deviations": {"errors", "numbers", "types"},
     "metrics": OPEN,
     "rollouts": OPEN,

@@ -7,8 +7,10 @@ import os
 from pathlib import Path
 from typing import BinaryIO
 
+from ahnn.contents import read_whole
 from ahnn.errors import UserError
 from ahnn.files import write_cached
+from ahnn.memory import available
 
 
 class Journal(io.RawIOBase):
@@ -45,7 +47,7 @@ class Journal(io.RawIOBase):
             UserError: the journal is missing or damaged.
         """
         try:
-            head, _, content = self.path.read_bytes().partition(b"\n")
+            head, _, content = read_whole(self.path, available()).partition(b"\n")
             self._base = int(head)
         except (OSError, ValueError) as error:
             message = (

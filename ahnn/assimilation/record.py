@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ahnn.assimilation.rows import COVARIANCE, DEVIATION, FIRST, INNOVATION
+from ahnn.contents import require_regular
 from ahnn.data.files import Covariance, Ephemeris, instant, write_oem
 from ahnn.errors import UserError
 from ahnn.types import Space
@@ -83,6 +84,7 @@ def read_record(path: Path, components: tuple[str, ...], most: int = MOST) -> Re
 
 def rows_of(path: Path) -> Iterator[dict[str, Any]]:
     """Yield the rows of an output."""
+    require_regular(path)
     with path.open(newline="") as file:
         table = file.read(1) != "{"
         file.seek(0)

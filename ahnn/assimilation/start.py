@@ -8,6 +8,7 @@ from typing import Any
 import torch
 import yaml
 
+from ahnn.contents import plain_yaml, read_whole
 from ahnn.data.files import read_oem
 from ahnn.deviations import state_deviations
 from ahnn.errors import UserError
@@ -53,8 +54,8 @@ def _read(path: Path, space: Space) -> dict[str, Any]:
             known["covariance"] = torch.from_numpy(last.covariances[-1].matrix) * torch.outer(scale, scale)
         return known
     try:
-        content = yaml.safe_load(path.read_text())
-    except (OSError, yaml.YAMLError, ValueError) as error:
+        content = plain_yaml(read_whole(path).decode("utf-8-sig"))
+    except (OSError, yaml.YAMLError, ValueError, RecursionError) as error:
         message = f"start: expected a file with mean and sd or covariance; received {path} ({error})"
         raise UserError(message) from error
     unknown = content.keys() - {"mean", "sd", "covariance"} if isinstance(content, dict) else {"no keys"}

@@ -11,6 +11,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
+from ahnn.contents import require_regular
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.state import FilterState, detached
 from ahnn.files import write_cached
@@ -41,6 +42,7 @@ def load_state(path: Path | str, device: torch.device | str = "cpu") -> FilterSt
         ValueError: it is damaged, or no state.
     """
     try:
+        require_regular(Path(path))
         with safe_open(path, framework="pt", device=str(device)) as file:
             metadata = file.metadata() or {}
             if metadata.get("format") != FORMAT:

@@ -7,6 +7,7 @@ from pathlib import Path
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from ahnn.contents import read_whole
 from ahnn.errors import UserError
 from ahnn.evaluation.case import Who
 from ahnn.evaluation.results import load_results
@@ -52,5 +53,8 @@ def _values(job: Path) -> list[str] | None:
 
 def _overrides(job: Path) -> str:
     """Return the overrides of a job on one line."""
-    path = job / ".hydra" / "overrides.yaml"
-    return " ".join(line[2:] for line in path.read_text().splitlines()) if path.exists() else ""
+    try:
+        text = read_whole(job / ".hydra" / "overrides.yaml").decode("utf-8", "replace")
+    except OSError:
+        return ""
+    return " ".join(line[2:] for line in text.splitlines())

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, get_args, get_type_hints
 
+from ahnn.contents import read_json
 from ahnn.errors import UserError
 from ahnn.evaluation.case import Row, Who
 from ahnn.evaluation.titles import title
@@ -57,14 +57,11 @@ def load_results(folder: Path | str) -> Results:
         UserError: there is none, it is damaged, or of another schema.
     """
     path = Path(folder) / FILE
+    content = read_json(path)
+    schema = content.get("schema", "none")
     try:
-        content = json.loads(path.read_text())
-        schema = content.get("schema", "none")
         results = decoded(content) if schema == SCHEMA else None
-    except OSError as error:
-        message = f"{path}: expected the results of an evaluation; received: {error.strerror}"
-        raise UserError(message) from error
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         reason = f"no {error}" if isinstance(error, KeyError) else error
         message = f"{path}: expected the results of an evaluation; received a damaged file: {reason}"
         raise UserError(message) from error

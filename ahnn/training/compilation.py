@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import torch
 
+from ahnn.contents import read_whole
 from ahnn.files import write_cached
 from ahnn.training.tracing import Traced
 
@@ -71,7 +72,7 @@ def price(traced: Traced, cache: Path) -> float:
 def _seconds(path: Path) -> float:
     """Return the seconds for each operation of a graph that a file names."""
     try:
-        return min(10.0, max(0.0, float(json.loads(path.read_bytes()))))
+        return min(10.0, max(0.0, float(json.loads(read_whole(path)))))
     except (OSError, TypeError, ValueError):
         return PER_NODE
 

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ahnn.contents import read_whole
 from ahnn.data.files.table import Place
 from ahnn.errors import UserError
+from ahnn.memory import available
 
 
 def content_of(path: Path) -> bytes:
     """Return the bytes of a file; raises UserError if it cannot be read."""
     try:
-        return path.read_bytes()
+        return read_whole(path, available())
     except OSError as error:
         message = f"system.path: expected a file; received {path}: {error.strerror}"
         raise UserError(message) from error

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from ahnn.arguments import nearest
+from ahnn.contents import plain_yaml
 from ahnn.data.files.table import Header, Place
 
 KEYS = ("units", "columns", "frame")
@@ -39,8 +40,8 @@ def parse(text: str, file: str) -> Sidecar:
         UserError: no YAML, or keys other than `units`, `columns` and `frame`.
     """
     try:
-        content = yaml.safe_load(text)
-    except yaml.YAMLError as error:
+        content = plain_yaml(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         Place(file).refuse("YAML", " ".join(str(error).split()))
     given: dict[Any, Any] = content if isinstance(content, dict) else {str(content): None}
     for key, value in given.items():

@@ -9,6 +9,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
+from ahnn.contents import require_regular
 from ahnn.errors import UserError
 from ahnn.metrics import errors
 from ahnn.systems import System
@@ -93,9 +94,10 @@ def kept(entry: Entry, slot: int) -> Kept | None:
         UserError: its file is damaged, or holds arrays of other shapes.
     """
     path = entry.folder / PREDICTIONS
-    if not path.is_file():
+    if not path.exists():
         return None
     try:
+        require_regular(path)
         with safe_open(str(path), "pt") as file:
             return _reduced(Arrays(path, file, set(file.keys())), entry, slot)
     except (SafetensorError, OSError) as error:
