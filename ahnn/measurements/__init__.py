@@ -6,7 +6,17 @@ members of `Measurement`: one class, and one YAML file that names it.
 
 from __future__ import annotations
 
-from ahnn.measurements.base import Locating, Measurement, Sighted, Time, observe, wrap
+from ahnn.measurements.base import (
+    Locating,
+    Measurement,
+    Sighted,
+    Time,
+    nearest,
+    observe,
+    periods,
+    residual,
+    wrap,
+)
 from ahnn.measurements.gnss import GnssRange
 from ahnn.measurements.ground_station import GroundStation
 from ahnn.measurements.readings import Position, State, reading
@@ -28,8 +38,11 @@ __all__ = [
     "State",
     "Time",
     "every",
+    "nearest",
     "observe",
+    "periods",
     "reading",
+    "residual",
     "schedule",
     "wrap",
 ]

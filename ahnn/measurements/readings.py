@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from ahnn.measurements.base import Measurement, Time
+from ahnn.measurements.base import Differing, Measurement, Time
 from ahnn.types import Space
 
 
-class Position:
+class Position(Differing):
     """The first n of 2 n state components: the positions q, as in the paper.
 
     Args:
@@ -28,12 +28,8 @@ class Position:
         """Return the positions themselves, shape (..., n)."""
         return y
 
-    def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
-        """Return y - y_pred."""
-        return y - y_pred
 
-
-class State:
+class State(Differing):
     """The whole state, positions and momenta.
 
     Args:
@@ -52,10 +48,6 @@ class State:
     def locate(self, y: Tensor, t: Time) -> Tensor:  # noqa: ARG002
         """Return the states themselves, shape (..., 2n)."""
         return y
-
-    def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
-        """Return y - y_pred."""
-        return y - y_pred
 
 
 def reading(name: str, space: Space) -> Measurement:

@@ -122,10 +122,10 @@ def require_measurement(measurement: Any) -> None:
             f"{', '.join(measurement)}"
         )
         raise UserError(message)
-    missing = [name for name in ("names", "units", "residual") if not hasattr(measurement, name)]
+    missing = [name for name in ("names", "units", "__call__") if not hasattr(measurement, name)]
     if missing:
         message = (
-            "measurement: expected a measurement model with names, units, residual; "
+            "measurement: expected a measurement model with names, units, __call__; "
             f"{type(measurement).__name__} has no {', '.join(missing)}"
         )
         raise UserError(message)

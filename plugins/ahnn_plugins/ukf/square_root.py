@@ -150,4 +150,4 @@ def _lowered(chol: Tensor, shift: Tensor, weights: Weights) -> tuple[Tensor, Ten
     return torch.where(lost[:, None, None], 0.0, chol), impossible & (variance > 0.0).all(-1)
 
 
-SQUARE_ROOT = Form("square-root", predict, update, needs_definite_noise=False, read=read)
+SQUARE_ROOT = Form("square-root", predict, update, squares=False, read=read)

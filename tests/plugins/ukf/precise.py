@@ -1,0 +1,30 @@
+"""The Kalman filter in 80 digits: what a filter in float64 is held against."""
+
+from __future__ import annotations
+
+import mpmath
+
+
+def kalman(mean, covariance, steps, h, r, rows):
+    """Return mean and standard deviations, as float64 would store them, after updates with linear measurements.
+
+    Args:
+        mean, covariance: (D,) and (D, D) of the start.
+        steps: (D, D) transition before each row.
+        h, r: (M, D) and (M, M).
+        rows: (K, M).
+
+    Returns:
+        means and standard deviations after the last row, as mpmath numbers.
+    """
+    with mpmath.workdps(80):
+        a, h, r = (mpmath.matrix(part.tolist()) for part in (steps, h, r))
+        x, p = mpmath.matrix(mean.tolist()), mpmath.matrix(covariance.tolist())
+        for row in rows.tolist():
+            x, p = a * x, a * p * a.T
+            s = h * p * h.T + r
+            gain = p * h.T * mpmath.inverse(s)
+            x = x + gain * (mpmath.matrix(row) - h * x)
+            rest = mpmath.eye(len(x)) - gain * h
+            p = rest * p * rest.T + gain * r * gain.T
+        return list(x), [mpmath.sqrt(p[i, i]) for i in range(len(x))]
