@@ -175,9 +175,7 @@ class Session:
         try:
             estimate = self.filter.update(reading)
         except Diverged as error:
-            message = (
-                f"line {number}: {error}. Begin again with another start, or a wider gate or process noise"
-            )
+            message = f"line {number}: {error}. Begin again with another start, a wider gate or more noise"
             raise TrainingError(message) from error
         self.counts[estimate.outcome] += 1
         if estimate.innovation is None:

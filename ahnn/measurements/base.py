@@ -1,25 +1,18 @@
-"""What a measurement model is, what it sees of a state, and angles that wrap."""
+"""What a measurement model is, and what it sees of a state."""
 
 from __future__ import annotations
 
-import math
-from typing import Protocol, cast, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
-
-from ahnn.numbers import described
 
 Time = float | Tensor
 """One time for all states, or a tensor (...) with a time for each."""
 
 
-TURNS = {"rad": 2.0 * math.pi, "deg": 360.0, "°": 360.0}
-"""A turn in each unit of angles."""
-
-
 class Measurement(Protocol):
-    """Map of states to measurements; see `residual` for what their difference means.
+    """Map of states to measurements; see `ahnn.measurements.angles` for what their difference means.
 
     Attributes:
         names: of the M components.
@@ -39,15 +32,6 @@ class Measurement(Protocol):
 
     def __call__(self, x: Tensor, t: Time) -> Tensor:
         """Return the measurements (..., M) of the states x (..., D) at time t."""
-        ...
-
-
-@runtime_checkable
-class HasResidual(Protocol):
-    """A measurement model whose differences are no plain ones."""
-
-    def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
-        """Return what y is more than y_pred, shape (..., M); angles are wrapped afterwards."""
         ...
 
 
@@ -84,78 +68,6 @@ def observe(measurement: Measurement, x: Tensor, t: Time) -> Tensor:
     if isinstance(measurement, Sighted):
         return torch.where(measurement.in_view(x, t), y, torch.nan)
     return y
-
-
-def periods(measurement: Measurement) -> tuple[float, ...]:
-    """Return the period of each component that is an angle, inf of the others.
-
-    Raises:
-        ValueError: a model that declares others than M positive numbers.
-    """
-    declared = getattr(measurement, "periods", None)
-    if declared is None:
-        units = getattr(measurement, "units", None) or ("",) * len(measurement.names)
-        return tuple(TURNS.get(unit, math.inf) for unit in units)
-    if len(declared) != len(measurement.names) or not all(period > 0.0 for period in declared):
-        names = ", ".join(measurement.names)
-        message = f"periods: expected a number > 0, or inf, for each of {names}; received {declared}"
-        raise ValueError(message)
-    return tuple(declared)
-
-
-def residual(measurement: Measurement, y: Tensor, y_pred: Tensor) -> Tensor:
-    """Return y - y_pred, shape of y (..., M), angles wrapped to half a turn on either side of zero.
-
-    Every residual is formed here: of filters, smoothers, fits and forecasts.
-
-    Raises:
-        ValueError: the model has differences of its own, of another shape.
-    """
-    if not isinstance(measurement, HasResidual):
-        return wrapped(y - y_pred, periods(measurement))
-    difference: object = measurement.residual(y, y_pred)
-    if not isinstance(difference, Tensor) or difference.shape != y.shape or difference.is_complex():
-        message = (
-            f"measurement: expected residual(y, y_pred) to return a real tensor {tuple(y.shape)} for y "
-            f"of that shape and y_pred {tuple(y_pred.shape)}; received {described(difference)}"
-        )
-        raise ValueError(message)
-    return wrapped(difference, periods(measurement))
-
-
-class Differing:
-    """What the models here have in common: `residual` as a method."""
-
-    def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
-        """Return y - y_pred, shape (..., M), angles wrapped."""
-        return wrapped(y - y_pred, periods(cast(Measurement, self)))
-
-
-def nearest(measurement: Measurement, y: Tensor, y_pred: Tensor) -> Tensor:
-    """Return y (..., M) with angles turned to within half a turn of y_pred; the others bit for bit."""
-    turns = periods(measurement)
-    if all(map(math.isinf, turns)):
-        return y
-    plain = y - y_pred
-    turned = wrapped(plain, turns)
-    return torch.where((turned == plain) | plain.isnan(), y, y_pred + turned)
-
-
-def wrapped(difference: Tensor, periods: tuple[float, ...]) -> Tensor:
-    """Return differences (..., M) whose components with a finite period are wrapped."""
-    if all(map(math.isinf, periods)):
-        return difference
-    turns = difference.new_tensor(periods)
-    angles = turns.isfinite()
-    return torch.where(angles, wrap(difference, torch.where(angles, turns, 1.0)), difference)
-
-
-def wrap(angle: Tensor, turn: float | Tensor = TURNS["rad"]) -> Tensor:
-    """Return the angle in (-turn / 2, turn / 2]; one that is already there is returned bit for bit."""
-    turned = angle - turn * torch.round(angle / turn)
-    # Rounding may have put it just outside.
-    turned = torch.where(turned > 0.5 * turn, turned - turn, turned)
-    return torch.where(turned <= -0.5 * turn, turned + turn, turned)
 
 
 def check_state(x: Tensor, least: int, who: str) -> None:

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from ahnn.measurements.base import Differing, Time, check_state
+from ahnn.measurements.angles import Differing
+from ahnn.measurements.base import Time, check_state
 from ahnn.measurements.interpolation import lagrange
 from ahnn.numbers import as_float64, described
 

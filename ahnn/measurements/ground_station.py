@@ -12,7 +12,8 @@ import torch
 from torch import Tensor
 
 from ahnn.arguments import Finite, Positive, Within, checked
-from ahnn.measurements.base import Differing, Time, check_state, wrap
+from ahnn.measurements.angles import Differing, wrap
+from ahnn.measurements.base import Time, check_state
 
 EARTH_RATE = 7.2921150e-5
 """Rotation rate of the Earth in rad/s (IERS Conventions 2010, table 1.2, nominal value)."""

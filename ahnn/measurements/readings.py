@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from ahnn.measurements.base import Differing, Measurement, Time
+from ahnn.measurements.angles import Differing
+from ahnn.measurements.base import Measurement, Time
 from ahnn.types import Space
 
 

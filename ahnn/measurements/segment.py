@@ -7,7 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ahnn.measurements.base import Measurement, residual
+from ahnn.measurements.angles import residual
+from ahnn.measurements.base import Measurement
 
 
 class Instrument(NamedTuple):

@@ -8,7 +8,8 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
-from ahnn.measurements.base import Locating, Measurement, Sighted, Time, periods, residual
+from ahnn.measurements.angles import periods, residual
+from ahnn.measurements.base import Locating, Measurement, Sighted, Time
 
 
 class Several:

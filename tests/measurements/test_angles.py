@@ -7,6 +7,7 @@ import math
 import pytest
 import torch
 
+from ahnn.data.recorded import Recorded
 from ahnn.estimation import Gate, initial_belief
 from ahnn.measurements import (
     GroundStation,
@@ -15,10 +16,12 @@ from ahnn.measurements import (
     Segment,
     Several,
     State,
+    continuous,
     nearest,
     periods,
     residual,
 )
+from ahnn.types import Space, Trajectories, Units
 from ahnn_plugins.ukf import (
     SQUARE_ROOT,
     STANDARD,
@@ -42,7 +45,7 @@ class Encoder:
     def __init__(self, units=("rad", "deg")):
         self.units = units
 
-    def __call__(self, x, t):
+    def __call__(self, x, t):  # noqa: ARG002
         scale = torch.tensor([1.0, 2.0], dtype=x.dtype)
         degrees = torch.tensor([math.degrees(1) if unit == "deg" else 1.0 for unit in self.units]).to(x)
         return x[..., :1] * scale * degrees
@@ -157,3 +160,28 @@ def test_the_objective_of_a_training_does_not_see_turns():
         segments = [Segment(seen, times, instrument) for seen in (values, turned)]
         assert torch.allclose(*(segment.residuals(states) for segment in segments), atol=1e-12)
         assert torch.allclose(segments[1].residuals(states), -torch.full_like(values, 0.1), atol=1e-12)
+
+
+def test_recorded_angles_go_on_over_turns_and_those_that_come_rarely_stay():
+    through = 3.0 + torch.linspace(0, 20, 60, dtype=F64)[None, :, None].repeat(2, 1, 1)
+    through[1] *= -1
+    wound = torch.remainder(through + math.pi, TURN) - math.pi
+    wound[:, 7], through[:, 7] = torch.nan, torch.nan
+    found = continuous(wound, (TURN,))
+    there = through.isfinite()
+    turns = (found - through)[there] / TURN
+    assert torch.allclose(turns, turns.round(), atol=1e-12)  # from the first turn on
+    assert float((found.diff(dim=1) - through.diff(dim=1)).nan_to_num().abs().max()) < 1e-12
+    assert torch.equal(found.isnan(), wound.isnan())
+    rare = 2.0 * torch.sin(torch.arange(0, 40, 2.0, dtype=F64))[None, :, None]
+    for values, turn in ((rare, TURN), (wound, math.inf)):
+        assert torch.equal(continuous(values, (turn,)).nan_to_num(), values.nan_to_num())
+
+
+def test_a_recorded_sensor_gives_angles_that_go_on():
+    space = Space("shaft", ("q", "p"), Units("s", "rad", "rad/s", "J"))
+    sensor = Recorded(space, measured="position", noise=0.01)
+    q = 3.0 + torch.linspace(0, 8, 50, dtype=F64)
+    states = torch.stack((torch.remainder(q + math.pi, TURN) - math.pi, torch.full_like(q, torch.nan)), -1)
+    seen = sensor.measure(Trajectories(states[None], torch.linspace(0, 8, 50, dtype=F64)[None]), 0)
+    assert torch.allclose(seen.states[0, :, 0], q, atol=1e-12)

@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from ahnn.estimation.belief import Belief
-from ahnn.measurements.base import Measurement, Time, periods, residual
+from ahnn.measurements import Measurement, Time, periods, residual
 from ahnn.types import Flow, TimeStep
 from ahnn_plugins.ukf.types import FilterResult, SmootherResult
 

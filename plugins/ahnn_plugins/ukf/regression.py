@@ -16,7 +16,7 @@ from torch import Tensor
 from ahnn.errors import UserError
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.linalg import tria
-from ahnn.measurements.base import Measurement, Time, periods, residual
+from ahnn.measurements import Measurement, Time, periods, residual
 from ahnn.types import Flow, TimeStep
 from ahnn_plugins.ukf.kernel import Sensor
 from ahnn_plugins.ukf.sigma_points import draw, unscented_weights

@@ -1,19 +1,19 @@
 """What float64 leaves of an estimate: where rounding may show, a member gets a status and stops.
 
-The sigma points lie r = alpha sqrt(D + kappa) standard deviations from the mean. The mean of their images y is
-formed from differences, each of which is rounded to eps |y|, with weights that sum to D / r², its crowding: it
-is off by about
+The sigma points lie r = alpha sqrt(D + kappa) standard deviations from the mean. The mean of their images y
+is formed from differences, each of which is rounded to eps |y|, with weights that sum to D / r², its
+crowding: it is off by about
 
     (1 + D / r²) eps |y|.
 
-An update forms the innovation from numbers of the size of y, and triangularises deviations s of y: both are off
-by eps (|y| + s). The gain K brings that into the mean, and since K R Kᵀ is a part of the covariance after
+An update forms the innovation from numbers of the size of y, and triangularises deviations s of y: both are
+off by eps (|y| + s). The gain K brings that into the mean, and since K R Kᵀ is a part of the covariance after
 the update, in standard deviations it is no more than what R makes of it: L_R⁻¹ eps (|y| + s).
 
 A form that squares, which forms covariances, loses twice as many digits: of P it keeps eps P, of which a
 subtraction may leave nothing, and of the innovation covariance eps s sᵀ.
 
-What a flow or a measurement model rounds by itself, for instance in float32, comes on top and is not known here.
+What a flow or a measurement model rounds by itself, in float32 say, comes on top and is not known here.
 """
 
 from __future__ import annotations
@@ -27,14 +27,15 @@ from ahnn.estimation.linalg import EPS
 from ahnn_plugins.ukf.types import Updated, Weights
 
 LIMIT = 1e-3
-"""Fraction of a standard deviation that rounding may cost in one prediction or update; members.c has it too."""
+"""Fraction of a standard deviation that rounding may cost in a step of either kind; members.c has it too."""
 
 
 def lost_in_prediction(before: Belief, after: Belief, weights: Weights, *, squares: bool) -> Tensor:
     """Return for which members rounding in a prediction exceeds the limit, (B,) bool.
 
     Args:
-        before, after: beliefs.
+        before: belief.
+        after: belief that was predicted.
         weights: of the points.
         squares: whether the form forms covariances.
     """
@@ -94,6 +95,6 @@ def _lost_digits(chol: Tensor, formed: Tensor) -> Tensor:
 
 
 def _whitened(chol: Tensor, sizes: Tensor) -> Tensor:
-    """Return how many standard deviations errors of these sizes (B, N) can be, (B,); inf of a singular factor."""
+    """Return how many standard deviations errors of sizes (B, N) are, (B,); inf of a singular factor."""
     off = torch.linalg.solve_triangular(chol, torch.diag_embed(sizes), upper=False)
     return off.square().sum((-2, -1)).sqrt()

@@ -6,16 +6,15 @@ import mpmath
 
 
 def kalman(mean, covariance, steps, h, r, rows):
-    """Return mean and standard deviations, as float64 would store them, after updates with linear measurements.
+    """Return mean and standard deviations, as mpmath numbers, after rows of linear measurements.
 
     Args:
-        mean, covariance: (D,) and (D, D) of the start.
+        mean: (D,) of the start.
+        covariance: (D, D) of the start.
         steps: (D, D) transition before each row.
-        h, r: (M, D) and (M, M).
+        h: (M, D), the measurement is h x.
+        r: (M, M).
         rows: (K, M).
-
-    Returns:
-        means and standard deviations after the last row, as mpmath numbers.
     """
     with mpmath.workdps(80):
         a, h, r = (mpmath.matrix(part.tolist()) for part in (steps, h, r))
