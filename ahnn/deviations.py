@@ -10,6 +10,9 @@ from ahnn.errors import UserError
 from ahnn.numbers import as_float64
 from ahnn.types import Space
 
+SECOND = {True: "velocities", False: "momenta"}
+"""What the second half of a state is given as, by whether p = m dq/dt."""
+
 
 def state_deviations(given: Any, space: Space, who: str) -> Tensor:
     """Return the standard deviations (2n,) of a state.
@@ -28,11 +31,11 @@ def state_deviations(given: Any, space: Space, who: str) -> Tensor:
         values = as_float64(given, who).flatten()
         if len(values) == 2 != size:
             values = values.repeat_interleave(space.dof)
-            values[space.dof :] *= space.inertia
+            values[space.dof :] *= space.divisor
         if len(values) == size and bool(((values > 0.0) & values.isfinite()).all()):
             return values
     except ValueError:
         pass
-    expected = f"{size} numbers > 0, or one for positions and one for velocities"
+    expected = f"{size} numbers > 0, or one for positions and one for {SECOND[space.mechanical]}"
     message = f"{who}: expected {expected}; received {given}"
     raise UserError(message)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ahnn.assimilation.rows import COVARIANCE, DEVIATION, FIRST, INNOVATION
 from ahnn.data.files import Covariance, Ephemeris, instant, write_oem
 from ahnn.errors import UserError
+from ahnn.labels import require_velocities
 from ahnn.types import Space
 
 Array = NDArray[np.float64]
@@ -110,6 +111,7 @@ def write_ephemeris(path: Path, record: Record, space: Space, about: dict[str, s
             f"oem: expected an orbit in s, km and km/s; received {space.name} in {', '.join(space.units[:3])}"
         )
         raise UserError(message)
+    require_velocities(space, "oem")
     utc = about["time_system"].upper() == "UTC"
     try:
         start = instant(about["epoch"], utc=utc)

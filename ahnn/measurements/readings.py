@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
+from ahnn.labels import momentum_unit
 from ahnn.measurements.angles import Differing
 from ahnn.measurements.base import Measurement, Time
 from ahnn.types import Space
@@ -60,6 +61,7 @@ def reading(name: str, space: Space) -> Measurement:
     if name == "position":
         return Position(space.dof, space.units.position)
     if name == "state":
-        return State(space.dof, (space.units.position, f"{space.units.velocity} · mass"))
+        momentum = f"{space.units.velocity} · mass" if space.mechanical else momentum_unit(space)
+        return State(space.dof, (space.units.position, momentum))
     message = f"expected state, position or a model; received {name!r}"
     raise ValueError(message)

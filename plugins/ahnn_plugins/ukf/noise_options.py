@@ -132,7 +132,7 @@ def online_parameters(
 def given_covariance(deviations: tuple[float, float], space: Space) -> Tensor:
     """Return Q, (D, D), of standard deviations of positions and velocities."""
     position, velocity = deviations
-    blocks = torch.tensor([position, velocity * space.inertia], dtype=torch.float64)
+    blocks = torch.tensor([position, velocity * space.divisor], dtype=torch.float64)
     return torch.diag(blocks.repeat_interleave(space.dof) ** 2)
 
 

@@ -84,7 +84,7 @@ def _start(system: System, given: Sequence[float] | None) -> Tensor:
     """Return the standard deviations of the initial error, (D,)."""
     if given is None:
         return system.deviations()
-    blocks = torch.tensor([given[0], given[1] * system.inertia], dtype=torch.float64)
+    blocks = torch.tensor([given[0], given[1] * system.space.divisor], dtype=torch.float64)
     return blocks.repeat_interleave(system.dof)
 
 
