@@ -131,8 +131,10 @@ INLINE long condition(long b, long size, long width, const double *factor, const
         white[i] = rest / row[i];
         squares += white[i] * white[i];
         logs += log(row[i]);
-        to->singular[b] |= row[i] <= 4.0 * EPS * norm;
-        off[i] = EPS * (fabs(y[b * width + i]) + fabs(residual[i]) + norm);
+        /* A deviation that the numbers it is the difference of do not resolve is none. */
+        off[i] = isnan(y[b * width + i]) ? norm : fabs(y[b * width + i]) + fabs(residual[i]) + norm;
+        to->singular[b] |= row[i] <= EPS / LIMIT * off[i];
+        off[i] *= EPS;
         for (long k = 0; k < i; k++) off[i] += fabs(noise[i * width + k]) * off[k];
         off[i] /= noise[i * width + i];
         lost += off[i];

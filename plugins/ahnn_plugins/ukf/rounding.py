@@ -64,12 +64,16 @@ def lost_in_update(
     present = ~y.isnan()
     spread = torch.where(present, updated.deviation.detach(), 0.0)
     sizes = y.detach().nan_to_num().abs() + updated.innovation.detach().abs() + spread
-    # The row of what is missing becomes that of a number without correlation.
-    noise = torch.where(present.unsqueeze(-1), chol_r.detach(), torch.diag_embed((~present).to(y)))
+    exact = present & (torch.diagonal(chol_r.detach(), dim1=-2, dim2=-1) == 0.0)
+    # The row of what is missing becomes that of a number without correlation; what is measured exactly is as
+    # uncertain as it is predicted to be, and leaves a mean that has no deviation to be compared with.
+    noisy = (present & ~exact).unsqueeze(-1)
+    noise = torch.where(noisy, chol_r.detach(), torch.diag_embed(torch.where(exact, spread, 1.0)))
     loss = _whitened(noise, torch.where(present, sizes, 0.0))
     if squares:
         loss = loss + _whitened(noise, spread).square() * (1.0 + updated.nis.detach().sqrt())
-    loss = EPS * torch.maximum(loss, _coarseness(updated.belief))
+    coarse = torch.where(exact.any(-1), 0.0, _coarseness(updated.belief))
+    loss = EPS * torch.maximum(loss, coarse)
     if weights.crowding is not None:
         crowding = weights.crowding.flatten()
         loss = torch.maximum((1.0 + crowding) * loss, EPS * crowding * _coarseness(prior))

@@ -16,6 +16,7 @@ from torch import Tensor
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.linalg import EPS, downdate, tria
 from ahnn_plugins.ukf import members
+from ahnn_plugins.ukf.rounding import LIMIT
 from ahnn_plugins.ukf.types import Form, Predicted, Residual, Updated, Weights
 
 
@@ -73,7 +74,9 @@ def update(
     joint, repaired = joint_factor(outer, shift, prior.chol, weights, noise)
     chol_y, cross, chol = joint[:, :size, :size], joint[:, size:, :size], joint[:, size:, size:]
     diagonal = torch.diagonal(chol_y, dim1=-2, dim2=-1)
-    singular = (diagonal <= 4.0 * EPS * chol_y.norm(dim=-1)).any(-1)
+    # A deviation that the numbers it is the difference of do not resolve is none.
+    sizes = chol_y.norm(dim=-1) + y.nan_to_num().abs() + innovation.abs()
+    singular = (diagonal <= EPS / LIMIT * sizes.detach()).any(-1)
     white = torch.linalg.solve_triangular(chol_y, innovation.unsqueeze(-1), upper=False)
     mean = prior.mean + (cross * white.mT).sum(-1)
     nis = white.square().sum((-2, -1))

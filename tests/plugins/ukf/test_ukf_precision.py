@@ -55,9 +55,12 @@ def test_every_noise_beside_every_belief_is_right_or_said_not_to_be(form, width,
             given = problem(p, r, width, far, seed)
             result = filtered(form, *given)
             if result.status.tolist() == [Status.OK]:
-                assert r > 0.0
-                assert off(result, kalman(*given)) < 0.05, (p, r)
                 kept += 1
+                if r > 0.0:
+                    assert off(result, kalman(*given)) < 0.05, (p, r)
+                else:  # as exact as numbers are, and never more measurements than states
+                    assert width == 1
+                    assert len(given[-1]) <= 2
     assert kept > (len(P) * len(R)) // 3  # and not by refusing everything
 
 
@@ -78,9 +81,9 @@ def test_the_square_root_form_goes_on_where_the_standard_form_cannot():
 
 
 @pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
-@pytest.mark.parametrize(("second", "status"), [(torch.nan, Status.OK), (0.2, Status.IMPRECISE)])
-def test_a_number_that_is_missing_loses_no_digits(form, second, status):
+@pytest.mark.parametrize(("second", "kept"), [(torch.nan, True), (0.2, False)])
+def test_a_number_that_is_missing_loses_no_digits(form, second, kept):
     h, r = torch.eye(2, dtype=torch.float64), torch.diag(torch.tensor([1e-4, 1e-40], dtype=torch.float64))
     given = lambda x, _: 1.0 * x, initial_belief([[0.0, 0.0]], torch.eye(2)), [[[0.1, second]]]
     result = unscented_filter(*given, LinearMeasurement(h), torch.zeros(2, 2), r, 1.0, form=form)
-    assert result.status.tolist() == [status]
+    assert (int(result.status) == Status.OK) == kept
