@@ -1,8 +1,24 @@
-"""The Kalman filter in 80 digits: what a filter in float64 is held against."""
+"""Linear measurements, and the Kalman filter in 80 digits that a filter in float64 is held against."""
 
 from __future__ import annotations
 
 import mpmath
+from torch import Tensor
+
+
+class LinearMeasurement:
+    """y = H x."""
+
+    def __init__(self, h: Tensor) -> None:
+        self.h = h
+        self.names = tuple(f"y{i}" for i in range(len(h)))
+        self.units = ("1",) * len(h)
+
+    def __call__(self, x: Tensor, t: float) -> Tensor:  # noqa: ARG002
+        return x @ self.h.mT
+
+    def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
+        return y - y_pred
 
 
 def kalman(mean, covariance, steps, h, r, rows):

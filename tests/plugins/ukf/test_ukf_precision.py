@@ -6,8 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 import torch
-from conftest import LinearMeasurement
-from precise import kalman
+from precise import LinearMeasurement, kalman
 
 from ahnn.estimation import Status, initial_belief
 from ahnn_plugins.ukf import SQUARE_ROOT, STANDARD, members, unscented_filter
