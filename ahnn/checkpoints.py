@@ -116,7 +116,7 @@ def read_weights(path: Path) -> Weights:
         UserError: the file is missing, damaged, of another format, or has other tensors than real numbers.
     """
     if path.suffix == ".safetensors":
-        state, about = _read_safetensors(path)
+        state, about = read_safetensors(path, "weights")
     else:
         content = read_checkpoint(path)
         prefix = "dynamics."
@@ -142,9 +142,14 @@ def _is_dense(value: Any) -> bool:
 
 def write_weights(path: Path, weights: Weights) -> None:
     """Write weights as a safetensors file, atomically."""
+    write_atomically(path, packed(weights))
+
+
+def packed(weights: Weights) -> bytes:
+    """Return weights as the content of a safetensors file, with a checksum over all of it."""
     tensors = {key: value.contiguous() for key, value in weights.state.items()}
     about = json.dumps(weights.about)
-    write_atomically(path, save(tensors, {"ahnn": about, "sha256": checksum(tensors, about)}))
+    return save(tensors, {"ahnn": about, "sha256": checksum(tensors, about)})
 
 
 def checksum(tensors: dict[str, Tensor], about: str) -> str:
@@ -156,23 +161,29 @@ def checksum(tensors: dict[str, Tensor], about: str) -> str:
     return digest.hexdigest()
 
 
-def _read_safetensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+def read_safetensors(path: Path, who: str) -> Weights:
+    """Return tensors and what stands beside them, {} where nothing of ours does; the checksum is compared.
+
+    Raises:
+        UserError: the file is missing or damaged; begins with `who`.
+    """
     try:
         require_regular(path)
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
-            about = json.loads(metadata.get("ahnn", "{}"))
+            text = metadata.get("ahnn", "{}")
             state = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 - it is no dict
-    except (SafetensorError, OSError, ValueError, RecursionError) as error:
-        message = f"weights {path}: expected an intact safetensors file; received a damaged one ({error})"
+        if "ahnn" in metadata and checksum(state, text) != metadata.get("sha256"):
+            message = "checksum"
+            raise ValueError(message)  # noqa: TRY301 - one message for all damage
+        about = json.loads(text)
+        if not isinstance(about, dict):
+            message = f"{str(about)[:40]!r} in place of what they are"
+            raise TypeError(message)  # noqa: TRY301
+    except (SafetensorError, OSError, ValueError, TypeError, RecursionError) as error:
+        message = f"{who} {path}: expected an intact safetensors file; received a damaged one ({error})"
         raise UserError(message) from error
-    if not isinstance(about, dict):
-        message = f"weights {path}: expected weights that say what they are; received {str(about)[:40]!r}"
-        raise UserError(message)
-    if about and checksum(state, metadata["ahnn"]) != metadata.get("sha256"):
-        message = f"weights {path}: expected an intact safetensors file; received a damaged one (checksum)"
-        raise UserError(message)
-    return state, about
+    return Weights(state, about)
 
 
 def require_same(who: str, expected: dict[str, Any], received: dict[str, Any]) -> None:

@@ -33,6 +33,7 @@ OPEN = {
     "libraries",
     "deviations",
     "stored",
+    "labels",
 }
 GROUND = OPEN | {"integrators", "measurements", "metrics", "rollouts", "statistics", "checkpoints"}
 MAY_IMPORT = {
@@ -52,6 +53,7 @@ MAY_IMPORT = {
     "arguments": {"errors"},
     "stored": {"arguments", "errors", "types"},
     "deviations": {"errors", "numbers", "types"},
+    "labels": {"errors", "types"},
     "metrics": OPEN,
     "rollouts": OPEN,
     "statistics": OPEN,

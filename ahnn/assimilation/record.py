@@ -15,6 +15,7 @@ from ahnn.assimilation.rows import COVARIANCE, DEVIATION, FIRST, INNOVATION
 from ahnn.contents import require_regular
 from ahnn.data.files import Covariance, Ephemeris, instant, write_oem
 from ahnn.errors import UserError
+from ahnn.labels import require_velocities
 from ahnn.types import Space
 
 Array = NDArray[np.float64]
@@ -112,6 +113,7 @@ def write_ephemeris(path: Path, record: Record, space: Space, about: dict[str, s
             f"oem: expected an orbit in s, km and km/s; received {space.name} in {', '.join(space.units[:3])}"
         )
         raise UserError(message)
+    require_velocities(space, "oem")
     utc = about["time_system"].upper() == "UTC"
     try:
         start = instant(about["epoch"], utc=utc)

@@ -12,13 +12,15 @@ import logging
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import Annotated, Any, NamedTuple
 
+from ahnn.arguments import NonNegative, Within, check_arguments
 from ahnn.assimilation.cells import BadLine
 from ahnn.assimilation.clock import Clock
 from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.online import Assimilation, Diverged, Estimate
 from ahnn.assimilation.reading import Layout, Reading
-from ahnn.assimilation.rows import Output, Rows, require_new
+from ahnn.assimilation.rows import Output, Rows, digest, require_new
 from ahnn.errors import TrainingError, UserError
 from ahnn.estimation.consistency import band
 
@@ -34,6 +36,35 @@ WORDS = {
     "repeated": "was counted before: not counted again",
     "ahead": "lies further ahead than a gap may be, from time {now:g}: not counted",
 }
+
+
+Natural = Annotated[int, Within(0)]
+
+
+class Notes(NamedTuple):
+    """What a saved state knows of the stream and of the output.
+
+    Attributes:
+        lines, place, digest: lines that it holds, their bytes, and their hash.
+        header: the first of them.
+        size, tail: bytes of the output, and the hash of the last of them.
+        kind: of the output's rows.
+        counts: outcomes of the lines.
+        nis, numbers: sum of the NIS of those that counted, and how many numbers they had.
+        clock: what times mean.
+    """
+
+    lines: Natural
+    place: Natural
+    digest: str
+    header: str
+    size: Natural
+    tail: str
+    kind: str
+    counts: dict[str, int]
+    nis: NonNegative
+    numbers: Natural
+    clock: list[Any] | None
 
 
 class Session:
@@ -71,7 +102,8 @@ class Session:
         self._count()
         self.output: Output | None = None
         if state is not None and state.exists():
-            self.output = Output(output, self._resume(assimilation.load(state)))
+            known = self._resume(assimilation.load(state))
+            self.output = Output(output, rows, known.lines, known.size, known.tail)
         else:
             require_new(output)
             lines.begin()
@@ -121,7 +153,7 @@ class Session:
         self.layout = Layout(text, self.filter.sensors, self.clock)
         if self.output is None:
             self._save()
-            self.output = Output(self.path, None)
+            self.output = Output(self.path, self.rows)
         self.header = text
         if not self.output.size:
             self.output.write(self.rows.header())
@@ -143,9 +175,7 @@ class Session:
         try:
             estimate = self.filter.update(reading)
         except Diverged as error:
-            message = (
-                f"line {number}: {error}. Begin again with another start, or a wider gate or process noise"
-            )
+            message = f"line {number}: {error}. Begin again with another start, a wider gate or more noise"
             raise TrainingError(message) from error
         self.counts[estimate.outcome] += 1
         if estimate.innovation is None:
@@ -157,7 +187,7 @@ class Session:
             if estimate.outcome == "rejected":
                 told = number, reading.time, reading.sensor, nis, dof
                 log.info("line %d: time %g of sensor %s rejected, NIS %.3g of %d numbers", *told)
-            else:
+            elif dof:
                 self.nis, self.numbers = self.nis + nis, self.numbers + dof
         if watch is not None:
             watch(number, reading, estimate, self.counts)
@@ -165,37 +195,40 @@ class Session:
     def _save(self) -> None:
         if self.state is None:
             return
-        size = 0
+        size, tail = 0, digest(b"")
         if self.output is not None:
             self.output.sync()
-            size = self.output.size
-        notes = {"lines": self.counted, "place": self.place, "digest": self.digest, "size": size}
-        notes |= {"nis": self.nis, "numbers": self.numbers}
-        stream = json.dumps({**notes, "header": self.header, "counts": self.counts, "clock": self.clock})
-        self.filter.save(self.state, {"stream": stream})
+            size, tail = self.output.size, self.output.digest
+        stream = (self.counted, self.place, self.digest, self.header, size, tail, self.rows.kind)
+        notes = Notes(*stream, dict(self.counts), self.nis, self.numbers, self.clock and list(self.clock))
+        self.filter.save(self.state, {"stream": json.dumps(notes._asdict())})
         self.lines.saved(self.place)
 
     def _count(self) -> None:
         """All lines so far are counted, which the next state will say."""
         self.counted, self.place, self.digest = self.lines.number, self.lines.place, self.lines.digest
 
-    def _resume(self, notes: dict[str, str]) -> int:
-        """Take the lines that are not in the state again, and return the length of the output then."""
+    def _resume(self, notes: dict[str, str]) -> Notes:
+        """Take the lines that are not in the state again, and return what it knows."""
         try:
-            stream = json.loads(notes["stream"])
-            number, place, size = (int(stream[key]) for key in ("lines", "place", "size"))
-            digest, clock = str(stream["digest"]), stream["clock"]
-            self.header, self.counts = stream["header"], Counter(stream["counts"])
-            self.nis, self.numbers = float(stream.get("nis", 0)), int(stream.get("numbers", 0))
+            content = json.loads(notes["stream"])
+            check_arguments("", Notes, content)
+            known = Notes(**content)
+            self.counts = Counter({str(word): int(count) for word, count in known.counts.items()})
         except (KeyError, ValueError, TypeError) as error:
             message = f"state: expected one of a stream; received {self.state} ({error})"
             raise UserError(message) from error
-        if clock != (None if self.clock is None else list(self.clock)):
-            message = f"state: expected times as {self.state} counts them, {clock}; received {self.clock}"
+        mine = [self.rows.kind, self.clock and list(self.clock)]
+        if [known.kind, known.clock] != mine:
+            message = (
+                f"state: expected rows and times as in {self.state}, {known.kind} and {known.clock}; "
+                f"received {mine[0]} and {mine[1]}. Go on with the same command"
+            )
             raise UserError(message)
+        self.header, self.nis, self.numbers = known.header, known.nis, known.numbers
         if self.header:
             self.layout = Layout(self.header, self.filter.sensors, self.clock)
-        self.lines.resume(number, place, digest)
+        self.lines.resume(known.lines, known.place, known.digest)
         self._count()
-        log.info("going on behind line %d", number)
-        return size
+        log.info("going on behind line %d", known.lines)
+        return known

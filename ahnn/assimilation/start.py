@@ -13,6 +13,7 @@ from ahnn.data.files import read_oem
 from ahnn.deviations import state_deviations
 from ahnn.errors import UserError
 from ahnn.estimation import Belief, initial_belief
+from ahnn.labels import require_velocities
 from ahnn.types import Space
 
 Deviations = list[float] | tuple[float, ...] | None
@@ -47,6 +48,7 @@ def start_of(given: str | list[float] | None, deviations: Deviations, space: Spa
 def _read(path: Path, space: Space) -> dict[str, Any]:
     """Return what a file says of a state: `mean`, and `sd` or `covariance` if it has them."""
     if path.suffix in (".oem", ".xml"):
+        require_velocities(space, "start")
         last = read_oem(path)[-1]
         scale = torch.tensor([1.0] * 3 + [space.inertia] * 3, dtype=torch.float64)
         known: dict[str, Any] = {"mean": (torch.from_numpy(last.states[-1].copy()) * scale).tolist()}

@@ -20,12 +20,12 @@ from ahnn.errors import UserError
 
 LINK = re.compile(r"\$\{measurement(\.\w+)+\}")
 """The one interpolation that we store: what a plugin takes from the group `measurement`."""
-MEASURES = ("residual", "__call__")
+MEASURES = (("locate", "__call__"), ("residual", "__call__"))
 NEEDED = {
     "system": (("energy", "initial_states"), ("recipe", "steps", "read")),
-    "plugins": (("check", "__call__"), MEASURES),
-    "measurement": (MEASURES,),
-    "data": (MEASURES,),
+    "plugins": (("check", "__call__"), *MEASURES),
+    "measurement": MEASURES,
+    "data": MEASURES,
 }
 """What a class must have to be built for a node: all of one row or of another."""
 

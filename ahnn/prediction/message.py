@@ -7,6 +7,7 @@ import torch
 from ahnn.data.files import Covariance, Ephemeris
 from ahnn.data.files.units import LENGTH, TIME, unit
 from ahnn.errors import UserError
+from ahnn.labels import require_velocities
 from ahnn.prediction.amounts import picoseconds
 from ahnn.prediction.kernel import Prediction
 from ahnn.prediction.starts import Starts, words
@@ -40,6 +41,7 @@ def ephemerides(
     Raises:
         UserError: a space without three positions in a length, or times without an epoch.
     """
+    require_velocities(space, "output")
     position, clock = unit(space.units.position), unit(space.units.time)
     if space.dof != 3 or position.dimension != LENGTH or clock.dimension != TIME:
         message = (

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from ahnn.data.files import Files, instant, units
 from ahnn.errors import UserError
+from ahnn.labels import momentum_unit, require_velocities
 from ahnn.numbers import as_float64
 from ahnn.prediction.kernel import require_finite
 from ahnn.types import Space
@@ -62,6 +63,8 @@ def _from_numbers(given: list[Any], space: Space) -> Starts:
 
 def _from_file(path: str, space: Space) -> Starts:
     files = Files("start", path, mass=space.inertia)
+    if not files.momenta:
+        require_velocities(space, f"start {path}")
     found, names, n = files.space, space.components[: space.dof], space.dof
     theirs = found.components[: found.dof]
     if sorted(theirs) != sorted(names) or files.positions_only:
@@ -112,7 +115,8 @@ def numbered(count: int) -> tuple[str, ...]:
 def _with_units(space: Space) -> list[str]:
     """Return the components with their units, those of momenta as of velocities times the inertia."""
     scale = "" if space.inertia == 1 else f" x {space.inertia:g}"
-    units = (space.units.position, f"{space.units.velocity}{scale}")
+    momentum = f"{space.units.velocity}{scale}" if space.mechanical else momentum_unit(space)
+    units = (space.units.position, momentum)
     return [f"{name} [{units[k >= space.dof]}]" for k, name in enumerate(space.components)]
 
 

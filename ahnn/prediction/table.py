@@ -9,6 +9,7 @@ import numpy as np
 
 from ahnn.data.files import epochs
 from ahnn.errors import UserError
+from ahnn.labels import components
 from ahnn.prediction.amounts import picoseconds
 from ahnn.prediction.kernel import Prediction
 from ahnn.prediction.starts import Starts
@@ -19,8 +20,8 @@ from ahnn.uncertainty import BEYOND
 def columns(prediction: Prediction, starts: Starts, space: Space, *, utc: bool) -> dict[str, Any]:
     """Return the columns of all trajectories, one behind the other.
 
-    Momenta are written as velocities, as docs/data.md names them; `sd_` is a standard deviation, and `novel`
-    is 1 where a state lies beyond the training data.
+    Momenta are written as velocities, as docs/data.md names them, where they are m times these; `sd_` is a
+    standard deviation, and `novel` is 1 where a state lies beyond the training data.
 
     Args:
         prediction: of the starts.
@@ -35,7 +36,7 @@ def columns(prediction: Prediction, starts: Starts, space: Space, *, utc: bool) 
     if starts.epoch is not None:
         moments = (starts.epoch + picoseconds(float(t), space.units.time) for t in times)
         found["epoch"] = np.asarray([epochs.spelled(moment, utc=utc) for moment in moments])
-    names, factors = labels(space), np.repeat([1.0, 1 / space.inertia], space.dof)
+    names, factors = labels(space), np.repeat([1.0, 1 / space.divisor], space.dof)
     for prefix, values in (("", prediction.states), ("sd_", prediction.deviations)):
         if values is not None:
             rows = values.flatten(0, 1).numpy() * factors
@@ -47,7 +48,9 @@ def columns(prediction: Prediction, starts: Starts, space: Space, *, utc: bool) 
 
 
 def labels(space: Space) -> list[str]:
-    """Return the names of positions and their velocities, with units."""
+    """Return the names of positions and their velocities, or momenta that are none, with units."""
+    if not space.mechanical:
+        return components(space)
     positions = space.components[: space.dof]
     units = space.units
     return [*(f"{q} [{units.position}]" for q in positions), *(f"v{q} [{units.velocity}]" for q in positions)]
