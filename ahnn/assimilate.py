@@ -38,6 +38,7 @@ from ahnn.cli.stops import ended
 
 if TYPE_CHECKING:
     from ahnn.assimilation.journal import Journal
+    from ahnn.cli.stream import Built
     from ahnn.types import Space
 
 log = logging.getLogger("ahnn")
@@ -56,7 +57,7 @@ class Asked:
     every: Count
     start: str | list[float] | None = None
     start_sd: list[Positive] | None = None
-    time: Finite
+    time: Finite | None = None
     sensors: dict[str, Any]
     window: Annotated[float, Within(0)]
     lines: Count
@@ -64,11 +65,11 @@ class Asked:
     watch: bool
     figures: str | None = None
     oem: str | None = None
-    object: str
-    epoch: str
-    frame: str
-    center: str
-    time_system: str
+    object: str | None = None
+    epoch: str | None = None
+    frame: str | None = None
+    center: str | None = None
+    time_system: str | None = None
 
 
 def assimilate(arguments: list[str]) -> None:
@@ -81,7 +82,6 @@ def assimilate(arguments: list[str]) -> None:
     with importing():
         import torch
 
-        from ahnn.assimilation.clock import Clock
         from ahnn.assimilation.lines import Lines
         from ahnn.assimilation.rows import Rows, require_new
         from ahnn.assimilation.session import Session
@@ -104,11 +104,10 @@ def assimilate(arguments: list[str]) -> None:
     if state is None or not state.exists():
         require_new(options.output)
     with closing(Lines(_opened(options.measurements, state))) as lines:
-        filtering = stream.build_assimilation(options, nodes, cfg, run)
+        built = stream.build_assimilation(options, nodes, cfg, run)
         kind = options.format or ("json" if Path(options.output).suffix in (".json", ".jsonl") else "csv")
-        rows = Rows(run.space.components, filtering.sensors, kind)
-        clock = Clock.of(run.space.units.time, options.epoch, options.time_system)
-        session = Session(filtering, lines, rows, options.output, state, options.every, clock)
+        rows = Rows(run.space.components, built.filtering.sensors, kind)
+        session = Session(built.filtering, lines, rows, options.output, state, options.every, built.clock)
         view = View(run.space) if options.watch else None
         kept = ended(lambda: "the same command goes on where it was") if state else nullcontext()
         gc.collect()
@@ -118,7 +117,7 @@ def assimilate(arguments: list[str]) -> None:
     log.info("%s lines: %s", f"{session.counted:,}", said(session.counts))
     if verdict := session.verdict():
         log.info(verdict)
-    _pictures(options, run.space)
+    _pictures(options, run.space, built)
 
 
 def _opened(path: str, state: Path | None) -> BinaryIO | Journal:
@@ -131,7 +130,7 @@ def _opened(path: str, state: Path | None) -> BinaryIO | Journal:
     return pipe if state is None else Journal(pipe.raw, Path(f"{state}.lines"))
 
 
-def _pictures(options: Asked, space: Space) -> None:
+def _pictures(options: Asked, space: Space, built: Built) -> None:
     """Make figures and message of the output, if they are asked for."""
     if not (options.figures or options.oem):
         return
@@ -148,8 +147,7 @@ def _pictures(options: Asked, space: Space) -> None:
             for suffix in FORMATS:
                 write_atomically(folder / f"{name}{suffix}", drawn(figure, suffix))
     if options.oem:
-        names = ("object", "epoch", "frame", "center", "time_system")
-        write_ephemeris(Path(options.oem), record, space, {name: getattr(options, name) for name in names})
+        write_ephemeris(Path(options.oem), record, space, built.name, built.reference)
 
 
 def main() -> None:

@@ -61,42 +61,50 @@ def predict(arguments: list[str]) -> None:
 
     Raises:
         UserError: no such run, starts that are no states of it, or an output that cannot be written.
+        TrainingError: a predicted state is not finite.
     """
     with importing():
         from ahnn.cli.pairs import named_runs, read_pairs
+        from ahnn.data.reference import Reference
+        from ahnn.data.starts import referred, starts
+        from ahnn.errors import UserError
         from ahnn.evaluation.terminal import show
         from ahnn.prediction import amounts, output, together
-        from ahnn.prediction.starts import starts, with_epoch
+        from ahnn.prediction.kernel import require_finite_prediction
         from ahnn.prediction.summary import summary, warning
 
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
     asked = read_pairs(arguments, Asked, USAGE)
     runs = named_runs(asked.run, asked.pretrained, asked.ckpt)
     space, clock = runs[0].space, runs[0].space.units.time
-    begin = starts(asked.start, space)
-    named = ", ".join(asked.frame) if isinstance(asked.frame, list) else asked.frame
-    frame = named or space.frame or begin.frame
-    begin = with_epoch(begin, asked.epoch, utc=output.clock_of(frame) == "UTC")
+    named = ", ".join(asked.frame) if isinstance(asked.frame, list) else asked.frame or ""
+    ours = Reference.of(space.frame).chosen(Reference.of(named)).since(asked.epoch)
+    begin = starts(asked.start, space, ours, sd=asked.start_sd)
+    if asked.epoch is not None and begin.reference.epoch is not None:
+        message = f"epoch: expected none, since the file of the start has its own; received {asked.epoch}"
+        raise UserError(message)
+    begin = referred(begin, ours)
     total = amounts.duration(asked.duration, "duration", clock)
     step = runs[0].dt if asked.step is None else amounts.duration(asked.step, "step", clock)
     times = amounts.grid(total, step)
     if asked.output is not None:
-        output.require_output(Path(asked.output), begin, space, frame)
+        output.require_output(Path(asked.output), begin, space)
     if asked.figure is not None:
         output.require_figure(Path(asked.figure))
     if not all(run.uncertainty for run in runs):  # the mean of what some know would be of nobody
         runs = [replace(run, uncertainty=None) for run in runs]
-    text = "predicting with {}".format
+    text, known = "predicting with {}".format, begin.covariances
     found = together(
-        [run.predict(begin.states, times, text(run.folder.name), asked.start_sd) for run in runs]
+        [run.predict(begin.states, times, text(run.folder.name), start_covariance=known) for run in runs]
     )
+    require_finite_prediction(found, clock)
     title = " + ".join(run.folder.name for run in runs)
     if asked.output is not None:
-        output.write(Path(asked.output), found, begin, space, frame)
+        output.write(Path(asked.output), found, begin, space)
     if asked.figure is not None:
         output.draw(Path(asked.figure), found, space, title)
     show(summary(found, begin, space, title))
-    if asked.start_sd is not None and not runs[0].uncertainty:
+    if known is not None and not runs[0].uncertainty:
         what = "the start" if len(runs) == 1 else "the start and of what the runs differ by"
         log.warning("1 sigma: that of %s; how well the dynamics are known these weights do not say", what)
     if remark := warning(found, begin, space):

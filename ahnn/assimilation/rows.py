@@ -14,11 +14,10 @@ from typing import Any, BinaryIO, Literal
 
 from ahnn.assimilation.online import Estimate
 from ahnn.assimilation.process import Sensor
+from ahnn.data.tracks import COVARIANCE, DEVIATION, FIRST, INNOVATION
 from ahnn.errors import UserError
 
 Format = Literal["csv", "json"]
-COVARIANCE, INNOVATION, DEVIATION = "cov_", "innovation_", "sd_"
-FIRST = ("line", "time", "sensor", "outcome", "replayed", "nis", "dof")
 
 
 class Rows:

@@ -12,6 +12,7 @@ import logging
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from ahnn.assimilation.cells import BadLine
 from ahnn.assimilation.clock import Clock
@@ -19,6 +20,7 @@ from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.online import Assimilation, Diverged, Estimate
 from ahnn.assimilation.reading import Layout, Reading
 from ahnn.assimilation.rows import Output, Rows, require_new
+from ahnn.data.tracks import is_track
 from ahnn.errors import TrainingError, UserError
 from ahnn.estimation.consistency import band
 
@@ -29,6 +31,16 @@ Watcher = Callable[[int, Reading, Estimate, Counter[str]], None]
 
 FEW = 30
 """Measured numbers that say nothing yet of a filter's consistency."""
+REMEDIES = {
+    "none": "Add lines",
+    "bad": "The lines above say what is wrong with them",
+    "late": "They are before the start: set epoch= and time=, at which it holds, or window=",
+    "ahead": "They are far behind the start: set epoch= and time=, at which it holds, or gap=",
+    "rejected": "Set start= and start_sd=, or epoch= and time=, at which it holds, or plugins.ukf.gate",
+    "repeated": "They come twice: leave state= out or begin another",
+    "predicted": "Their numbers are missing: fill the columns of the sensor, or set measurement=",
+}
+"""What to do where most lines became so, and none was taken."""
 WORDS = {
     "late": "comes later than the window allows, at time {now:g}: not counted",
     "repeated": "was counted before: not counted again",
@@ -70,8 +82,12 @@ class Session:
         self.header, self.path = "", output
         self._count()
         self.output: Output | None = None
-        if state is not None and state.exists():
-            self.output = Output(output, self._resume(assimilation.load(state)))
+        self.resumed, self.written = state is not None and state.exists(), False
+        if state is not None and self.resumed:
+            size = self._resume(assimilation.load(state))
+            self.output = Output(output, size)
+            if self.layout is not None and not size:
+                self.output.write(self.rows.header())
         else:
             require_new(output)
             lines.begin()
@@ -81,7 +97,7 @@ class Session:
 
         Raises:
             UserError: a header that names what is not there.
-            TrainingError: the filter has diverged; the message names the line.
+            TrainingError: the filter has diverged; the message names the line. Or no line counted.
         """
         try:
             self._run(watch)
@@ -99,10 +115,18 @@ class Session:
         return text + (": it trusts them too little" if mean < low else "")
 
     def close(self) -> None:
-        """Give back the files; what was not saved is taken again by who goes on."""
-        self.lines.close(discard=self.output is None)
+        """Give back the files; what was not saved is taken again by who goes on.
+
+        Of a stream that began here and came to no estimate nothing is left.
+        """
+        nothing = not (self.resumed or self.written)
+        self.lines.close(discard=nothing)
         if self.output is not None:
             self.output.close()
+            if nothing:
+                for path in (self.state, None if self.path == "-" else Path(self.path)):
+                    if path is not None:
+                        path.unlink(missing_ok=True)
 
     def _run(self, watch: Watcher | None) -> None:
         for text in self.lines:
@@ -115,16 +139,29 @@ class Session:
             message = "measurements: expected a header or JSON objects; received no line"
             raise UserError(message)
         self._save()
+        self._require_taken()
+
+    def _require_taken(self) -> None:
+        """Refuse a stream of which nothing counted, unless it asks for predictions alone.
+
+        Raises:
+            TrainingError: says what became of most lines, and what to do.
+        """
+        assert self.layout is not None
+        asks = self.counts["predicted"] and self.layout.asks
+        if self.counts["taken"] or asks:
+            return
+        most, count = max(self.counts.items(), key=lambda item: item[1], default=("none", 0))
+        received = f"{count:,} of {self.counts.total():,} {most}" if count else "no line behind the header"
+        message = f"measurements: expected one that counts; received {received}. {REMEDIES[most]}"
+        raise TrainingError(message)
 
     def _begin(self, text: str) -> None:
         """Take the first line, and begin the output once it is known to be good."""
-        self.layout = Layout(text, self.filter.sensors, self.clock)
-        if self.output is None:
-            self._save()
-            self.output = Output(self.path, None)
-        self.header = text
-        if not self.output.size:
-            self.output.write(self.rows.header())
+        self.layout, self.header = Layout(text, self.filter.sensors, self.clock), text
+        self._save()
+        self.output = self.output or Output(self.path, None)
+        self.output.write(self.rows.header())
 
     def _line(self, text: str, watch: Watcher | None) -> None:
         number = self.lines.number
@@ -136,12 +173,11 @@ class Session:
             return
         try:
             reading = self.layout.reading(text)
+            estimate = self.filter.update(reading)
         except BadLine as error:
             self.counts["bad"] += 1
             log.info("line %d: %s; skipped", number, error)
             return
-        try:
-            estimate = self.filter.update(reading)
         except Diverged as error:
             message = (
                 f"line {number}: {error}. Begin again with another start, or a wider gate or process noise"
@@ -153,6 +189,7 @@ class Session:
             log.info("line %d: time %g of sensor %s %s", number, reading.time, reading.sensor, word)
         else:
             self.output.write(self.rows.row(number, reading.sensor, estimate))
+            self.written = True
             nis, dof = float(estimate.innovation.nis), int(estimate.innovation.measured)
             if estimate.outcome == "rejected":
                 told = number, reading.time, reading.sensor, nis, dof
@@ -170,7 +207,7 @@ class Session:
             self.output.sync()
             size = self.output.size
         notes = {"lines": self.counted, "place": self.place, "digest": self.digest, "size": size}
-        notes |= {"nis": self.nis, "numbers": self.numbers}
+        notes |= {"nis": self.nis, "numbers": self.numbers, "begun": self._begun()}
         stream = json.dumps({**notes, "header": self.header, "counts": self.counts, "clock": self.clock})
         self.filter.save(self.state, {"stream": stream})
         self.lines.saved(self.place)
@@ -178,6 +215,10 @@ class Session:
     def _count(self) -> None:
         """All lines so far are counted, which the next state will say."""
         self.counted, self.place, self.digest = self.lines.number, self.lines.place, self.lines.digest
+
+    def _begun(self) -> dict[str, Any]:
+        """Return what the keys of the command say that nothing else in a state holds."""
+        return {**self.filter.begun, "format": self.rows.kind}
 
     def _resume(self, notes: dict[str, str]) -> int:
         """Take the lines that are not in the state again, and return the length of the output then."""
@@ -190,12 +231,24 @@ class Session:
         except (KeyError, ValueError, TypeError) as error:
             message = f"state: expected one of a stream; received {self.state} ({error})"
             raise UserError(message) from error
+        now = self._begun()
+        if changed := [key for key, value in stream.get("begun", {}).items() if value != now.get(key)]:
+            message = (
+                f"{changed[0]}: expected that of {self.state}; received another. Go on with the same "
+                "command, or begin again with another state and output"
+            )
+            raise UserError(message)
         if clock != (None if self.clock is None else list(self.clock)):
-            message = f"state: expected times as {self.state} counts them, {clock}; received {self.clock}"
+            message = (
+                f"epoch, time_system: expected times as {self.state} counts them; received others. Go on "
+                "with the same command, or begin again with another state and output"
+            )
             raise UserError(message)
         if self.header:
             self.layout = Layout(self.header, self.filter.sensors, self.clock)
         self.lines.resume(number, place, digest)
         self._count()
+        if not size and Path(self.path).is_file() and not is_track(Path(self.path)):
+            require_new(self.path)  # it came there since
         log.info("going on behind line %d", number)
         return size

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 
 from ahnn.data.files import epochs
+from ahnn.data.starts import Starts
 from ahnn.errors import UserError
 from ahnn.prediction.amounts import picoseconds
 from ahnn.prediction.kernel import Prediction
-from ahnn.prediction.starts import Starts
 from ahnn.types import Space
 from ahnn.uncertainty import BEYOND
 
 
-def columns(prediction: Prediction, starts: Starts, space: Space, *, utc: bool) -> dict[str, Any]:
+def columns(prediction: Prediction, starts: Starts, space: Space) -> dict[str, Any]:
     """Return the columns of all trajectories, one behind the other.
 
     Momenta are written as velocities, as docs/data.md names them; `sd_` is a standard deviation, and `novel`
@@ -24,16 +24,16 @@ def columns(prediction: Prediction, starts: Starts, space: Space, *, utc: bool) 
 
     Args:
         prediction: of the starts.
-        starts: their names, times and epoch.
+        starts: their names, times and reference.
         space: what the numbers mean.
-        utc: whether epochs count leap seconds.
     """
     samples = prediction.states.shape[1]
     times = (starts.times.unsqueeze(1) + prediction.times).flatten()
     found: dict[str, Any] = {"id": np.repeat(np.asarray(starts.names), samples)}
     found[f"t [{space.units.time}]"] = times.numpy()
-    if starts.epoch is not None:
-        moments = (starts.epoch + picoseconds(float(t), space.units.time) for t in times)
+    if (epoch := starts.reference.epoch) is not None:
+        utc = starts.reference.clock == "UTC"
+        moments = (epoch + picoseconds(float(t), space.units.time) for t in times)
         found["epoch"] = np.asarray([epochs.spelled(moment, utc=utc) for moment in moments])
     names, factors = labels(space), np.repeat([1.0, 1 / space.inertia], space.dof)
     for prefix, values in (("", prediction.states), ("sd_", prediction.deviations)):
