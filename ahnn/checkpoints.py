@@ -106,7 +106,7 @@ def read_weights(path: Path) -> Weights:
         UserError: the file is missing, damaged, or of another format.
     """
     if path.suffix == ".safetensors":
-        state, about = _read_safetensors(path)
+        state, about = read_safetensors(path, "weights")
     else:
         content = read_checkpoint(path)
         prefix = "dynamics."
@@ -133,19 +133,25 @@ def checksum(tensors: dict[str, Tensor], about: str) -> str:
     return digest.hexdigest()
 
 
-def _read_safetensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+def read_safetensors(path: Path, who: str) -> Weights:
+    """Return tensors and what stands beside them, {} where nothing of ours does; the checksum is compared.
+
+    Raises:
+        UserError: the file is missing or damaged; begins with `who`.
+    """
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
-            about = json.loads(metadata.get("ahnn", "{}"))
+            text = metadata.get("ahnn", "{}")
             state = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 - it is no dict
-    except (SafetensorError, OSError, ValueError) as error:
-        message = f"weights {path}: expected an intact safetensors file; received a damaged one ({error})"
+        if "ahnn" in metadata and checksum(state, text) != metadata.get("sha256"):
+            message = "checksum"
+            raise ValueError(message)  # noqa: TRY301 - one message for all damage
+        about = json.loads(text)
+    except (SafetensorError, OSError, ValueError, TypeError, RecursionError) as error:
+        message = f"{who} {path}: expected an intact safetensors file; received a damaged one ({error})"
         raise UserError(message) from error
-    if about and checksum(state, metadata["ahnn"]) != metadata.get("sha256"):
-        message = f"weights {path}: expected an intact safetensors file; received a damaged one (checksum)"
-        raise UserError(message)
-    return state, about
+    return Weights(state, about if isinstance(about, dict) else {})
 
 
 def require_same(who: str, expected: dict[str, Any], received: dict[str, Any]) -> None:

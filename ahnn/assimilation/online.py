@@ -137,7 +137,7 @@ class Assimilation:
         """
         window = self.window
         readings = json.dumps([entry.reading for entry in window.entries])
-        own = {"since": repr(window.since), "readings": readings, "of": self.identity}
+        own = {"readings": readings, "of": self.identity}
         save_state(window.anchor, path, {**(notes or {}), **own})
 
     @torch.inference_mode()
@@ -149,16 +149,15 @@ class Assimilation:
         """
         try:
             state, notes = load_state(path), load_notes(path)
-            since, readings = float(notes["since"]), json.loads(notes["readings"])
-            window = Window(state, since)
-            if notes["of"] == self.identity:
-                for time, values, sensor, sd in readings:
+            window = Window(state, float(state.time))
+            if ours := notes["of"] == self.identity:
+                for time, values, sensor, sd in json.loads(notes["readings"]):
                     reading = Reading(time, tuple(values), sensor, None if sd is None else tuple(sd))
-                    window = self._added(window, reading)
-        except (OSError, ValueError, KeyError, TypeError) as error:
+                    window = self._added(window, self._named(reading))
+        except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
             message = f"state: expected a file written by save; received {path} ({error})"
             raise UserError(message) from error
-        if notes["of"] != self.identity:
+        if not ours:
             message = (
                 f"state: expected one of this model, process noise, sensors and window; received {path} of "
                 "others. Go on with the same command, or remove it and its output to begin again"

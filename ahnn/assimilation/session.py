@@ -12,15 +12,15 @@ import logging
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, NamedTuple
 
+from ahnn.arguments import NonNegative, Within, check_arguments
 from ahnn.assimilation.cells import BadLine
 from ahnn.assimilation.clock import Clock
 from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.online import Assimilation, Diverged, Estimate
 from ahnn.assimilation.reading import Layout, Reading
-from ahnn.assimilation.rows import Output, Rows, require_new
-from ahnn.data.tracks import is_track
+from ahnn.assimilation.rows import Output, Rows, digest, require_new
 from ahnn.errors import TrainingError, UserError
 from ahnn.estimation.consistency import band
 
@@ -46,6 +46,39 @@ WORDS = {
     "repeated": "was counted before: not counted again",
     "ahead": "lies further ahead than a gap may be, from time {now:g}: not counted",
 }
+
+
+CLOCK = "epoch, time_system"
+"""Keys that say what times mean."""
+Natural = Annotated[int, Within(0)]
+
+
+class Notes(NamedTuple):
+    """What a saved state knows of the stream and of the output.
+
+    Attributes:
+        lines, place, digest: lines that it holds, their bytes, and their hash.
+        header: the first of them.
+        size, tail: bytes of the output, and the hash of the last of them.
+        kind: of the output's rows.
+        counts: outcomes of the lines.
+        nis, numbers: sum of the NIS of those that counted, and how many numbers they had.
+        clock: what times mean.
+        begun: the start of the filter.
+    """
+
+    lines: Natural
+    place: Natural
+    digest: str
+    header: str
+    size: Natural
+    tail: str
+    kind: str
+    counts: dict[str, int]
+    nis: NonNegative
+    numbers: Natural
+    clock: list[Any] | None
+    begun: dict[str, Any]
 
 
 class Session:
@@ -84,10 +117,8 @@ class Session:
         self.output: Output | None = None
         self.resumed, self.written = state is not None and state.exists(), False
         if state is not None and self.resumed:
-            size = self._resume(assimilation.load(state))
-            self.output = Output(output, size)
-            if self.layout is not None and not size:
-                self.output.write(self.rows.header())
+            known = self._resume(assimilation.load(state))
+            self.output = Output(output, rows, known.lines, known.size, known.tail)
         else:
             require_new(output)
             lines.begin()
@@ -121,12 +152,12 @@ class Session:
         """
         nothing = not (self.resumed or self.written)
         self.lines.close(discard=nothing)
+        if nothing and self.state is not None and self.layout is not None:
+            self.state.unlink(missing_ok=True)
         if self.output is not None:
             self.output.close()
-            if nothing:
-                for path in (self.state, None if self.path == "-" else Path(self.path)):
-                    if path is not None:
-                        path.unlink(missing_ok=True)
+            if nothing and self.path != "-":
+                Path(self.path).unlink(missing_ok=True)
 
     def _run(self, watch: Watcher | None) -> None:
         for text in self.lines:
@@ -158,10 +189,13 @@ class Session:
 
     def _begin(self, text: str) -> None:
         """Take the first line, and begin the output once it is known to be good."""
-        self.layout, self.header = Layout(text, self.filter.sensors, self.clock), text
-        self._save()
-        self.output = self.output or Output(self.path, None)
-        self.output.write(self.rows.header())
+        self.layout = Layout(text, self.filter.sensors, self.clock)
+        if self.output is None:
+            self._save()
+            self.output = Output(self.path, self.rows)
+        self.header = text
+        if not self.output.size:
+            self.output.write(self.rows.header())
 
     def _line(self, text: str, watch: Watcher | None) -> None:
         number = self.lines.number
@@ -194,7 +228,7 @@ class Session:
             if estimate.outcome == "rejected":
                 told = number, reading.time, reading.sensor, nis, dof
                 log.info("line %d: time %g of sensor %s rejected, NIS %.3g of %d numbers", *told)
-            else:
+            elif dof:
                 self.nis, self.numbers = self.nis + nis, self.numbers + dof
         if watch is not None:
             watch(number, reading, estimate, self.counts)
@@ -202,53 +236,42 @@ class Session:
     def _save(self) -> None:
         if self.state is None:
             return
-        size = 0
+        size, tail = 0, digest(b"")
         if self.output is not None:
             self.output.sync()
-            size = self.output.size
-        notes = {"lines": self.counted, "place": self.place, "digest": self.digest, "size": size}
-        notes |= {"nis": self.nis, "numbers": self.numbers, "begun": self._begun()}
-        stream = json.dumps({**notes, "header": self.header, "counts": self.counts, "clock": self.clock})
-        self.filter.save(self.state, {"stream": stream})
+            size, tail = self.output.size, self.output.digest
+        stream = (self.counted, self.place, self.digest, self.header, size, tail, self.rows.kind)
+        clock = self.clock and list(self.clock)
+        notes = Notes(*stream, dict(self.counts), self.nis, self.numbers, clock, self.filter.begun)
+        self.filter.save(self.state, {"stream": json.dumps(notes._asdict())})
         self.lines.saved(self.place)
 
     def _count(self) -> None:
         """All lines so far are counted, which the next state will say."""
         self.counted, self.place, self.digest = self.lines.number, self.lines.place, self.lines.digest
 
-    def _begun(self) -> dict[str, Any]:
-        """Return what the keys of the command say that nothing else in a state holds."""
-        return {**self.filter.begun, "format": self.rows.kind}
-
-    def _resume(self, notes: dict[str, str]) -> int:
-        """Take the lines that are not in the state again, and return the length of the output then."""
+    def _resume(self, notes: dict[str, str]) -> Notes:
+        """Take the lines that are not in the state again, and return what it knows."""
         try:
-            stream = json.loads(notes["stream"])
-            number, place, size = (int(stream[key]) for key in ("lines", "place", "size"))
-            digest, clock = str(stream["digest"]), stream["clock"]
-            self.header, self.counts = stream["header"], Counter(stream["counts"])
-            self.nis, self.numbers = float(stream.get("nis", 0)), int(stream.get("numbers", 0))
+            content = json.loads(notes["stream"])
+            check_arguments("", Notes, content)
+            known = Notes(**content)
+            self.counts = Counter({str(word): int(count) for word, count in known.counts.items()})
         except (KeyError, ValueError, TypeError) as error:
             message = f"state: expected one of a stream; received {self.state} ({error})"
             raise UserError(message) from error
-        now = self._begun()
-        if changed := [key for key, value in stream.get("begun", {}).items() if value != now.get(key)]:
+        mine = {"format": self.rows.kind, CLOCK: self.clock and list(self.clock), **self.filter.begun}
+        theirs = {"format": known.kind, CLOCK: known.clock, **known.begun}
+        if changed := [key for key, value in mine.items() if theirs.get(key) != value]:
             message = (
                 f"{changed[0]}: expected that of {self.state}; received another. Go on with the same "
                 "command, or begin again with another state and output"
             )
             raise UserError(message)
-        if clock != (None if self.clock is None else list(self.clock)):
-            message = (
-                f"epoch, time_system: expected times as {self.state} counts them; received others. Go on "
-                "with the same command, or begin again with another state and output"
-            )
-            raise UserError(message)
+        self.header, self.nis, self.numbers = known.header, known.nis, known.numbers
         if self.header:
             self.layout = Layout(self.header, self.filter.sensors, self.clock)
-        self.lines.resume(number, place, digest)
+        self.lines.resume(known.lines, known.place, known.digest)
         self._count()
-        if not size and Path(self.path).is_file() and not is_track(Path(self.path)):
-            require_new(self.path)  # it came there since
-        log.info("going on behind line %d", number)
-        return size
+        log.info("going on behind line %d", known.lines)
+        return known

@@ -1,4 +1,4 @@
-"""Where a stream begins and what its times mean: starts of every kind, epochs, frames, and what is missing."""
+"""Where a stream begins and what its times mean: starts of every kind, epochs, frames, what is missing."""
 
 from __future__ import annotations
 

