@@ -13,7 +13,7 @@ from ahnn.data.doctor.samples import sample_findings
 from ahnn.data.doctor.velocities import velocity_findings
 from ahnn.data.files.content import Content, since_first
 from ahnn.data.files.reading import Reading, bytes_of, parsed
-from ahnn.data.files.table import Fault, Place
+from ahnn.data.files.table import Fault, Place, Remark
 
 JUDGED = 200
 """Trajectories of a file, evenly spread, whose units and frame are judged."""
@@ -52,18 +52,18 @@ def examine(
     Raises:
         UserError: there is no such file.
     """
-    faults: list[Fault] = []
+    said: list[Fault | Remark] = []
     contents: list[Content] = []
     for path in paths:
         raw, aside = bytes_of(path)
         try:
-            contents.append(parsed(path, raw, aside, reading, faults.append))
+            contents.append(parsed(path, raw, aside, reading, said.append))
         except Fault as fault:
-            faults.append(fault)
+            said.append(fault)
     contents = [content for content in contents if any(len(track.times) for track in content.tracks)]
     contents = since_first(contents)
-    found = [Finding.of(fault) for fault in faults]
-    known = {(one.file, one.row, one.column) for one in found}
+    found = [Finding.of(one) for one in said]
+    known = {(one.file, one.row, one.column) for one in found if one.level == "fault"}
     later = [one for one in diagnosis(contents, mass, gap) if (one.file, one.row, one.column) not in known]
     return Examined(found + later, contents)
 

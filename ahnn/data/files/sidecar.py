@@ -10,6 +10,7 @@ import yaml
 from ahnn.arguments import nearest
 from ahnn.data.files.table import Header, Place
 
+SUFFIXES = (".yaml", ".yml")
 KEYS = ("units", "columns", "frame")
 
 
@@ -29,7 +30,8 @@ class Sidecar(NamedTuple):
 
 def beside(path: Path) -> Path:
     """Return where the sidecar of a data file is, if it has one."""
-    return path.with_suffix(".yaml")
+    names = [path.with_suffix(suffix) for suffix in SUFFIXES]
+    return next((name for name in names if name.is_file()), names[0])
 
 
 def parse(text: str, file: str) -> Sidecar:
