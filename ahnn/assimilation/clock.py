@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import math
-import re
 from typing import Any, NamedTuple
 
 from ahnn.assimilation.cells import BadLine, number
-from ahnn.data.files.epochs import DAY, SECOND, instant, leaps, spelled
+from ahnn.data.files.epochs import DATE, DAY, SECOND, instant, leaps, spelled
 from ahnn.data.files.frames import TO_TT
 from ahnn.data.files.units import TIME, factor, unit
 from ahnn.data.reference import Reference
 from ahnn.errors import UserError
-
-DATE = re.compile(r"\s*\d{4}-")
-"""How an epoch begins, and no number."""
 
 
 class Clock(NamedTuple):
@@ -43,7 +39,7 @@ class Clock(NamedTuple):
             BadLine: it is no time.
             UserError: an epoch, and none of time zero; or a number, and nobody said from when.
         """
-        if not (isinstance(cell, str) and DATE.match(cell)):
+        if not (isinstance(cell, str) and (DATE.match(cell) or "T" in cell)):
             time = self.scale * number(cell, "time")
             if self.dated and time == time:
                 start = spelled(self.zero or 0, utc=self.system == "UTC")
@@ -60,9 +56,8 @@ class Clock(NamedTuple):
             )
             raise UserError(message)
         system = self.cells or self.system
-        text = cell.strip().removesuffix("+00:00").replace(" ", "T", 1)
         try:
-            moment = Reference(clock=system, epoch=instant(text, utc=system == "UTC")).on(self.system).epoch
+            moment = Reference(clock=system, epoch=instant(cell, utc=system == "UTC")).on(self.system).epoch
         except ValueError as error:
             message = f"time: expected {error}; received {cell[:40]!r}"
             raise BadLine(message) from error

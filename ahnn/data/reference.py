@@ -6,7 +6,8 @@ import re
 from typing import NamedTuple
 
 from ahnn.data.files.epochs import SECOND, instant, spelled
-from ahnn.data.files.frames import INERTIAL, ROTATING, TO_TT, known
+from ahnn.data.files.frame_names import INERTIAL, ROTATING, canonical, known
+from ahnn.data.files.frames import TO_TT
 from ahnn.errors import UserError
 
 SINCE = re.compile(r"from (?P<epoch>\S+)( (?P<clock>\S+))?")
@@ -32,7 +33,7 @@ class Reference(NamedTuple):
     @classmethod
     def of(cls, text: str) -> Reference:
         """Return what a text such as `EME2000, EARTH, UTC, from 2024-03-01T12:00:00.000` says."""
-        words = [word.strip().removeprefix("?") for word in text.split(",")]
+        words = [word.removeprefix("?") for word in canonical(text).split(", ")]
         since = SINCE.fullmatch(words[-1])
         frame, center, clock = [*words[: len(words) - (since is not None)], "", "", ""][:3]
         clock = clock.upper()
@@ -124,4 +125,4 @@ class Reference(NamedTuple):
 
 def alias(name: str) -> str:
     """Return one name for all those of a frame or a body."""
-    return known(name) or name.upper()
+    return known(name) or canonical(name).upper()

@@ -14,15 +14,15 @@ import yaml
 from torch import Tensor
 
 from ahnn.data.files import Files, instant, units
-from ahnn.data.files.elements import are_elements
 from ahnn.data.files.epochs import SECOND
-from ahnn.data.files.messages import SUFFIXES as MESSAGES
+from ahnn.data.files.kinds import kind_of
 from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.reference import Reference
 from ahnn.data.start_covariances import covariances_of
 from ahnn.data.tracks import is_track, last_estimate
 from ahnn.deviations import require_finite, state_deviations
 from ahnn.errors import UserError
+from ahnn.files import plain_yaml
 from ahnn.numbers import as_float64
 from ahnn.types import Space
 
@@ -75,6 +75,10 @@ def starts(
         UserError: they are no states of this space, or their frame or centre does not fit.
     """
     path = Path(given).expanduser() if isinstance(given, str) else None
+    if path is not None and not path.is_file():
+        reason = "no file" if path.exists() else "No such file"
+        message = f"start: expected numbers in brackets or a file; received {path}: {reason}"
+        raise UserError(message)
     if path is None:
         found = of_numbers(given, space)
     elif is_track(path) or path.suffix.lower() in PLAIN:
@@ -122,7 +126,7 @@ def of_numbers(given: Any, space: Space) -> Starts:
 def of_plain(path: Path, space: Space) -> Starts:
     """Return the state of a YAML or JSON file: mean, sd or covariance, frame, epoch; raises UserError."""
     try:
-        content = yaml.safe_load(decoded(content_of(path), path))
+        content = plain_yaml(decoded(content_of(path), path))
     except (yaml.YAMLError, RecursionError) as error:
         reason = " ".join(str(error).split())
         message = f"start: expected a file with mean and sd or covariance; received {path} ({reason})"
@@ -164,16 +168,14 @@ def of_track(path: Path, space: Space) -> Starts:
 
 def of_files(path: Path, space: Space, ours: Reference, *, last: bool, weighed: bool) -> Starts:
     """Return the first or the last state of each trajectory in a data file; raises UserError."""
-    propagated: dict[str, Any] = {}
-    if path.suffix.lower() != ".parquet" and are_elements(
-        decoded(content_of(path), path), path.suffix.lower()
-    ):
+    kind, propagated = kind_of(content_of(path), str(path)), {}
+    if kind == "elements":
         propagated, last = {"step": 1.0, "duration": 1.0}, False
     files = Files("start", str(path), mass=space.inertia, **propagated)
     reference = Reference.of(files.space.frame)._replace(epoch=files.epoch)
     frame = reference.turn(ours, f"start {path}")
     if frame is not None:
-        files = Files("start", str(path), mass=space.inertia, frame=frame, **propagated)  # pyright: ignore
+        files = Files("start", str(path), mass=space.inertia, frame=frame, **propagated)
         reference = reference._replace(frame=frame)
     elif reference.frame and not ours.frame:
         log.warning(
@@ -188,7 +190,7 @@ def of_files(path: Path, space: Space, ours: Reference, *, last: bool, weighed: 
     require_finite(chosen)
     names = files.names if all(files.names) else numbered(len(states))
     found = Starts(names, chosen, moments, reference)
-    if not weighed or files.epoch is None or path.suffix.lower() not in MESSAGES:
+    if not weighed or files.epoch is None or kind not in ("oem", "xml"):
         return found
     size = units.unit(space.units.time).size
     since = [files.epoch + round(float(time) * size * SECOND) for time in moments]
