@@ -88,6 +88,7 @@ def assimilate(arguments: list[str]) -> None:
         from ahnn.assimilation.view import View, said
         from ahnn.cli import stream
         from ahnn.cli.again import run_config
+        from ahnn.data.tracks import described
         from ahnn.errors import UserError
         from ahnn.runs import load
 
@@ -106,7 +107,8 @@ def assimilate(arguments: list[str]) -> None:
     with closing(Lines(_opened(options.measurements, state))) as lines:
         built = stream.build_assimilation(options, nodes, cfg, run)
         kind = options.format or ("json" if Path(options.output).suffix in (".json", ".jsonl") else "csv")
-        rows = Rows(run.space.components, built.filtering.sensors, kind)
+        beside = described(run.space, built.reference)
+        rows = Rows(run.space.components, built.filtering.sensors, kind, beside)
         session = Session(built.filtering, lines, rows, options.output, state, options.every, built.clock)
         view = View(run.space) if options.watch else None
         kept = ended(lambda: "the same command goes on where it was") if state else nullcontext()

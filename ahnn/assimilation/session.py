@@ -21,6 +21,7 @@ from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.online import Assimilation, Diverged, Estimate
 from ahnn.assimilation.reading import Layout, Reading
 from ahnn.assimilation.rows import Output, Rows, digest, require_new
+from ahnn.data.files import sidecar
 from ahnn.errors import TrainingError, UserError
 from ahnn.estimation.consistency import band
 
@@ -113,6 +114,7 @@ class Session:
         self.nis, self.numbers = 0.0, 0
         self.layout: Layout | None = None
         self.header, self.path = "", output
+        self.beside = None if output == "-" or rows.said is None else Path(output)
         self._count()
         self.output: Output | None = None
         self.resumed, self.written = state is not None and state.exists(), False
@@ -121,6 +123,8 @@ class Session:
             self.output = Output(output, rows, known.lines, known.size, known.tail)
         else:
             require_new(output)
+            if self.beside is not None:
+                sidecar.require_place(self.beside)
             lines.begin()
 
     def run(self, watch: Watcher | None = None) -> None:
@@ -158,6 +162,8 @@ class Session:
             self.output.close()
             if nothing and self.path != "-":
                 Path(self.path).unlink(missing_ok=True)
+            if nothing and self.beside is not None:
+                sidecar.beside(self.beside).unlink(missing_ok=True)
 
     def _run(self, watch: Watcher | None) -> None:
         for text in self.lines:
@@ -196,6 +202,8 @@ class Session:
         self.header = text
         if not self.output.size:
             self.output.write(self.rows.header())
+        if self.beside is not None and self.rows.said is not None:
+            sidecar.write(self.beside, self.rows.said)
 
     def _line(self, text: str, watch: Watcher | None) -> None:
         number = self.lines.number

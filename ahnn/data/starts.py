@@ -172,7 +172,9 @@ def of_files(path: Path, space: Space, ours: Reference, *, last: bool, weighed: 
     if kind == "elements":
         propagated, last = {"step": 1.0, "duration": 1.0}, False
     files = Files("start", str(path), mass=space.inertia, **propagated)
-    reference = Reference.of(files.space.frame)._replace(epoch=files.epoch)
+    reference = Reference.of(files.space.frame)
+    if files.epoch is not None:
+        reference = reference._replace(epoch=files.epoch)
     frame = reference.turn(ours, f"start {path}")
     if frame is not None:
         files = Files("start", str(path), mass=space.inertia, frame=frame, **propagated)

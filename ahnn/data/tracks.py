@@ -79,6 +79,13 @@ def last_estimate(path: Path, space: Space) -> Last:
 def units_of(space: Space) -> dict[str, str]:
     """Return the units of time and components as a sidecar has them."""
     names, units = space.components, space.units
-    momentum = "1" if units.position == "1" else f"kg {units.velocity}"
+    momentum = {"1": "1", "rad": f"kg m^2/{units.time}"}.get(units.position, f"kg {units.velocity}")
     parts = [units.position] * space.dof + [momentum] * space.dof
     return {"time": units.time, **dict(zip(names, parts, strict=True))}
+
+
+def described(space: Space, reference: Reference) -> sidecar.Sidecar:
+    """Return the sidecar of an output: with it a reader of data takes the estimates as states."""
+    names, dof = list(space.components), space.dof
+    columns = {"time": "time", "positions": names[:dof], "momenta": names[dof:]}
+    return sidecar.Sidecar(units_of(space), columns, str(reference))

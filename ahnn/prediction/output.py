@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ahnn.data.files import sidecar
 from ahnn.data.files.messages import SUFFIXES as MESSAGES
 from ahnn.data.files.messages import write_oem
 from ahnn.data.starts import Starts
@@ -11,7 +12,7 @@ from ahnn.errors import UserError
 from ahnn.files import write_atomically
 from ahnn.prediction.kernel import Prediction
 from ahnn.prediction.message import ephemerides
-from ahnn.prediction.table import as_csv, as_parquet, columns
+from ahnn.prediction.table import as_csv, as_parquet, columns, described
 from ahnn.types import Space
 
 SUFFIXES = (".csv", ".parquet", ".oem", ".xml")
@@ -30,6 +31,8 @@ def require_output(path: Path, starts: Starts, space: Space) -> None:
     if path.suffix.lower() in MESSAGES:
         nothing = Prediction(starts.times[:1], starts.states.unsqueeze(1))
         ephemerides(nothing, starts, space)
+    else:
+        sidecar.require_place(path)
 
 
 def write(path: Path, prediction: Prediction, starts: Starts, space: Space) -> None:
@@ -44,6 +47,7 @@ def write(path: Path, prediction: Prediction, starts: Starts, space: Space) -> N
         return
     found = columns(prediction, starts, space)
     write_atomically(path, as_csv(found) if suffix == ".csv" else as_parquet(found))
+    sidecar.write(path, described(starts, space))
 
 
 def require_figure(path: Path) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ahnn.data.files import epochs
+from ahnn.data.files.sidecar import Sidecar
 from ahnn.data.starts import Starts
 from ahnn.errors import UserError
 from ahnn.prediction.amounts import picoseconds
@@ -44,6 +45,15 @@ def columns(prediction: Prediction, starts: Starts, space: Space) -> dict[str, A
         found["novelty [1]"] = prediction.novelty.flatten().numpy()
         found["novel [1]"] = (prediction.novelty.flatten() > BEYOND).numpy().astype(np.int64)
     return found
+
+
+def described(starts: Starts, space: Space) -> Sidecar:
+    """Return the sidecar of a table: with it a reader of data takes the prediction as trajectories."""
+    names, reference = list(space.components[: space.dof]), starts.reference
+    velocities, time = [f"v{name}" for name in names], "t" if reference.epoch is None else "epoch"
+    columns = {"time": time, "id": "id", "positions": names, "velocities": velocities}
+    units = {} if reference.epoch is None else {"epoch": reference.clock or "UTC"}
+    return Sidecar(units, columns, str(reference._replace(epoch=None)))
 
 
 def labels(space: Space) -> list[str]:

@@ -8,10 +8,15 @@ from typing import Any, NamedTuple
 import yaml
 
 from ahnn.arguments import nearest
+from ahnn.data.files.raw import content_of
 from ahnn.data.files.table import Header, Place
+from ahnn.errors import UserError
+from ahnn.files import write_atomically
 
 SUFFIXES = (".yaml", ".yml")
 KEYS = ("units", "columns", "frame")
+MARK = "# By ahnn: units, columns and frame of"
+"""How sidecars begin that this program wrote."""
 
 
 class Sidecar(NamedTuple):
@@ -69,3 +74,21 @@ def with_units(header: Header, sidecar: Sidecar, place: Place) -> Header:
             place._replace(column=name).refuse(f"[{text}], as in the sidecar", f"[{units[name]}]", remedy)
         units[name] = text
     return Header(header.names, tuple(units.values()))
+
+
+def written(path: Path, said: Sidecar) -> bytes:
+    """Return the sidecar of a file that this program writes."""
+    return f"{MARK} {path.name}\n{yaml.safe_dump(said._asdict(), sort_keys=False)}".encode()
+
+
+def require_place(path: Path) -> None:
+    """Refuse a file whose sidecar would take the place of another's; raises UserError."""
+    aside = beside(path)
+    if aside.exists() and not content_of(aside).startswith(MARK.encode()):
+        message = f"output: expected no {aside}, where units and frame go; received one. Name another output"
+        raise UserError(message)
+
+
+def write(path: Path, said: Sidecar) -> None:
+    """Write the sidecar of a file."""
+    write_atomically(path.with_suffix(SUFFIXES[0]), written(path, said))
