@@ -220,14 +220,9 @@ class Assimilation:
         factor = sensor.factor(sensor.deviations or (1.0,) * len(sensor.columns))
         after, _ = self.process.estimator.update(state, y, model, factor)
         if int(after.status) not in LOST:
-            columns = zip(sensor.columns, reading.values, strict=True)
-            received = [f"{name} {value:g}" for name, value in columns]
-            sd = (
-                ""
-                if reading.deviations is None
-                else f", sd {', '.join(f'{x:g}' for x in reading.deviations)}"
-            )
-            message = f"expected numbers that leave a finite estimate; received {received}{sd}"
+            said = [f"{name} {value:g}" for name, value in zip(sensor.columns, reading.values, strict=True)]
+            said += [f"sd {sd:g}" for sd in reading.deviations or ()]
+            message = f"expected numbers that leave a finite estimate; received {', '.join(said)}"
             raise BadLine(message)
 
     def _estimate(

@@ -113,7 +113,7 @@ class Layout:
         cells = text.split(self.delimiter)
         if '"' in text:
             try:
-                cells = next(csv.reader([text], delimiter=self.delimiter))
+                cells = next(csv.reader([text], delimiter=self.delimiter, skipinitialspace=True))
             except csv.Error as error:
                 message = f"expected cells; received: {error}"
                 raise BadLine(message) from error
