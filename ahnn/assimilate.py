@@ -2,9 +2,12 @@
 
 run=DIR             a run folder; or pretrained=NAME, a model that comes with the package; ckpt=best
 measurements=FILE   CSV with a header (time, sensor, numbers, sd_NAME) or JSON lines; - is standard input
-start=[X,...]       the state at time=0, or FILE: YAML or JSON (mean, sd or covariance), or an ephemeris
+start=[X,...]       the state at time=0; or FILE: YAML or JSON (mean, sd or covariance), an ephemeris, a table,
+                    an element set, or what an assimilation wrote, with its epoch, frame and covariance
 start_sd=[..]       its standard deviations, one for each component (of one degree of freedom q and p), or
-                    [position,velocity]
+                    [position,velocity], in place of a covariance in FILE
+epoch=2024-03-01T12:00:00       of time zero; else that of the data of the run, or of the start
+frame=EME2000       also center=EARTH, time_system=UTC: where neither the run nor the start says them
 output=FILE         estimate and covariance after each line, CSV or JSON lines; else standard output
 state=FILE          saved every 1000 lines (every=N); the same command goes on with it after any stop
 window=SECONDS      late measurements are merged by replay; lines=N are kept for that at most
@@ -12,7 +15,7 @@ measurement=NAME    what is measured; of several sensors: +measurement@sensors.N
 plugins=NAME        the filter; plugins.ukf.gate=0.9999 refuses outliers, plugins.ukf.process_noise is Q
 watch=true          a live view of state, 3 sigma, innovations and NIS on standard error; or --watch
 figures=FOLDER      innovations, consistency and deviations at the end
-oem=FILE            .oem or .xml: an ephemeris message at the end, with object= epoch= frame= center=
+oem=FILE            .oem or .xml: an ephemeris message at the end, of object=NAME
 --trust             build whatever the folder's config.yaml names; only if you know who wrote it
 """
 

@@ -3,15 +3,15 @@
 run=DIR             a run folder, or [A,B,C]: the mean of several trainings, with their spread
 pretrained=NAME     a model that comes with the package
 ckpt=best           the weights: best, last, or a path
-start=FILE          first sample of each trajectory in a file (docs/data.md); or numbers in the units of the
-                    model: start=[0.5,0], start=[[0.5,0],[0.7,0]]
+start=FILE          first sample of each trajectory in a file (docs/data.md), an element set, or what an
+                    assimilation wrote; or numbers in the units of the model: start=[0.5,0], [[0.5,0],[0.7,0]]
 start_sd=[..]       its standard deviations, one for each component (of one degree of freedom q and p), or
-                    [position,velocity]; exact without them
+                    [position,velocity]; else the covariance in FILE, and exact without either
 duration=1d         with a unit, or a number in the model's unit of time
 step=90min          between two predicted states; that of the training without it
 output=FILE         .csv, .parquet, .oem or .xml; without it a summary alone
 figure=FILE         .png or .svg
-epoch=2024-03-01T12:00:00       of time zero; a message that holds the start has its own
+epoch=2024-03-01T12:00:00       of time zero; a start with dates has its own
 frame=[EME2000,EARTH,UTC]       frame, centre and time system, where neither model nor file says them
 """
 

@@ -105,7 +105,7 @@ def sample(entries: Iterable[Entry], who: Who, quantity: str) -> Sample:
 
 
 def measured(values: Iterable[float | None]) -> Sample:
-    """Return a score without the runs in which nothing was measured, which is NaN; what is lost is infinite."""
+    """Return a score without NaN, which is of runs that measured nothing; what is lost is infinite."""
     return Sample(tuple(value for value in values if value is not None and not math.isnan(value)))
 
 
