@@ -2,8 +2,8 @@
 
 run=DIR             a run folder; or pretrained=NAME, a model that comes with the package; ckpt=best
 measurements=FILE   CSV with a header (time, sensor, numbers, sd_NAME) or JSON lines; - is standard input
-start=[X,...]       the state at time=0; or FILE: YAML or JSON (mean, sd or covariance), an ephemeris, a table,
-                    an element set, or what an assimilation wrote, with its epoch, frame and covariance
+start=[X,...]       the state at time=0; or FILE: YAML or JSON (mean, sd or covariance), an ephemeris, table,
+                    element set, or what an assimilation wrote, with its epoch, frame and covariance
 start_sd=[..]       its standard deviations, one for each component (of one degree of freedom q and p), or
                     [position,velocity], in place of a covariance in FILE
 epoch=2024-03-01T12:00:00       of time zero; else that of the data of the run, or of the start

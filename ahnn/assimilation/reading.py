@@ -61,6 +61,9 @@ class Layout:
         self.known = {*TIME, SENSOR, *known, *(SD + name for name in known)}
         self.names: list[str] | None = None
         self.scales: dict[str, float] = {}
+        if "\r" in first.strip():
+            message = "measurements: expected lines that end with LF; received CR. tr '\\r' '\\n' makes such"
+            raise UserError(message)
         if not first.lstrip().startswith("{"):
             self.delimiter = max(",;\t", key=first.count)
             try:

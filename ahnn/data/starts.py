@@ -76,7 +76,7 @@ def starts(
     """
     path = Path(given).expanduser() if isinstance(given, str) else None
     if path is not None and not path.is_file():
-        reason = "no file" if path.exists() else "No such file"
+        reason = "no regular file" if path.exists() else "No such file"
         message = f"start: expected numbers in brackets or a file; received {path}: {reason}"
         raise UserError(message)
     if path is None:
@@ -168,17 +168,19 @@ def of_track(path: Path, space: Space) -> Starts:
 
 def of_files(path: Path, space: Space, ours: Reference, *, last: bool, weighed: bool) -> Starts:
     """Return the first or the last state of each trajectory in a data file; raises UserError."""
-    kind, propagated = kind_of(content_of(path), str(path)), {}
-    if kind == "elements":
-        propagated, last = {"step": 1.0, "duration": 1.0}, False
-    files = Files("start", str(path), mass=space.inertia, **propagated)
+    kind = kind_of(content_of(path), str(path))
+    second = 1.0 if kind == "elements" else None  # between the two samples that SGP4 gives
+
+    def read(frame: Any = None) -> Files:
+        return Files("start", str(path), mass=space.inertia, frame=frame, step=second, duration=second)
+
+    last, files = last and second is None, read()
     reference = Reference.of(files.space.frame)
     if files.epoch is not None:
         reference = reference._replace(epoch=files.epoch)
     frame = reference.turn(ours, f"start {path}")
     if frame is not None:
-        files = Files("start", str(path), mass=space.inertia, frame=frame, **propagated)
-        reference = reference._replace(frame=frame)
+        files, reference = read(frame), reference._replace(frame=frame)
     elif reference.frame and not ours.frame:
         log.warning(
             "start %s: in %s; the model says no frame and is taken to be in it", path, reference.frame

@@ -66,6 +66,8 @@ def test_columns_and_keys_that_come_twice_are_refused():
     for text in ('{"time": 1, "t": 2, "sensor": "ruler", "q": 1}', '{"time": 1, "q": 1, "q": 2}'):
         with pytest.raises(BadLine):
             Layout("{", SENSORS).reading(text)
+    with pytest.raises(UserError, match="expected lines that end with LF; received CR"):
+        Layout("time,q\r1,2\r", SENSORS)
     with pytest.raises(UserError, match="measurements: expected a header"):
         Layout('time,"' + 131_073 * "q" + '"', SENSORS)
 
