@@ -53,7 +53,7 @@ def test_what_is_wrong_is_named(bench, tmp_path):
         assert {one.level for one in found} == {"fault"}
     found = bench.verdict(bench.ORBITS["m/s as km/s"](leo, draw), tmp_path)
     assert {one.what for one in found} == {f"v{x} is 1000 times the change of {x} per s" for x in "xyz"}
-    assert "Correct the unit: metres under a name in km" in found[0].remedy
+    assert "Correct the unit: metres given as km" in found[0].remedy
     heavy = leo._replace(v=2.5 * leo.v)
     assert "is 2.5 times the change" in bench.verdict(heavy, tmp_path)[0].what
     assert "A momentum?" in bench.verdict(heavy, tmp_path)[0].remedy
@@ -118,7 +118,7 @@ def test_canonical_momenta_that_are_no_mass_times_velocity_are_only_warned_of(tm
 
 @pytest.fixture
 def mislabelled(tmp_path):
-    """Springs whose velocities are in cm/s under a name in m/s."""
+    """Springs whose velocities are in cm/s given as m/s."""
     lines = (ROOT / "tests" / "fixtures" / "swings.csv").read_text().splitlines()
     head, rows = lines[0], [line.split(",") for line in lines[1:]]
     spoiled = [",".join((*row[:-1], repr(100 * float(row[-1])))) for row in rows]

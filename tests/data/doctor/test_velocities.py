@@ -37,12 +37,12 @@ def found(*tracks, momenta=False, mass=1.0):
 
 
 UNITS_TAKEN = [
-    (1000.0, "metres under a name in km"),
-    (60.0, "minutes under a name in s"),
-    (3600.0, "hours under a name in s"),
-    (180 / np.pi, "degrees under a name in rad"),
-    (100.0, "centimetres under a name in m"),
-    (86400.0, "days under a name in s"),
+    (1000.0, "metres given as km"),
+    (60.0, "minutes given as s"),
+    (3600.0, "hours given as s"),
+    (180 / np.pi, "degrees given as rad"),
+    (100.0, "centimetres given as m"),
+    (86400.0, "days given as s"),
 ]
 
 
