@@ -9,7 +9,7 @@ from typing import NamedTuple
 from ahnn.data.doctor.finding import Finding
 from ahnn.data.doctor.leakage import leakage_findings
 from ahnn.data.doctor.orbits import orbit_findings
-from ahnn.data.doctor.samples import sample_findings
+from ahnn.data.doctor.samples import sample_findings, too_few
 from ahnn.data.doctor.velocities import velocity_findings
 from ahnn.data.files.content import Content, since_first
 from ahnn.data.files.reading import Reading, bytes_of, parsed
@@ -76,7 +76,7 @@ def diagnosis(contents: Sequence[Content], mass: float | None, gap: float) -> li
         mass: factor m of p = m dq/dt; None where nobody said.
         gap: a step so many times longer than the median is one.
     """
-    found: list[Finding] = []
+    found: list[Finding] = list(too_few(contents))
     for content in contents:
         file = content.tracks[0].file
         whole = content._replace(tracks=tuple(track for track in content.tracks if len(track.times)))

@@ -88,8 +88,8 @@ def kind_of(raw: bytes, file: str) -> Kind:
         return "oem" if found[1] == "OEM" else refuse_message(found[1], Place(file))
     if any(ELEMENTS.match(line) for line in [line for line in head if not line.startswith("#")][:2]):
         return "elements"
-    for pattern, name in TEXTS:
-        if pattern.match(first):
+    for pattern, name in TEXTS if head else ():
+        if pattern.match(first) or pattern.match(head[0]):
             refuse(file, name)
     return SUFFIXES.get(suffix, "table")
 

@@ -154,6 +154,7 @@ def cells_of(line: str, delimiter: str, place: Place) -> list[str]:
     """Return the cells of a line, without their quotes; raises Fault where a quote does not end."""
     if '"' not in line:
         return [cell.strip() for cell in line.split(delimiter)]
+    line = re.sub(rf'"[^\S\t]+(?={delimiter}|$)', '"', line)
     try:
         rows = csv.reader([line], delimiter=delimiter, skipinitialspace=True, strict=True)
         return [cell.strip() for cell in next(rows)]
