@@ -13,6 +13,21 @@ from ahnn.types import Space
 
 ROUNDING = 1e-10
 """Asymmetry and negative eigenvalue of a covariance, scaled to unit diagonal, that are none."""
+SECOND = {True: "velocities", False: "momenta"}
+"""What the second half of a state is given as, by whether p = m dq/dt."""
+
+
+def require_squares(deviations: Tensor, who: str) -> Tensor:
+    """Return standard deviations > 0 whose squares float64 holds; raises UserError for others."""
+    squares = deviations.square()
+    held = squares.isfinite() & (squares >= torch.finfo(torch.float64).tiny)
+    if not bool(held.all()):
+        message = (
+            f"{who}: expected standard deviations whose squares float64 holds, from 1e-150 to 1e+150; "
+            f"received {deviations.tolist()}"
+        )
+        raise UserError(message)
+    return deviations
 
 
 def state_deviations(given: Any, space: Space, who: str) -> Tensor:
@@ -32,12 +47,12 @@ def state_deviations(given: Any, space: Space, who: str) -> Tensor:
         values = as_float64(given, who).flatten()
         if len(values) == 2 != size:
             values = values.repeat_interleave(space.dof)
-            values[space.dof :] *= space.inertia
-        if len(values) == size and bool(((values > 0.0) & values.isfinite()).all()):
-            return values
+            values[space.dof :] *= space.divisor
     except ValueError:
-        pass
-    expected = f"{size} numbers > 0, or one for positions and one for velocities"
+        values = torch.empty(0)
+    if len(values) == size and bool(((values > 0.0) & values.isfinite()).all()):
+        return require_squares(values, who)
+    expected = f"{size} numbers > 0, or one for positions and one for {SECOND[space.mechanical]}"
     message = f"{who}: expected {expected}; received {given}"
     raise UserError(message)
 

@@ -27,6 +27,7 @@ OPEN = {
     "jacobians",
     "libraries",
     "deviations",
+    "labels",
 }
 GROUND = OPEN | {"integrators", "measurements", "metrics", "rollouts", "statistics", "checkpoints"}
 MAY_IMPORT = {
@@ -43,6 +44,7 @@ MAY_IMPORT = {
     "libraries": {"files", "types"},
     "arguments": {"errors"},
     "deviations": {"errors", "numbers", "types"},
+    "labels": {"errors", "types"},
     "metrics": OPEN,
     "rollouts": OPEN,
     "statistics": OPEN,

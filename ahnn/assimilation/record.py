@@ -12,6 +12,7 @@ from ahnn.data.files import Covariance, Ephemeris, write_oem
 from ahnn.data.reference import Reference
 from ahnn.data.tracks import COVARIANCE, DEVIATION, FIRST, INNOVATION, rows_of
 from ahnn.errors import UserError
+from ahnn.labels import require_velocities
 from ahnn.types import Space
 
 Array = NDArray[np.float64]
@@ -94,6 +95,7 @@ def require_orbit(space: Space, reference: Reference) -> None:
             f"oem: expected an orbit in s, km and km/s; received {space.name} in {', '.join(space.units[:3])}"
         )
         raise UserError(message)
+    require_velocities(space, "oem")
     keys = zip(("frame", "center", "time_system", "epoch"), reference, strict=True)
     if missing := [f"{key}=" for key, value in keys if value in ("", None)]:
         message = (

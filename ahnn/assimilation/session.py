@@ -221,9 +221,7 @@ class Session:
             log.info("line %d: %s; skipped", number, error)
             return
         except Diverged as error:
-            message = (
-                f"line {number}: {error}. Begin again with another start, or a wider gate or process noise"
-            )
+            message = f"line {number}: {error}. Begin again with another start, a wider gate or more noise"
             raise TrainingError(message) from error
         self.counts[estimate.outcome] += 1
         if estimate.innovation is None:

@@ -23,8 +23,8 @@ LINK = re.compile(r"\$\{measurement(\.\w+)+\}")
 NEEDED = {
     "system": ("recipe", "read", "energy"),
     "plugins": ("check", "residual"),
-    "measurement": ("residual",),
-    "data": ("residual",),  # what measures
+    "measurement": ("names", "locate", "residual"),
+    "data": ("names", "locate", "residual"),  # what measures
 }
 """What a class must have one of to be built for a node; nothing is built for any other."""
 

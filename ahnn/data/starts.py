@@ -23,6 +23,7 @@ from ahnn.data.tracks import is_track, last_estimate
 from ahnn.deviations import require_finite, state_deviations
 from ahnn.errors import UserError
 from ahnn.files import plain_yaml
+from ahnn.labels import momentum_unit, require_velocities
 from ahnn.numbers import as_float64
 from ahnn.types import Space
 
@@ -175,6 +176,8 @@ def of_files(path: Path, space: Space, ours: Reference, *, last: bool, weighed: 
         return Files("start", str(path), mass=space.inertia, frame=frame, step=second, duration=second)
 
     last, files = last and second is None, read()
+    if not files.momenta:
+        require_velocities(space, f"start {path}")
     reference = Reference.of(files.space.frame)
     if files.epoch is not None:
         reference = reference._replace(epoch=files.epoch)
@@ -251,5 +254,6 @@ def numbered(count: int) -> tuple[str, ...]:
 def _with_units(space: Space) -> list[str]:
     """Return the components with their units, those of momenta as of velocities times the inertia."""
     scale = "" if space.inertia == 1 else f" x {space.inertia:g}"
-    parts = (space.units.position, f"{space.units.velocity}{scale}")
+    momentum = f"{space.units.velocity}{scale}" if space.mechanical else momentum_unit(space)
+    parts = (space.units.position, momentum)
     return [f"{name} [{parts[k >= space.dof]}]" for k, name in enumerate(space.components)]

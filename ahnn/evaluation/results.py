@@ -90,6 +90,7 @@ def encoded(results: Results) -> dict[str, Any]:
         "components": space.components,
         "inertia": space.inertia,
         "frame": space.frame,
+        "mechanical": space.mechanical,
         "rows": [
             {"name": title(r.who, results.label), **r.who._asdict(), **r.scores._asdict()}
             | {"note": r.note, "extra": r.extra}
@@ -109,10 +110,13 @@ def decoded(content: Mapping[str, Any]) -> Results:
     units = Units(**{key: _text(value) for key, value in content["units"].items()})
     components = tuple(_text(name) for name in content["components"])
     frame = _text(content.get("frame", ""))  # earlier versions have none
+    mechanical = content.get("mechanical", True) is True
     return Results(
         label=_text(content["model"]),
         assumes=_text(content["assumes"]),
-        space=Space(_text(content["system"]), components, units, _number(content["inertia"]), frame),
+        space=Space(
+            _text(content["system"]), components, units, _number(content["inertia"]), frame, mechanical
+        ),
         rows=tuple(_row(row) for row in content["rows"]),
         training=restored(dict(content["training"])),
         numbers=restored(dict(content["plugins"])),

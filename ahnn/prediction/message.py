@@ -9,6 +9,7 @@ from ahnn.data.files.units import LENGTH, TIME, unit
 from ahnn.data.reference import Reference
 from ahnn.data.starts import Starts
 from ahnn.errors import UserError
+from ahnn.labels import require_velocities
 from ahnn.prediction.amounts import picoseconds
 from ahnn.prediction.kernel import Prediction
 from ahnn.types import Space
@@ -38,6 +39,7 @@ def ephemerides(prediction: Prediction, starts: Starts, space: Space) -> list[Ep
     Raises:
         UserError: a space without three positions in a length, no epoch, or no frame, centre or time system.
     """
+    require_velocities(space, "output")
     position, second = unit(space.units.position), unit(space.units.time)
     if space.dof != 3 or position.dimension != LENGTH or second.dimension != TIME:
         message = (

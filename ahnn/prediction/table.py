@@ -11,6 +11,7 @@ from ahnn.data.files import epochs
 from ahnn.data.files.sidecar import Sidecar
 from ahnn.data.starts import Starts
 from ahnn.errors import UserError
+from ahnn.labels import components
 from ahnn.prediction.amounts import picoseconds
 from ahnn.prediction.kernel import Prediction
 from ahnn.types import Space
@@ -20,8 +21,8 @@ from ahnn.uncertainty import BEYOND
 def columns(prediction: Prediction, starts: Starts, space: Space) -> dict[str, Any]:
     """Return the columns of all trajectories, one behind the other.
 
-    Momenta are written as velocities, as docs/data.md names them; `sd_` is a standard deviation, and `novel`
-    is 1 where a state lies beyond the training data.
+    Momenta are written as velocities, as docs/data.md names them, where they are m times these; `sd_` is a
+    standard deviation, and `novel` is 1 where a state lies beyond the training data.
 
     Args:
         prediction: of the starts.
@@ -36,7 +37,7 @@ def columns(prediction: Prediction, starts: Starts, space: Space) -> dict[str, A
         utc = starts.reference.clock == "UTC"
         moments = (epoch + picoseconds(float(t), space.units.time) for t in times)
         found["epoch"] = np.asarray([epochs.spelled(moment, utc=utc) for moment in moments])
-    names, factors = labels(space), np.repeat([1.0, 1 / space.inertia], space.dof)
+    names, factors = labels(space), np.repeat([1.0, 1 / space.divisor], space.dof)
     for prefix, values in (("", prediction.states), ("sd_", prediction.deviations)):
         if values is not None:
             rows = values.flatten(0, 1).numpy() * factors
@@ -49,15 +50,19 @@ def columns(prediction: Prediction, starts: Starts, space: Space) -> dict[str, A
 
 def described(starts: Starts, space: Space) -> Sidecar:
     """Return the sidecar of a table: with it a reader of data takes the prediction as trajectories."""
-    names, reference = list(space.components[: space.dof]), starts.reference
-    velocities, time = [f"v{name}" for name in names], "t" if reference.epoch is None else "epoch"
-    columns = {"time": time, "id": "id", "positions": names, "velocities": velocities}
+    names, momenta = list(space.components[: space.dof]), list(space.components[space.dof :])
+    reference = starts.reference
+    rates = {"velocities": [f"v{name}" for name in names]} if space.mechanical else {"momenta": momenta}
+    time = "t" if reference.epoch is None else "epoch"
+    columns = {"time": time, "id": "id", "positions": names, **rates}
     units = {} if reference.epoch is None else {"epoch": reference.clock or "UTC"}
     return Sidecar(units, columns, str(reference._replace(epoch=None)))
 
 
 def labels(space: Space) -> list[str]:
-    """Return the names of positions and their velocities, with units."""
+    """Return the names of positions and their velocities, or momenta that are none, with units."""
+    if not space.mechanical:
+        return components(space)
     positions = space.components[: space.dof]
     units = space.units
     return [*(f"{q} [{units.position}]" for q in positions), *(f"v{q} [{units.velocity}]" for q in positions)]

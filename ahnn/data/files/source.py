@@ -72,7 +72,7 @@ class Files:
             contents.append(parsed(file, raw, aside, self.reading))
         contents = since_first(contents)
         first = together(self.paths, contents)
-        self.positions_only = not first.rates
+        self.positions_only, self.momenta = not first.rates, first.momenta
         if first.momenta and mass is None:
             message = (
                 f"system.mass: expected the mass of p = m dq/dt for the momenta {', '.join(first.rates)} of "
@@ -164,7 +164,9 @@ def spelled(value: Any) -> str:
 def space_of(name: str, content: Content, mass: float | None) -> Space:
     """Return what the numbers mean."""
     momenta = content.rates if content.momenta else tuple(f"p{q}" for q in content.positions)
-    return Space(name, (*content.positions, *momenta), content.units, mass or 1.0, content.frame)
+    turning = content.momenta and content.frame.upper().startswith(ROTATING)
+    parts = (*content.positions, *momenta), content.units, mass or 1.0, content.frame
+    return Space(name, *parts, mechanical=not turning)
 
 
 def widened(track: Track, dof: int) -> Any:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from ahnn.evaluation.case import Row, Start, Who
 from ahnn.evaluation.titles import MODEL
+from ahnn.labels import quantity
 from ahnn_plugins.report.collection import Collection, Entry
 from ahnn_plugins.report.paper import MODELS, Place, Printed, printed
 from ahnn_plugins.report.samples import Sample
@@ -75,7 +76,7 @@ class Board(NamedTuple):
         found = printed().get(
             Place(self.system, measure.model, measure.filtered, measure.start, measure.quantity)
         )
-        units = {getattr(entry.results.space.units, measure.quantity) for entry in self.entries}
+        units = {quantity(entry.results.space, measure.quantity)[1] for entry in self.entries}
         return found if found is not None and units <= {found.unit} else None
 
 

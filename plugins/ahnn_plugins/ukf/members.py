@@ -64,7 +64,8 @@ def update(
     told = residual(y if complete else torch.where(present, y, y_pred), y_pred)
     innovation = torch.empty_like(y).copy_(told)
     results = _results(prior, innovation)
-    return _updated(_call("ahnn_condition", *shapes, joint, y, prior.mean.contiguous(), *results), results)
+    given = joint, y, prior.mean.contiguous(), noise, noise_step
+    return _updated(_call("ahnn_condition", *shapes, *given, *results), results)
 
 
 def read(prior: Belief, y: Tensor, chol_r: Tensor) -> Updated:
@@ -96,7 +97,15 @@ class Memory:
         self.steps = list(zip(*(part.unbind() for part in parts), strict=True))
 
     def step(
-        self, k: int, points: Tensor, chol_q: Tensor, chol_r: Tensor, limit: float, *, measured: bool
+        self,
+        k: int,
+        points: Tensor,
+        chol_q: Tensor,
+        chol_r: Tensor,
+        limit: float,
+        half: Tensor,
+        *,
+        measured: bool,
     ) -> Tensor | None:
         """Do what `predict`, `read` and `draw` do, one after the other.
 
@@ -106,6 +115,7 @@ class Memory:
             chol_q: (B, D, D) lower factor of the process noise.
             chol_r: (B, M, M) lower factor of the measurement noise.
             limit: largest NIS that is taken.
+            half: (M,) half periods of the numbers, inf of those that are no angles; larger residuals wrap.
             measured: whether there is a row to read, with nothing missing.
 
         Returns:
@@ -116,7 +126,7 @@ class Memory:
         scales = outer, self.weights.recentring, self.weights.radius, _step(outer)
         row = self.rows[k] if measured else 0
         places = [place + k * length for place, length in self.places]
-        arguments = (points, *scales, q, q_step, row, r, r_step, limit, *places, further)
+        arguments = (points, *scales, q, q_step, row, r, r_step, limit, half, *places, further)
         return further if _call("ahnn_whole", *self.shape, *arguments) else None
 
     def made(self, k: int) -> tuple[Belief, Updated]:

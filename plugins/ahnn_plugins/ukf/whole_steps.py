@@ -14,6 +14,7 @@ from torch import Tensor
 
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.state import FilterState
+from ahnn.measurements import periods
 from ahnn_plugins.ukf import members
 from ahnn_plugins.ukf.kernel import READINGS, Sensor, taken
 from ahnn_plugins.ukf.records import Step
@@ -39,6 +40,7 @@ class WholeSteps:
         self.memory: members.Memory | None = None
         self.further: tuple[Belief, Tensor] | None = None
         self.seen: tuple[object, object, object] = None, None, None  # what `_knows` looked at last
+        self.half = rows.new_empty(0)  # half periods of its numbers
 
     def points(self, state: FilterState) -> Tensor:
         """Return the sigma points (B, S, D) of a state, which the step before may have drawn."""
@@ -60,7 +62,8 @@ class WholeSteps:
             self.memory = members.Memory(self.rows, points.shape[-1], self.weights)
         limit = math.inf if sensor.thresholds is None else float(sensor.thresholds[-1])
         whole = self.whole[k]
-        further = self.memory.step(k, points, chol_q, sensor.chol_r, limit, measured=whole)
+        limits = limit, self.half
+        further = self.memory.step(k, points, chol_q, sensor.chol_r, *limits, measured=whole)
         if further is None:
             return None
         predicted, updated = self.memory.made(k)
@@ -81,4 +84,5 @@ class WholeSteps:
             if not members.apply_to(self.weights, chol_q, sensor.chol_r, self.rows):
                 return False
             self.seen = state.status, chol_q, sensor
+            self.half = 0.5 * self.rows.new_tensor(periods(sensor.measurement))
         return members.apply_to(self.weights, points)
