@@ -16,7 +16,7 @@ from torch import Tensor
 
 from ahnn.checkpoints import Weights, read_weights
 from ahnn.contents import read_plain
-from ahnn.deviations import state_deviations
+from ahnn.deviations import covariance_factor, state_deviations
 from ahnn.dynamics import Dynamics, HasEnergy, make_dynamics
 from ahnn.dynamics.sizes import fillable
 from ahnn.errors import UserError
@@ -135,6 +135,7 @@ class Run:
         times: Numbers,
         description: str | None = None,
         start_sd: Numbers | None = None,
+        start_covariance: Numbers | None = None,
     ) -> Prediction:
         """Return predicted states at given times, with covariance and novelty where they are known.
 
@@ -144,6 +145,7 @@ class Run:
             description: text of a progress bar; None shows none.
             start_sd: standard deviations of the starts, 2n, or one for positions and one for velocities
                 where n > 1; without them starts are exact.
+            start_covariance: in their place, (2n, 2n) or (B, 2n, 2n).
 
         Raises:
             UserError: starts or times that are none, or a damaged file beside the weights.
@@ -152,7 +154,10 @@ class Run:
         spread = None if self.uncertainty is None else self.uncertainty.spread
         known = Knowledge(spread, self.domain)
         if start_sd is not None:
-            known = known._replace(deviations=state_deviations(start_sd, self.space, "start_sd"))
+            start_covariance = state_deviations(start_sd, self.space, "start_sd").square().diag()
+        if start_covariance is not None:
+            factor = covariance_factor(start_covariance, x.shape[-1], "start_covariance")
+            known = known._replace(start=factor)
         return predicted(self.dynamics, x, as_float64(times, "times"), self.dt, known, description)
 
     @cached_property

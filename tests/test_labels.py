@@ -15,6 +15,7 @@ from ahnn import labels
 from ahnn.assimilation.figures import deviations
 from ahnn.assimilation.record import write_ephemeris
 from ahnn.data.files.source import Files
+from ahnn.data.starts import Starts, starts
 from ahnn.deviations import state_deviations
 from ahnn.errors import UserError
 from ahnn.evaluation import Row, style
@@ -25,7 +26,6 @@ from ahnn.measurements import reading
 from ahnn.prediction.figure import prediction_figure
 from ahnn.prediction.kernel import Prediction
 from ahnn.prediction.message import ephemerides
-from ahnn.prediction.starts import Starts, starts
 from ahnn.prediction.summary import summary
 from ahnn.prediction.table import columns
 from ahnn.systems import MassSpring, MolniyaGravity

@@ -16,11 +16,11 @@ from typing import Any, BinaryIO, Literal
 
 from ahnn.assimilation.online import Estimate
 from ahnn.assimilation.process import Sensor
+from ahnn.data.files.sidecar import Sidecar
+from ahnn.data.tracks import COVARIANCE, DEVIATION, FIRST, INNOVATION
 from ahnn.errors import UserError
 
 Format = Literal["csv", "json"]
-COVARIANCE, INNOVATION, DEVIATION = "cov_", "innovation_", "sd_"
-FIRST = ("line", "time", "sensor", "outcome", "replayed", "nis", "dof")
 TAIL = 1 << 14
 """Bytes at the end of an output that a state knows by their hash."""
 
@@ -32,10 +32,18 @@ class Rows:
         components: of the state.
         sensors: by name.
         kind: csv or json.
+        said: units and frame, which go beside a file; None writes none.
     """
 
-    def __init__(self, components: tuple[str, ...], sensors: Mapping[str, Sensor], kind: Format) -> None:
+    def __init__(
+        self,
+        components: tuple[str, ...],
+        sensors: Mapping[str, Sensor],
+        kind: Format,
+        said: Sidecar | None = None,
+    ) -> None:
         self.kind: Format = kind
+        self.said = said
         self.lower = [(i, j) for i in range(len(components)) for j in range(i + 1)]
         measured = dict.fromkeys(name for sensor in sensors.values() for name in sensor.columns)
         place = {name: k for k, name in enumerate(measured)}

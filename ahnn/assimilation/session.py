@@ -21,8 +21,10 @@ from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.online import Assimilation, Diverged, Estimate
 from ahnn.assimilation.reading import Layout, Reading
 from ahnn.assimilation.rows import Output, Rows, digest, require_new
+from ahnn.data.files import sidecar
 from ahnn.errors import TrainingError, UserError
 from ahnn.estimation.consistency import band
+from ahnn.manifest import remove_own
 
 log = logging.getLogger("ahnn")
 
@@ -31,6 +33,16 @@ Watcher = Callable[[int, Reading, Estimate, Counter[str]], None]
 
 FEW = 30
 """Measured numbers that say nothing yet of a filter's consistency."""
+REMEDIES = {
+    "none": "Add lines",
+    "bad": "The lines above say what is wrong with them",
+    "late": "They are before the start: set epoch= and time=, at which it holds, or window=",
+    "ahead": "They are far behind the start: set epoch= and time=, at which it holds, or gap=",
+    "rejected": "Set start= and start_sd=, or epoch= and time=, at which it holds, or plugins.ukf.gate",
+    "repeated": "They come twice: leave state= out or begin another",
+    "predicted": "Their numbers are missing: fill the columns of the sensor, or set measurement=",
+}
+"""What to do where most lines became so, and none was taken."""
 WORDS = {
     "late": "comes later than the window allows, at time {now:g}: not counted",
     "repeated": "was counted before: not counted again",
@@ -38,6 +50,8 @@ WORDS = {
 }
 
 
+CLOCK = "epoch, time_system"
+"""Keys that say what times mean."""
 Natural = Annotated[int, Within(0)]
 
 
@@ -52,6 +66,7 @@ class Notes(NamedTuple):
         counts: outcomes of the lines.
         nis, numbers: sum of the NIS of those that counted, and how many numbers they had.
         clock: what times mean.
+        begun: the start of the filter.
     """
 
     lines: Natural
@@ -65,6 +80,7 @@ class Notes(NamedTuple):
     nis: NonNegative
     numbers: Natural
     clock: list[Any] | None
+    begun: dict[str, Any]
 
 
 class Session:
@@ -99,13 +115,17 @@ class Session:
         self.nis, self.numbers = 0.0, 0
         self.layout: Layout | None = None
         self.header, self.path = "", output
+        self.beside = None if output == "-" or rows.said is None else Path(output)
         self._count()
         self.output: Output | None = None
-        if state is not None and state.exists():
+        self.resumed, self.written = state is not None and state.exists(), False
+        if state is not None and self.resumed:
             known = self._resume(assimilation.load(state))
             self.output = Output(output, rows, known.lines, known.size, known.tail)
         else:
             require_new(output)
+            if self.beside is not None:
+                sidecar.require_place(self.beside)
             lines.begin()
 
     def run(self, watch: Watcher | None = None) -> None:
@@ -113,7 +133,7 @@ class Session:
 
         Raises:
             UserError: a header that names what is not there.
-            TrainingError: the filter has diverged; the message names the line.
+            TrainingError: the filter has diverged; the message names the line. Or no line counted.
         """
         try:
             self._run(watch)
@@ -131,10 +151,20 @@ class Session:
         return text + (": it trusts them too little" if mean < low else "")
 
     def close(self) -> None:
-        """Give back the files; what was not saved is taken again by who goes on."""
-        self.lines.close(discard=self.output is None)
+        """Give back the files; what was not saved is taken again by who goes on.
+
+        Of a stream that began here and came to no estimate nothing is left.
+        """
+        nothing = not (self.resumed or self.written)
+        self.lines.close(discard=nothing)
+        if nothing and self.state is not None and self.layout is not None:
+            self.state.unlink(missing_ok=True)
         if self.output is not None:
             self.output.close()
+            if nothing and self.path != "-":
+                Path(self.path).unlink(missing_ok=True)
+            if nothing and self.beside is not None:
+                remove_own(sidecar.beside(self.beside))
 
     def _run(self, watch: Watcher | None) -> None:
         for text in self.lines:
@@ -147,6 +177,22 @@ class Session:
             message = "measurements: expected a header or JSON objects; received no line"
             raise UserError(message)
         self._save()
+        self._require_taken()
+
+    def _require_taken(self) -> None:
+        """Refuse a stream of which nothing counted, unless it asks for predictions alone.
+
+        Raises:
+            TrainingError: says what became of most lines, and what to do.
+        """
+        assert self.layout is not None
+        asks = self.counts["predicted"] and self.layout.asks
+        if self.counts["taken"] or asks:
+            return
+        most, count = max(self.counts.items(), key=lambda item: item[1], default=("none", 0))
+        received = f"{count:,} of {self.counts.total():,} {most}" if count else "no line behind the header"
+        message = f"measurements: expected one that counts; received {received}. {REMEDIES[most]}"
+        raise TrainingError(message)
 
     def _begin(self, text: str) -> None:
         """Take the first line, and begin the output once it is known to be good."""
@@ -157,6 +203,8 @@ class Session:
         self.header = text
         if not self.output.size:
             self.output.write(self.rows.header())
+        if self.beside is not None and self.rows.said is not None:
+            sidecar.write(self.beside, self.rows.said)
 
     def _line(self, text: str, watch: Watcher | None) -> None:
         number = self.lines.number
@@ -168,12 +216,11 @@ class Session:
             return
         try:
             reading = self.layout.reading(text)
+            estimate = self.filter.update(reading)
         except BadLine as error:
             self.counts["bad"] += 1
             log.info("line %d: %s; skipped", number, error)
             return
-        try:
-            estimate = self.filter.update(reading)
         except Diverged as error:
             message = f"line {number}: {error}. Begin again with another start, a wider gate or more noise"
             raise TrainingError(message) from error
@@ -183,6 +230,7 @@ class Session:
             log.info("line %d: time %g of sensor %s %s", number, reading.time, reading.sensor, word)
         else:
             self.output.write(self.rows.row(number, reading.sensor, estimate))
+            self.written = True
             nis, dof = float(estimate.innovation.nis), int(estimate.innovation.measured)
             if estimate.outcome == "rejected":
                 told = number, reading.time, reading.sensor, nis, dof
@@ -200,7 +248,8 @@ class Session:
             self.output.sync()
             size, tail = self.output.size, self.output.digest
         stream = (self.counted, self.place, self.digest, self.header, size, tail, self.rows.kind)
-        notes = Notes(*stream, dict(self.counts), self.nis, self.numbers, self.clock and list(self.clock))
+        clock = self.clock and list(self.clock)
+        notes = Notes(*stream, dict(self.counts), self.nis, self.numbers, clock, self.filter.begun)
         self.filter.save(self.state, {"stream": json.dumps(notes._asdict())})
         self.lines.saved(self.place)
 
@@ -218,11 +267,12 @@ class Session:
         except (KeyError, ValueError, TypeError) as error:
             message = f"state: expected one of a stream; received {self.state} ({error})"
             raise UserError(message) from error
-        mine = [self.rows.kind, self.clock and list(self.clock)]
-        if [known.kind, known.clock] != mine:
+        mine = {"format": self.rows.kind, CLOCK: self.clock and list(self.clock), **self.filter.begun}
+        theirs = {"format": known.kind, CLOCK: known.clock, **known.begun}
+        if changed := [key for key, value in mine.items() if theirs.get(key) != value]:
             message = (
-                f"state: expected rows and times as in {self.state}, {known.kind} and {known.clock}; "
-                f"received {mine[0]} and {mine[1]}. Go on with the same command"
+                f"{changed[0]}: expected that of {self.state}; received another. Go on with the same "
+                "command, or begin again with another state and output"
             )
             raise UserError(message)
         self.header, self.nis, self.numbers = known.header, known.nis, known.numbers

@@ -42,7 +42,7 @@ class GroundStation(Differing):
         longitude: degrees, positive east.
         height: above the ellipsoid, km.
         range_rate: also measure the range-rate.
-        earth_angle: angle of the Greenwich meridian from the inertial x axis at t = 0, rad.
+        earth_angle: angle of the Greenwich meridian from the inertial x axis at t = 0, rad; None is 0.
         rotation_rate: of the Earth, rad/s.
         radius: equatorial, km.
         flattening: of the ellipsoid; 0 for a sphere.
@@ -60,7 +60,7 @@ class GroundStation(Differing):
         height: Finite = 0.0,
         *,
         range_rate: bool = False,
-        earth_angle: Finite = 0.0,
+        earth_angle: Finite | None = None,
         rotation_rate: Finite = EARTH_RATE,
         radius: Positive = EARTH_RADIUS,
         flattening: Annotated[float, Within(0, below=1)] = EARTH_FLATTENING,
@@ -73,7 +73,7 @@ class GroundStation(Differing):
         self.units = ("km", "rad", "rad", *(("km/s",) if range_rate else ()))
         self.latitude = math.radians(latitude)
         self.longitude = math.radians(longitude)
-        self.earth_angle = earth_angle
+        self.earth_angle = earth_angle or 0.0
         self.rotation_rate = rotation_rate
         sine = math.sin(self.latitude)
         squared_eccentricity = flattening * (2.0 - flattening)

@@ -8,16 +8,17 @@ from typing import Any
 import numpy as np
 
 from ahnn.data.files import epochs
+from ahnn.data.files.sidecar import Sidecar
+from ahnn.data.starts import Starts
 from ahnn.errors import UserError
 from ahnn.labels import components
 from ahnn.prediction.amounts import picoseconds
 from ahnn.prediction.kernel import Prediction
-from ahnn.prediction.starts import Starts
 from ahnn.types import Space
 from ahnn.uncertainty import BEYOND
 
 
-def columns(prediction: Prediction, starts: Starts, space: Space, *, utc: bool) -> dict[str, Any]:
+def columns(prediction: Prediction, starts: Starts, space: Space) -> dict[str, Any]:
     """Return the columns of all trajectories, one behind the other.
 
     Momenta are written as velocities, as docs/data.md names them, where they are m times these; `sd_` is a
@@ -25,16 +26,16 @@ def columns(prediction: Prediction, starts: Starts, space: Space, *, utc: bool) 
 
     Args:
         prediction: of the starts.
-        starts: their names, times and epoch.
+        starts: their names, times and reference.
         space: what the numbers mean.
-        utc: whether epochs count leap seconds.
     """
     samples = prediction.states.shape[1]
     times = (starts.times.unsqueeze(1) + prediction.times).flatten()
     found: dict[str, Any] = {"id": np.repeat(np.asarray(starts.names), samples)}
     found[f"t [{space.units.time}]"] = times.numpy()
-    if starts.epoch is not None:
-        moments = (starts.epoch + picoseconds(float(t), space.units.time) for t in times)
+    if (epoch := starts.reference.epoch) is not None:
+        utc = starts.reference.clock == "UTC"
+        moments = (epoch + picoseconds(float(t), space.units.time) for t in times)
         found["epoch"] = np.asarray([epochs.spelled(moment, utc=utc) for moment in moments])
     names, factors = labels(space), np.repeat([1.0, 1 / space.divisor], space.dof)
     for prefix, values in (("", prediction.states), ("sd_", prediction.deviations)):
@@ -45,6 +46,17 @@ def columns(prediction: Prediction, starts: Starts, space: Space, *, utc: bool) 
         found["novelty [1]"] = prediction.novelty.flatten().numpy()
         found["novel [1]"] = (prediction.novelty.flatten() > BEYOND).numpy().astype(np.int64)
     return found
+
+
+def described(starts: Starts, space: Space) -> Sidecar:
+    """Return the sidecar of a table: with it a reader of data takes the prediction as trajectories."""
+    names, momenta = list(space.components[: space.dof]), list(space.components[space.dof :])
+    reference = starts.reference
+    rates = {"velocities": [f"v{name}" for name in names]} if space.mechanical else {"momenta": momenta}
+    time = "t" if reference.epoch is None else "epoch"
+    columns = {"time": time, "id": "id", "positions": names, **rates}
+    units = {} if reference.epoch is None else {"epoch": reference.clock or "UTC"}
+    return Sidecar(units, columns, str(reference._replace(epoch=None)))
 
 
 def labels(space: Space) -> list[str]:

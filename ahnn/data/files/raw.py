@@ -20,9 +20,9 @@ def content_of(path: Path) -> bytes:
 
 
 def decoded(raw: bytes, path: Path) -> str:
-    """Return the text of a file; raises UserError if it is none."""
+    """Return the text of a file, its lines ended by newlines alone; raises UserError if it is none."""
     try:
-        return raw.decode("utf-8-sig")
+        return raw.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
-        row = raw[: error.start].count(b"\n") + 1
+        row = len(raw[: error.start + 1].splitlines())
         Place(str(path), row).refuse("text in UTF-8", repr(raw[error.start : error.start + 1]))

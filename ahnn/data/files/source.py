@@ -10,8 +10,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from ahnn.arguments import Positive, Within, checked
+from ahnn.data.files import frame_names
 from ahnn.data.files.content import Content, since_first
-from ahnn.data.files.frames import ROTATING
+from ahnn.data.files.frame_names import ROTATING
 from ahnn.data.files.reading import Reading, bytes_of, parsed
 from ahnn.data.files.samples import Track, cut, filled, stacked, trimmed
 from ahnn.data.files.table import Place
@@ -149,7 +150,9 @@ def together(paths: list[Path], contents: list[Content]) -> Content:
         first = getattr(contents[0], name)
         for path, content in zip(paths, contents, strict=True):
             if (received := getattr(content, name)) != first:
-                Place(str(path)).refuse(f"{name} {spelled(first)}, as in {paths[0]}", spelled(received))
+                remedy = frame_names.remedy(str(first), str(received)) if name == "frame" else ""
+                expected = f"{name} {spelled(first)}, as in {paths[0]}"
+                Place(str(path)).refuse(expected, spelled(received) or "none", remedy)
     return contents[0]
 
 

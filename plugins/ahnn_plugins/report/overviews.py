@@ -11,7 +11,7 @@ from ahnn.labels import headed
 from ahnn_plugins.report.collection import Entry
 from ahnn_plugins.report.grid import NONE, Cell, Grid, Head, Line, mean_and_spread, shown
 from ahnn_plugins.report.samples import Sample
-from ahnn_plugins.report.scores import QUANTITIES, Board, floor_of, sample
+from ahnn_plugins.report.scores import QUANTITIES, Board, floor_of, measured, sample
 from ahnn_plugins.report.settings import loss_of, noise_of, values_of
 
 
@@ -53,7 +53,7 @@ def floors(entries: Iterable[Entry], who: Who, quantity: str) -> Sample:
             row = floor_of(entry, who.start, who.estimator is not None, who.estimator)
         value = None if row is None else getattr(row.scores, quantity)
         found += [] if value is None else [value]
-    return Sample(tuple(found))
+    return measured(found)
 
 
 def described(who: Who, model: str) -> str:
