@@ -13,6 +13,7 @@ import torch
 import yaml
 from torch import Tensor
 
+from ahnn.contents import plain_yaml
 from ahnn.data.files import Files, instant, units
 from ahnn.data.files.epochs import SECOND
 from ahnn.data.files.kinds import kind_of
@@ -22,7 +23,6 @@ from ahnn.data.start_covariances import covariances_of
 from ahnn.data.tracks import is_track, last_estimate
 from ahnn.deviations import require_finite, state_deviations
 from ahnn.errors import UserError
-from ahnn.files import plain_yaml
 from ahnn.labels import momentum_unit, require_velocities
 from ahnn.numbers import as_float64
 from ahnn.types import Space
