@@ -11,8 +11,18 @@ The commands: `python -m ahnn` lists them.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+import os
+import sys
+
+# Before any other import: `python -m` puts the working directory first, and what lies there would be imported
+# in place of libraries, and as plugins. It may be a folder of somebody else (docs/extending.md).
+_names_us = any(word.removeprefix("-m").partition(".")[0] == __name__ for word in sys.orig_argv[1:])
+if _names_us and sys.argv[:1] == ["-m"] and not sys.flags.safe_path:  # while `-m` looks for its module
+    del sys.path[0]
+    os.environ["PYTHONSAFEPATH"] = "1"  # for the processes of a sweep
+
+from importlib import import_module  # noqa: E402
+from typing import TYPE_CHECKING, Any  # noqa: E402
 
 if TYPE_CHECKING:
     from ahnn.assimilation import Assimilation

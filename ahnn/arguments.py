@@ -36,6 +36,9 @@ from ahnn.errors import UserError
 
 T = TypeVar("T", bound=Callable[..., Any])
 
+LONGEST = 300
+"""Characters of a value in a message."""
+
 
 class Within(NamedTuple):
     """Limits of a number; infinity and NaN are never within.
@@ -78,8 +81,21 @@ class Interval(NamedTuple):
         return f"a range [low, high], low <= high, of numbers {self.ends}"
 
 
+class Printable(NamedTuple):
+    """Limit of a text: no control characters, which a terminal would obey."""
+
+    most: int = 200
+
+    def __contains__(self, value: Any) -> bool:
+        return len(value) <= self.most and value.isprintable()
+
+    def __str__(self) -> str:
+        return f"of at most {self.most} printable characters"
+
+
 Count = Annotated[int, Within(1)]
 Seed = Annotated[int, Within(0, 2**32 - 1)]
+Text = Annotated[str, Printable()]
 Finite = Annotated[float, Within()]
 Positive = Annotated[float, Within(above=0)]
 NonNegative = Annotated[float, Within(0)]
@@ -158,7 +174,8 @@ def check_values(who: str, target: Callable[..., Any], arguments: Mapping[str, A
         later = isinstance(value, Mapping) and "_target_" in value
         if hint is not None and not default and not later and not fits(value, hint):
             kind = "" if fits(value, type_hints(target, limits=False)[name]) else f" ({type(value).__name__})"
-            message = f"{who}.{name}: expected {describe(hint)}; received {value!r}{kind}".removeprefix(".")
+            received = shown if len(shown := repr(value)) <= LONGEST else f"{shown[:LONGEST]}..."
+            message = f"{who}.{name}: expected {describe(hint)}; received {received}{kind}".removeprefix(".")
             raise UserError(message)
 
 
@@ -198,7 +215,7 @@ def fits(value: Any, hint: Any) -> bool:
     """Return whether a plain value is of an annotated type; types other than plain ones always fit."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        limits = [limit for limit in inner[1:] if isinstance(limit, Within | Interval)]
+        limits = [limit for limit in inner[1:] if isinstance(limit, Within | Interval | Printable)]
         return fits(value, inner[0]) and all(value in limit for limit in limits)
     if origin is Literal:
         return value in inner

@@ -2,9 +2,12 @@
 
 run=DIR             a run folder; or pretrained=NAME, a model that comes with the package; ckpt=best
 measurements=FILE   CSV with a header (time, sensor, numbers, sd_NAME) or JSON lines; - is standard input
-start=[X,...]       the state at time=0, or FILE: YAML or JSON (mean, sd or covariance), or an ephemeris
+start=[X,...]       the state at time=0; or FILE: YAML or JSON (mean, sd or covariance), an ephemeris, table,
+                    element set, or what an assimilation wrote, with its epoch, frame and covariance
 start_sd=[..]       its standard deviations, one for each component (of one degree of freedom q and p), or
-                    [position,velocity]
+                    [position,velocity], in place of a covariance in FILE
+epoch=2024-03-01T12:00:00       of time zero; else that of the data of the run, or of the start
+frame=EME2000       also center=EARTH, time_system=UTC: where neither the run nor the start says them
 output=FILE         estimate and covariance after each line, CSV or JSON lines; else standard output
 state=FILE          saved every 1000 lines (every=N); the same command goes on with it after any stop
 window=SECONDS      late measurements are merged by replay; lines=N are kept for that at most
@@ -12,7 +15,7 @@ measurement=NAME    what is measured; of several sensors: +measurement@sensors.N
 plugins=NAME        the filter; plugins.ukf.gate=0.9999 refuses outliers, plugins.ukf.process_noise is Q
 watch=true          a live view of state, 3 sigma, innovations and NIS on standard error; or --watch
 figures=FOLDER      innovations, consistency and deviations at the end
-oem=FILE            .oem or .xml: an ephemeris message at the end, with object= epoch= frame= center=
+oem=FILE            .oem or .xml: an ephemeris message at the end, of object=NAME
 --trust             build whatever the folder's config.yaml names; only if you know who wrote it
 """
 
@@ -38,6 +41,7 @@ from ahnn.cli.stops import ended
 
 if TYPE_CHECKING:
     from ahnn.assimilation.journal import Journal
+    from ahnn.cli.stream import Built
     from ahnn.types import Space
 
 log = logging.getLogger("ahnn")
@@ -56,7 +60,7 @@ class Asked:
     every: Count
     start: str | list[float] | None = None
     start_sd: list[Positive] | None = None
-    time: Finite
+    time: Finite | None = None
     sensors: dict[str, Any]
     window: Annotated[float, Within(0)]
     lines: Count
@@ -64,11 +68,11 @@ class Asked:
     watch: bool
     figures: str | None = None
     oem: str | None = None
-    object: str
-    epoch: str
-    frame: str
-    center: str
-    time_system: str
+    object: str | None = None
+    epoch: str | None = None
+    frame: str | None = None
+    center: str | None = None
+    time_system: str | None = None
 
 
 def assimilate(arguments: list[str]) -> None:
@@ -81,13 +85,13 @@ def assimilate(arguments: list[str]) -> None:
     with importing():
         import torch
 
-        from ahnn.assimilation.clock import Clock
         from ahnn.assimilation.lines import Lines
         from ahnn.assimilation.rows import Rows, require_new
         from ahnn.assimilation.session import Session
         from ahnn.assimilation.view import View, said
         from ahnn.cli import stream
         from ahnn.cli.again import run_config
+        from ahnn.data.tracks import described
         from ahnn.errors import UserError
         from ahnn.runs import load
 
@@ -105,11 +109,11 @@ def assimilate(arguments: list[str]) -> None:
         require_new(options.output)
     _require_places(options)
     with closing(Lines(_opened(options.measurements, state))) as lines:
-        filtering = stream.build_assimilation(options, nodes, cfg, run)
+        built = stream.build_assimilation(options, nodes, cfg, run)
         kind = options.format or ("json" if Path(options.output).suffix in (".json", ".jsonl") else "csv")
-        rows = Rows(run.space.components, filtering.sensors, kind)
-        clock = Clock.of(run.space.units.time, options.epoch, options.time_system)
-        session = Session(filtering, lines, rows, options.output, state, options.every, clock)
+        beside = described(run.space, built.reference)
+        rows = Rows(run.space.components, built.filtering.sensors, kind, beside)
+        session = Session(built.filtering, lines, rows, options.output, state, options.every, built.clock)
         view = View(run.space) if options.watch else None
         kept = ended(lambda: "the same command goes on where it was") if state else nullcontext()
         gc.collect()
@@ -119,7 +123,7 @@ def assimilate(arguments: list[str]) -> None:
     log.info("%s lines: %s", f"{session.counted:,}", said(session.counts))
     if verdict := session.verdict():
         log.info(verdict)
-    _pictures(options, run.space)
+    _pictures(options, run.space, built)
 
 
 def _opened(path: str, state: Path | None) -> BinaryIO | Journal:
@@ -157,7 +161,7 @@ def _made_at_the_end(options: Asked) -> list[Path]:
     return [*pictures, *([Path(options.oem)] if options.oem else [])]
 
 
-def _pictures(options: Asked, space: Space) -> None:
+def _pictures(options: Asked, space: Space, built: Built) -> None:
     """Make figures and message of the output, if they are asked for."""
     if not (options.figures or options.oem):
         return
@@ -172,8 +176,7 @@ def _pictures(options: Asked, space: Space) -> None:
             for suffix in FORMATS:
                 write_atomically(Path(options.figures) / f"{name}{suffix}", drawn(figure, suffix))
     if options.oem:
-        names = ("object", "epoch", "frame", "center", "time_system")
-        write_ephemeris(Path(options.oem), record, space, {name: getattr(options, name) for name in names})
+        write_ephemeris(Path(options.oem), record, space, built.name, built.reference)
 
 
 def main() -> None:

@@ -16,6 +16,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from ahnn.arguments import flatten
+from ahnn.contents import require_regular
 from ahnn.errors import UserError
 from ahnn.files import write_atomically
 
@@ -29,10 +30,11 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     Raises:
         UserError: the file is missing or damaged, or holds anything that would have to be executed.
     """
-    if not path.is_file():
+    if not path.exists() or path.is_dir():
         message = f"checkpoint {path}: expected a file; received none. Name the run folder: run=DIR ckpt=last"
         raise UserError(message)
     try:
+        require_regular(path)
         require_intact(path)
         content = torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:  # torch's own message tells how to execute it
@@ -48,7 +50,12 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
             "Take another one, or train again"
         )
         raise UserError(message) from error
-    if not isinstance(content, dict) or "state_dict" not in content or not _is_plain(content.get("ahnn")):
+    if not (
+        isinstance(content, dict)
+        and isinstance(content.get("state_dict"), dict)
+        and all(isinstance(name, str) for name in content["state_dict"])
+        and _is_plain(content.get("ahnn"))
+    ):
         message = f"checkpoint {path}: expected a checkpoint written by ahnn; received something else"
         raise UserError(message)
     return content
@@ -69,7 +76,7 @@ def _is_plain(about: Any) -> bool:
     """Return whether nested values have no tensors in them, which compare as nothing else does."""
     try:
         return isinstance(about, dict) and bool(json.dumps(about))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, RecursionError):
         return False
 
 
@@ -80,6 +87,9 @@ def require_intact(path: Path) -> None:
         zipfile.BadZipFile: a record is not what was written, or the file is none that `torch.save` writes.
     """
     with zipfile.ZipFile(path) as archive:
+        if sum(record.file_size for record in archive.infolist()) > path.stat().st_size:
+            message = "records larger than the file"  # compressed or shared ones could be of any size
+            raise zipfile.BadZipFile(message)
         damaged = archive.testzip()
     if damaged is not None:
         message = f"record {damaged} does not match its checksum"
@@ -103,10 +113,10 @@ def read_weights(path: Path) -> Weights:
     """Return the weights in a checkpoint or in a safetensors file that `write_weights` wrote.
 
     Raises:
-        UserError: the file is missing, damaged, or of another format.
+        UserError: the file is missing, damaged, of another format, or has other tensors than real numbers.
     """
     if path.suffix == ".safetensors":
-        state, about = _read_safetensors(path)
+        state, about = read_safetensors(path, "weights")
     else:
         content = read_checkpoint(path)
         prefix = "dynamics."
@@ -115,37 +125,65 @@ def read_weights(path: Path) -> Weights:
     if (received := about.get("format", "an earlier one")) != FORMAT:
         message = f"weights {path}: expected format {FORMAT}; received {received}. Train again"
         raise UserError(message)
+    if wrong := [name for name, value in state.items() if not _is_dense(value)]:
+        message = f"weights {path}: expected tensors of real numbers; received others: {', '.join(wrong)}"
+        raise UserError(message)
     return Weights(state, about)
+
+
+def _is_dense(value: Any) -> bool:
+    """Return whether a value is a tensor of real numbers, each in a place of its own in memory."""
+    if not isinstance(value, Tensor) or value.layout is not torch.strided or value.device.type != "cpu":
+        return False
+    size = value.numel() * value.element_size()
+    real = not (value.is_complex() or value.is_quantized)
+    return real and size <= value.untyped_storage().nbytes()
 
 
 def write_weights(path: Path, weights: Weights) -> None:
     """Write weights as a safetensors file, atomically."""
+    write_atomically(path, packed(weights))
+
+
+def packed(weights: Weights) -> bytes:
+    """Return weights as the content of a safetensors file, with a checksum over all of it."""
     tensors = {key: value.contiguous() for key, value in weights.state.items()}
     about = json.dumps(weights.about)
-    write_atomically(path, save(tensors, {"ahnn": about, "sha256": checksum(tensors, about)}))
+    return save(tensors, {"ahnn": about, "sha256": checksum(tensors, about)})
 
 
 def checksum(tensors: dict[str, Tensor], about: str) -> str:
     """Return the SHA-256 of names, values and what stands beside them."""
     digest = hashlib.sha256(about.encode())
     for name in sorted(tensors):
-        digest.update(name.encode() + tensors[name].contiguous().numpy().tobytes())
+        content = tensors[name].detach().contiguous().reshape(-1).view(torch.uint8)  # of any type
+        digest.update(name.encode() + content.numpy().tobytes())
     return digest.hexdigest()
 
 
-def _read_safetensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+def read_safetensors(path: Path, who: str) -> Weights:
+    """Return tensors and what stands beside them, {} where nothing of ours does; the checksum is compared.
+
+    Raises:
+        UserError: the file is missing or damaged; begins with `who`.
+    """
     try:
+        require_regular(path)
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
-            about = json.loads(metadata.get("ahnn", "{}"))
+            text = metadata.get("ahnn", "{}")
             state = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 - it is no dict
-    except (SafetensorError, OSError, ValueError) as error:
-        message = f"weights {path}: expected an intact safetensors file; received a damaged one ({error})"
+        if "ahnn" in metadata and checksum(state, text) != metadata.get("sha256"):
+            message = "checksum"
+            raise ValueError(message)  # noqa: TRY301 - one message for all damage
+        about = json.loads(text)
+        if not isinstance(about, dict):
+            message = f"{str(about)[:40]!r} in place of what they are"
+            raise TypeError(message)  # noqa: TRY301
+    except (SafetensorError, OSError, ValueError, TypeError, RecursionError) as error:
+        message = f"{who} {path}: expected an intact safetensors file; received a damaged one ({error})"
         raise UserError(message) from error
-    if about and checksum(state, metadata["ahnn"]) != metadata.get("sha256"):
-        message = f"weights {path}: expected an intact safetensors file; received a damaged one (checksum)"
-        raise UserError(message)
-    return state, about
+    return Weights(state, about)
 
 
 def require_same(who: str, expected: dict[str, Any], received: dict[str, Any]) -> None:

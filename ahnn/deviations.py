@@ -1,14 +1,33 @@
-"""Standard deviations of a state as people give them: a number for each component, or one for each block."""
+"""States and their standard deviations as people give them: checked, and a number for each component."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from ahnn.errors import UserError
 from ahnn.numbers import as_float64
 from ahnn.types import Space
+
+ROUNDING = 1e-10
+"""Asymmetry and negative eigenvalue of a covariance, scaled to unit diagonal, that are none."""
+SECOND = {True: "velocities", False: "momenta"}
+"""What the second half of a state is given as, by whether p = m dq/dt."""
+
+
+def require_squares(deviations: Tensor, who: str) -> Tensor:
+    """Return standard deviations > 0 whose squares float64 holds; raises UserError for others."""
+    squares = deviations.square()
+    held = squares.isfinite() & (squares >= torch.finfo(torch.float64).tiny)
+    if not bool(held.all()):
+        message = (
+            f"{who}: expected standard deviations whose squares float64 holds, from 1e-150 to 1e+150; "
+            f"received {deviations.tolist()}"
+        )
+        raise UserError(message)
+    return deviations
 
 
 def state_deviations(given: Any, space: Space, who: str) -> Tensor:
@@ -28,11 +47,42 @@ def state_deviations(given: Any, space: Space, who: str) -> Tensor:
         values = as_float64(given, who).flatten()
         if len(values) == 2 != size:
             values = values.repeat_interleave(space.dof)
-            values[space.dof :] *= space.inertia
-        if len(values) == size and bool(((values > 0.0) & values.isfinite()).all()):
-            return values
+            values[space.dof :] *= space.divisor
     except ValueError:
-        pass
-    expected = f"{size} numbers > 0, or one for positions and one for velocities"
+        values = torch.empty(0)
+    if len(values) == size and bool(((values > 0.0) & values.isfinite()).all()):
+        return require_squares(values, who)
+    expected = f"{size} numbers > 0, or one for positions and one for {SECOND[space.mechanical]}"
     message = f"{who}: expected {expected}; received {given}"
+    raise UserError(message)
+
+
+def require_finite(states: Tensor) -> None:
+    """Refuse starts (B, D) with NaN or infinity; raises UserError."""
+    wrong = ~states.isfinite().all(-1)
+    if bool(wrong.any()):
+        row = int(wrong.nonzero()[0])
+        message = f"start: expected finite numbers; received {states[row].tolist()} in start {row + 1}"
+        raise UserError(message)
+
+
+def covariance_factor(given: Any, size: int, who: str) -> Tensor:
+    """Return factors F, covariance = F F^T, of covariances (D, D) or (B, D, D) of a state.
+
+    Raises:
+        UserError: another shape, numbers that are not finite, or no covariance.
+    """
+    try:
+        matrix = as_float64(given, who)
+    except ValueError as error:
+        raise UserError(str(error)) from error
+    fits = matrix.ndim in (2, 3) and matrix.shape[-2:] == (size, size) and bool(matrix.isfinite().all())
+    if fits:
+        sd = matrix.diagonal(dim1=-2, dim2=-1).clamp(min=0.0).sqrt()
+        unit = torch.where(sd > 0.0, 1.0 / sd, 1.0)
+        scaled = unit.unsqueeze(-1) * matrix * unit.unsqueeze(-2)
+        values, vectors = torch.linalg.eigh(scaled)
+        if torch.allclose(scaled, scaled.mT, rtol=0.0, atol=ROUNDING) and bool((values > -ROUNDING).all()):
+            return sd.unsqueeze(-1) * vectors * values.clamp(min=0.0).sqrt().unsqueeze(-2)
+    message = f"{who}: expected a covariance, {size} x {size}, without negative eigenvalues; received {given}"
     raise UserError(message)

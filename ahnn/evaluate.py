@@ -58,7 +58,7 @@ def evaluate(arguments: list[str]) -> None:
     options = report_options(cfg)
     learned = {"uncertainty": run.uncertainty, "domain": run.domain, "robust": robust_of(run)}
     about = {"ckpt": request.ckpt, "data": note}
-    known: dict[str, Any] = {**training, "val_loss": run.about["val_loss"], **about}
+    known: dict[str, Any] = {**training, "val_loss": run.about.get("val_loss"), **about}
     with evaluation_folder(request.folder, request.name) as folder:
         case = make_case(
             run.dynamics, splits, label=cfg.label, seed=cfg.evaluation.seed, folder=folder, **learned

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and YAML of whatever source as plain values."""
+"""Files that appear whole or not at all."""
 
 from __future__ import annotations
 
@@ -10,17 +10,14 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 from uuid import uuid4
 
-import yaml
 from filelock import FileLock, Timeout
 
 from ahnn.errors import Occupied, UserError
 from ahnn.manifest import digest_of, record, recorded, require_own
 
-LARGEST = 2_000_000
-"""Characters of a configuration; ours have a few thousand."""
 UNFINISHED = re.compile(r"\.(.+)\.([0-9a-f]{32})\.tmp")
 """Name of a temporary file: of its target, and of the first digits of its content where that is known."""
 MARK = 24
@@ -156,41 +153,3 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     except BaseException:
         shutil.rmtree(place, ignore_errors=True)
         raise
-
-
-def read_plain(path: Path) -> dict[str, Any]:
-    """Return a YAML file of plain values.
-
-    Raises:
-        UserError: there is none, or it is something else.
-    """
-    try:
-        text = path.read_text()
-        content = plain_yaml(text) if len(text) <= LARGEST else f"{len(text)} characters"
-    except OSError as error:
-        message = f"{path}: expected the configuration of a run; received: {error.strerror}"
-        raise UserError(message) from error
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        message = f"{path}: expected the YAML of a run; received: {' '.join(str(error).split())}"
-        raise UserError(message) from error
-    if not isinstance(content, dict):
-        message = f"{path}: expected keys with values; received {str(content)[:40]!r}"
-        raise UserError(message)
-    return content
-
-
-def plain_yaml(text: str) -> Any:
-    """Return the plain values of a YAML text, of whatever source; nothing that it names is built.
-
-    Raises:
-        yaml.YAMLError: damaged, a tag of an object, or an alias: that could make a small file a huge value.
-    """
-    return yaml.load(text, _Plain)
-
-
-class _Plain(yaml.SafeLoader):
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            message = "an alias"
-            raise yaml.YAMLError(message)
-        return super().compose_node(parent, index)

@@ -9,6 +9,7 @@ import os
 import platform
 import shlex
 import shutil
+import signal
 import subprocess
 import tempfile
 import warnings
@@ -21,7 +22,9 @@ from torch import Tensor
 from torch.autograd import forward_ad
 from torch.nn import Parameter
 
+from ahnn.contents import read_whole
 from ahnn.files import write_cached
+from ahnn.paths import cache_dir
 from ahnn.types import TimeStep
 
 # No errno and no traps, so that square roots are vector operations; infinities and NaN stay what they are.
@@ -29,6 +32,10 @@ FLAGS = ("-O3", "-funroll-loops", "-fPIC", "-shared", "-fno-math-errno", "-fno-t
 POINTER, NUMBER, REAL = ctypes.c_void_p, ctypes.c_long, ctypes.c_double
 VECTORS = {"AVX512": ("-march=x86-64-v4",), "AVX2": ("-march=x86-64-v3",)}
 """Flags of the compiler for what torch finds of vectors."""
+PATIENCE = 60.0
+"""Seconds that a compiler has; ours take one or two."""
+LARGEST = 50_000_000
+"""Bytes of a library; ours have some ten thousand."""
 PART = 2048
 """States that are worth a core."""
 
@@ -43,8 +50,8 @@ def compiled_library(
 ) -> ctypes.CDLL | None:
     """Return the library of a source, or None where there is no C compiler.
 
-    The compiler is `$CC`, or else `cc`. The library is kept in `$AHNN_CACHE`, `~/.cache/ahnn` by default, in
-    a folder where only its owner can write. A compiler that fails gives one warning.
+    The compiler is `$CC`, or else `cc`. The library is kept in the user's cache, in a folder where only its
+    owner can write, and verified bit for bit. A compiler that fails or hangs gives one warning.
 
     Args:
         source: a file in C.
@@ -53,41 +60,75 @@ def compiled_library(
         vectors: compile for the vectors that torch finds, which an old compiler may not know.
         defined: names that the source asks for.
     """
-    command = shlex.split(os.environ.get("CC", "")) or ["cc"]
-    if shutil.which(command[0]) is None:
-        return None
-    flags = VECTORS.get(torch.backends.cpu.get_cpu_capability(), ()) if vectors else ()
+    told = os.environ.get("CC", "")
     try:
+        command = shlex.split(told) or ["cc"]
+        if shutil.which(command[0]) is None:
+            return None
+        flags = VECTORS.get(torch.backends.cpu.get_cpu_capability(), ()) if vectors else ()
         found = _built(source, [*command, *FLAGS, *flags, *(f"-D{name}" for name in defined)])
-    except (OSError, subprocess.CalledProcessError) as error:
-        told = getattr(error, "stderr", None) or error
-        message = f"ahnn: {whose} goes on without its C library, slower; {shlex.join(command)} said: {told}"
+        for name, arguments in signatures.items():
+            function = getattr(found, name)
+            function.argtypes, function.restype = arguments, NUMBER
+    except (OSError, ValueError, AttributeError, subprocess.SubprocessError) as error:
+        said = getattr(error, "stderr", None) or error
+        message = f"ahnn: {whose} goes on without its C library, slower; {told or 'cc'} said: {said}"
         warnings.warn(message, stacklevel=3)
         return None
-    for name, arguments in signatures.items():
-        function = getattr(found, name)
-        function.argtypes, function.restype = arguments, NUMBER
     return found
 
 
 def _built(source: Path, command: list[str]) -> ctypes.CDLL:
-    """Return the library of the cache, or a new one, which is kept there if that is a place of one's own."""
+    """Return the library of the cache, or a new one, which is kept there if that is a place of one's own.
+
+    Raises:
+        OSError: there is no library after all, or none of this machine.
+        subprocess.SubprocessError: the compiler fails, or takes longer than `PATIENCE`.
+    """
     texts = (path.read_text() for path in (source, *sorted(source.parent.glob("*.h"))))
-    key = "\0".join((*texts, *command, platform.machine(), platform.system()))
-    root = Path(os.environ.get("AHNN_CACHE") or "~/.cache/ahnn").expanduser()
-    path = root / "libraries" / f"{source.stem}-{hashlib.sha256(key.encode()).hexdigest()[:16]}.so"
+    made_from = "\0".join((*texts, *command, platform.machine(), platform.system()))
+    key = hashlib.sha256(made_from.encode()).digest()
+    path = cache_dir() / "libraries" / f"{source.stem}-{key.hex()[:16]}.so"
     own = _own(path.parent)
-    if own and path.is_file():
-        with contextlib.suppress(OSError):  # damaged: it is written anew
+    if own and _is_intact(path, key):
+        with contextlib.suppress(OSError):
             return ctypes.CDLL(str(path))
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / path.name
-        line = [*command, "-o", str(made), str(source), "-lm"]
-        subprocess.run(line, check=True, capture_output=True, text=True)
+        _compile([*command, "-o", str(made), str(source), "-lm"])
+        content = read_whole(made, LARGEST)
         if own:
             with contextlib.suppress(OSError):  # a full disk, say: it serves this process alone
-                write_cached(path, made.read_bytes())
+                write_cached(path, content + _seal(content, key))
         return ctypes.CDLL(str(made))
+
+
+def _compile(line: list[str]) -> None:
+    """Run a compiler, and end it with all that it started where it takes too long; raises as `_built`."""
+    quiet: Any = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+    with subprocess.Popen(line, text=True, errors="replace", start_new_session=True, **quiet) as process:
+        try:
+            _, said = process.communicate(timeout=PATIENCE)
+        except BaseException:  # an interrupt too
+            os.killpg(process.pid, signal.SIGKILL)
+            raise
+    if process.returncode:
+        raise subprocess.CalledProcessError(process.returncode, line, stderr=said[:1000])
+
+
+def _seal(content: bytes, key: bytes) -> bytes:
+    """Return the checksum of a library and its source; it stands behind it, where no loader looks."""
+    return hashlib.sha256(key + content).digest()
+
+
+def _is_intact(path: Path, key: bytes) -> bool:
+    """Return whether a file holds the library of a source bit for bit."""
+    try:
+        whole = read_whole(path, LARGEST)
+    except OSError:
+        return False
+    size = len(whole) - hashlib.sha256().digest_size
+    return size > 0 and whole[size:] == _seal(whole[:size], key)
 
 
 def _own(folder: Path) -> bool:

@@ -1,7 +1,8 @@
-"""Where the configuration lives: inside an installed wheel, or beside the package in a checkout."""
+"""Where the configuration lives, and where this user keeps what can be made again."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 
@@ -17,3 +18,8 @@ def conf_dir() -> Path:
             return candidate
     message = f"expected conf/train.yaml in or beside {package}; received neither. Install ahnn again."
     raise FileNotFoundError(message)
+
+
+def cache_dir() -> Path:
+    """Return the folder of generated data and compiled code: `$AHNN_CACHE`, `~/.cache/ahnn` without it."""
+    return Path(os.path.expanduser(os.environ.get("AHNN_CACHE") or "~/.cache/ahnn"))  # no home is no error

@@ -11,8 +11,8 @@ from omegaconf import DictConfig
 from ahnn.arguments import flatten
 from ahnn.cli.commandline import parse
 from ahnn.cli.compose import compose_sweep
+from ahnn.contents import read_plain
 from ahnn.errors import UserError
-from ahnn.files import read_plain
 
 SYSTEMS = ("mass_spring", "molniya")
 BUDGETS = ("smoke", "laptop", "paper")

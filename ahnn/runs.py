@@ -12,18 +12,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import torch
-import yaml
 from torch import Tensor
 
 from ahnn.checkpoints import Weights, read_weights
-from ahnn.deviations import state_deviations
+from ahnn.contents import read_plain
+from ahnn.deviations import covariance_factor, state_deviations
 from ahnn.dynamics import Dynamics, HasEnergy, make_dynamics
+from ahnn.dynamics.sizes import fillable
 from ahnn.errors import UserError
 from ahnn.numbers import Numbers, as_float64
 from ahnn.prediction.kernel import Knowledge, Prediction, predicted
 from ahnn.pretrained import names, shipped
 from ahnn.rollouts import rollout
-from ahnn.types import Space, TimeStep, Units
+from ahnn.stored import read_about
+from ahnn.types import Space, TimeStep
 from ahnn.uncertainty import Domain, Uncertainty, domain_of, load_uncertainty, rollout_covariances
 from ahnn.uncertainty.posterior import FILE
 
@@ -42,6 +44,7 @@ class Run:
             that is shorter, in the unit of time.
         about: what the weights were trained on, plain values.
         folder: of the run, or of the shipped model.
+        domain: training states that stand for all; None beside weights of an earlier version.
         uncertainty: covariance of the parameters; None unless these weights were trained on measurements.
     """
 
@@ -50,6 +53,7 @@ class Run:
     dt: float
     about: dict[str, Any]
     folder: Path
+    domain: Domain | None = None
     uncertainty: Uncertainty | None = None
 
     @property
@@ -108,15 +112,6 @@ class Run:
         covariances = rollout_covariances(self.dynamics, x, lengths, self.uncertainty.spread)
         return covariances.diagonal(dim1=-2, dim2=-1).sqrt()
 
-    @cached_property
-    def domain(self) -> Domain | None:
-        """Training states that stand for all; None beside weights of an earlier version.
-
-        Raises:
-            UserError: it is damaged.
-        """
-        return domain_of(self.about, len(self.space.components))
-
     def novelty(self, x: Numbers) -> Tensor:
         """Return how far states x, shape (..., 2n), are from those of the training, shape (...).
 
@@ -140,6 +135,7 @@ class Run:
         times: Numbers,
         description: str | None = None,
         start_sd: Numbers | None = None,
+        start_covariance: Numbers | None = None,
     ) -> Prediction:
         """Return predicted states at given times, with covariance and novelty where they are known.
 
@@ -149,6 +145,7 @@ class Run:
             description: text of a progress bar; None shows none.
             start_sd: standard deviations of the starts, 2n, or one for positions and one for velocities
                 where n > 1; without them starts are exact.
+            start_covariance: in their place, (2n, 2n) or (B, 2n, 2n).
 
         Raises:
             UserError: starts or times that are none, or a damaged file beside the weights.
@@ -157,13 +154,16 @@ class Run:
         spread = None if self.uncertainty is None else self.uncertainty.spread
         known = Knowledge(spread, self.domain)
         if start_sd is not None:
-            known = known._replace(deviations=state_deviations(start_sd, self.space, "start_sd"))
+            start_covariance = state_deviations(start_sd, self.space, "start_sd").square().diag()
+        if start_covariance is not None:
+            factor = covariance_factor(start_covariance, x.shape[-1], "start_covariance")
+            known = known._replace(start=factor)
         return predicted(self.dynamics, x, as_float64(times, "times"), self.dt, known, description)
 
     @cached_property
     def config(self) -> dict[str, Any]:
-        """Configuration of the training, plain values."""
-        return yaml.safe_load((self.folder / "config.yaml").read_text())
+        """Configuration of the training, plain values; raises UserError where there is none."""
+        return read_plain(self.folder / "config.yaml")
 
     @cached_property
     def results(self) -> Results:
@@ -201,6 +201,11 @@ def load(run: str | Path, ckpt: str = "best") -> Run:
     known = load_uncertainty(folder, trained.dynamics.state_dict())
     if known is None:
         return trained
+    if (count := sum(p.numel() for p in trained.dynamics.parameters())) != len(known.offset):
+        message = (
+            f"{folder / FILE}: expected a covariance of {count} parameters; received {len(known.offset)}"
+        )
+        raise UserError(message)
     dynamics, uncertainty = known.taken(trained.dynamics)
     return replace(trained, dynamics=dynamics.eval().requires_grad_(False), uncertainty=uncertainty)
 
@@ -218,26 +223,26 @@ def weights_path(folder: Path, ckpt: str = "best") -> Path:
     candidates = [here / f"{ckpt}.ckpt", folder / "weights.safetensors"]
     if ckpt == "best":
         candidates.append(here / "last.ckpt")
-    return next((path for path in candidates if path.is_file()), candidates[0])
+    return next((path for path in candidates if path.exists()), candidates[0])
 
 
 def made(weights: Weights, folder: Path) -> Run:
     """Return the run of some weights.
 
     Raises:
-        UserError: they are of other dynamics than they say.
+        UserError: they do not say what they are, or are of other dynamics.
     """
-    about = weights.about
+    about, space = read_about(f"run {folder}: weights", weights.about)
     try:
-        dynamics = make_dynamics(**about["dynamics"]).double()
-        units = Units(*about["space"]["units"])
-        known = Space(**{**about["space"], "components": tuple(about["space"]["components"]), "units": units})
-        dt = float(about["dt"])
-    except (KeyError, TypeError, ValueError) as error:
-        message = f"run {folder}: expected weights that say what they are; received: {error!r}"
+        with fillable(weights.state):
+            dynamics = make_dynamics(**about.dynamics)
+        domain = domain_of(weights.about, len(space.components))
+    except Exception as error:  # whatever the class of a package says of arguments that are none
+        reason = error if isinstance(error, UserError) else repr(error)
+        message = f"run {folder}: expected weights that say what they are; received: {reason}"
         raise UserError(message) from error
     try:
-        dynamics.load_state_dict(weights.state)
+        dynamics.double().load_state_dict(weights.state)
     except RuntimeError as error:
         reason = " ".join(str(error).split())
         message = f"run {folder}: expected the weights of its model; received others ({reason})"
@@ -245,7 +250,7 @@ def made(weights: Weights, folder: Path) -> Run:
     if not all(bool(tensor.isfinite().all()) for tensor in weights.state.values()):
         message = f"run {folder}: expected finite weights; received nan or inf. Take another checkpoint"
         raise UserError(message)
-    return Run(dynamics.eval().requires_grad_(False), known, dt, about, folder)
+    return Run(dynamics.eval().requires_grad_(False), space, about.dt, weights.about, folder, domain)
 
 
 def about_space(space: Space) -> dict[str, Any]:

@@ -239,7 +239,7 @@ def judge(
 
     folder = Path(cfg.folder)
     run = load(folder)
-    loss = math.nan if run.about["val_loss"] is None else float(run.about["val_loss"])
+    loss = math.nan if (found := run.about.get("val_loss")) is None else float(found)
     options = {"label": cfg.label, "seed": cfg.evaluation.seed, "folder": folder, "domain": run.domain}
     learned = {"uncertainty": run.uncertainty, "robust": robust_of(run)}
     case = make_case(run.dynamics, data.splits, **learned, **options)

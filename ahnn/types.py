@@ -75,6 +75,8 @@ class Space(NamedTuple):
         units: of time, position, velocity and energy.
         inertia: the factor m of p = m dq/dt; momenta divided by it are velocities.
         frame: in which positions are given, such as `EME2000, EARTH`; "" where nobody said.
+        mechanical: whether p = m dq/dt holds; momenta of another H, with a matrix of masses or in a rotating
+            frame, are not called velocities (`ahnn.labels`).
     """
 
     name: str
@@ -82,11 +84,17 @@ class Space(NamedTuple):
     units: Units = Units()
     inertia: float = 1.0
     frame: str = ""
+    mechanical: bool = True
 
     @property
     def dof(self) -> int:
         """Degrees of freedom n."""
         return len(self.components) // 2
+
+    @property
+    def divisor(self) -> float:
+        """What momenta are divided by where people read them: m where that gives velocities, else 1."""
+        return self.inertia if self.mechanical else 1.0
 
 
 class Trajectories(NamedTuple):

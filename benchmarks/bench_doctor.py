@@ -169,7 +169,7 @@ def noisy(one: Table, draw: Generator) -> Table:
 
 
 def verdict(one: Table, folder: Path) -> list[Finding]:
-    """Write a table and return what the doctor finds, but for notes."""
+    """Write a table and return what the doctor finds in its columns, but for notes."""
     path = folder / "data.csv"
     rows = np.concatenate(
         [
@@ -179,7 +179,8 @@ def verdict(one: Table, folder: Path) -> list[Finding]:
     )
     np.savetxt(path, rows, "%.15g", ",", header=",".join(("id", "t [s]", *one.header)), comments="")
     path.with_suffix(".yaml").write_text(f"frame: {one.frame}\n" if one.frame else "{}\n")
-    return [finding for finding in examine([path], Reading()).findings if finding.level != "note"]
+    found = examine([path], Reading()).findings
+    return [finding for finding in found if finding.level != "note" and finding.column]
 
 
 def main() -> None:

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
 import torch
 from hydra import compose, initialize_config_dir
 from torch import Tensor
 
-from ahnn.checkpoints import FORMAT
+from ahnn.checkpoints import FORMAT, read_weights, write_weights
 from ahnn.cli.build import plain_config
 from ahnn.cli.parts import SENSOR, SIMULATION
 from ahnn.data import Simulated
 from ahnn.data.datamodule import WindowDataModule
 from ahnn.models import AHNN, MLP, NODE, AbstractModel, Optimisation
 from ahnn.paths import conf_dir
+from ahnn.pretrained import shipped
 from ahnn.runs import about_space
 from ahnn.systems import HenonHeiles, Kepler, MassSpring, Molniya, Pendulum, System
 from ahnn.types import Window
@@ -117,3 +120,12 @@ def ready_model(name: str, data: WindowDataModule, seed: int = 0, **changes: Any
 def batch_of(data: WindowDataModule, count: int = 32) -> Window:
     windows = data.val_dataloader().windows
     return windows.gather(torch.arange(count) * len(windows) // count)
+
+
+def framed(folder: Path, frame: str) -> Path:
+    """A copy of the mechanical model that says in which frame, about what and from when its data were."""
+    shutil.copytree(shipped("molniya_mechanical"), folder)
+    weights = read_weights(folder / "weights.safetensors")
+    weights.about["space"]["frame"] = frame
+    write_weights(folder / "weights.safetensors", weights)
+    return folder

@@ -19,6 +19,7 @@ TESTS = sorted((ROOT / "tests").rglob("*.py"))
 OPEN = {
     "errors",
     "arguments",
+    "contents",
     "files",
     "manifest",
     "memory",
@@ -32,6 +33,8 @@ OPEN = {
     "libraries",
     "deviations",
     "substeps",
+    "stored",
+    "labels",
 }
 GROUND = OPEN | {"integrators", "measurements", "metrics", "rollouts", "statistics", "checkpoints"}
 MAY_IMPORT = {
@@ -43,13 +46,16 @@ MAY_IMPORT = {
     "progress": set(),
     "cores": set(),
     "jacobians": {"cores"},
+    "contents": {"errors"},
     "manifest": {"errors"},
     "files": {"errors", "manifest"},
     "memory": {"errors"},
     "substeps": {"types"},
-    "libraries": {"files", "types"},
+    "libraries": {"contents", "files", "paths", "types"},
     "arguments": {"errors"},
+    "stored": {"arguments", "errors", "types"},
     "deviations": {"errors", "numbers", "types"},
+    "labels": {"errors", "types"},
     "metrics": OPEN,
     "rollouts": OPEN,
     "statistics": OPEN,

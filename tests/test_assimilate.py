@@ -46,7 +46,8 @@ def assimilate(*arguments):
 
 @pytest.mark.usefixtures("place")
 def test_fixes_become_estimates_figures_and_an_ephemeris(capsys, caplog):
-    made = ["output=out.csv", "state=a.state", "figures=pictures", "oem=out.oem", "epoch=2024-03-01T12:00:00"]
+    made = ["output=out.csv", "state=a.state", "figures=pictures", "oem=out.oem"]
+    made += ["frame=EME2000", "center=EARTH", "epoch=2024-03-01T12:00:00"]
     assert assimilate(*FIXES, *made, "plugins.ukf.gate=0.9999", "--watch") == 0
     assert "40 taken" in capsys.readouterr().err
     (orbit,) = read_oem("out.oem")
@@ -91,7 +92,7 @@ MISTAKES = {
     "measurements=fixes.csv every=0": "every: expected int >= 1; received 0",
     "measurements=fixes.csv oem=x.oem": "output: expected a FILE",
     "measurements=fixes.csv output=fixes.csv": "output: expected a new file",
-    "measurements=fixes.csv start=[1,2]": "start: expected [x, y, z, px, py, pz]",
+    "measurements=fixes.csv start=[1,2]": "start: expected one state or several of [x [km], y",
     "measurements=fixes.csv start_sd=[1,2,3]": "start_sd: expected 6 numbers > 0",
     "measurements=fixes.csv measurement.sd=[1,2]": "measurement.sd: expected one number > 0 for each",
     "measurements=fixes.csv measurement=ground_station": "expected a header with time and range, az",

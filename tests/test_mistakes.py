@@ -89,7 +89,7 @@ MISTAKES = {
     f"{GL4} integrator.tolerance=x": "integrator gl4.tolerance: expected float > 0 and < 1; received 'x'",
     f"{GL4} integrator.tolerance=null": "integrator gl4.tolerance: expected float > 0 and < 1; received None",
     f"{GL4} integrator.max_iterations=x": "integrator gl4.max_iterations: expected int",
-    f"{GL4} integrator.max_iterations=2.7": "integrator gl4.max_iterations: expected int >= 1; received 2.7",
+    f"{GL4} integrator.max_iterations=2.7": "integrator gl4.max_iterations: expected int from 1 to 1000",
     # values that we judge
     **{f"trainer.max_epochs={n}": "trainer.max_epochs: expected" for n in ("two", "2.5", "null", "-1", "0")},
     "seed=4294967296": "seed: expected int from 0 to 4294967295; received 4294967296",

@@ -40,7 +40,7 @@ def test_a_run_leaves_config_weights_scores_predictions_and_figures(run):
     expected |= {f"figures/{name}.png" for name in ("phase_portrait", "energy", "error")}
     assert expected <= files
     assert any("tfevents" in name for name in files)
-    assert not [name for name in files if "/." in name and not name.startswith(".hydra")]
+    assert not [name for name in files if "/." in name and not name.endswith("/.ahnn-files")]
 
 
 def test_metrics_have_models_and_floors_from_both_starts(run):

@@ -57,7 +57,7 @@ GADGETS = {
     "our files": lambda trace: {
         "_target_": "ahnn.files.write_atomically",
         "path": str(trace),
-        "content": b"x",
+        "content": "x",
     },
     "our lock": lambda trace: {"_target_": "ahnn.files.claimed", "folder": str(trace)},
     "our entry": lambda _: {"_target_": "ahnn.train.main"},

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 from ahnn.assimilation.cells import BadLine, number
-from ahnn.data.files.epochs import SECOND, instant
+from ahnn.data.files.epochs import DATE, DAY, SECOND, instant, leaps, spelled
+from ahnn.data.files.frames import TO_TT
 from ahnn.data.files.units import TIME, factor, unit
+from ahnn.data.reference import Reference
 from ahnn.errors import UserError
 
 
@@ -15,50 +18,76 @@ class Clock(NamedTuple):
 
     Attributes:
         unit: of numbers.
-        zero: epoch of time zero (`ahnn.data.files.epochs`).
+        zero: epoch of time zero (`ahnn.data.files.epochs`); None where times are numbers alone.
         system: time system of epochs, such as UTC.
         scale: of the unit in which a stream has numbers, in that unit.
+        dated: whether epochs alone are times, since nobody said where numbers count from.
+        cells: time system of the epochs in a stream; "" is that of the zero.
     """
 
     unit: str
-    zero: int
+    zero: int | None
     system: str
     scale: float = 1.0
-
-    @classmethod
-    def of(cls, base: str, epoch: str, system: str) -> Clock:
-        """Return the clock of a space.
-
-        Args:
-            base: its unit of time; without one a number is taken as seconds.
-            epoch: of time zero.
-            system: time system of the epochs.
-
-        Raises:
-            UserError: no epoch.
-        """
-        try:
-            return cls(base, instant(epoch, utc=system == "UTC"), system)
-        except ValueError as error:
-            message = f"epoch: expected {error}; received {epoch!r}"
-            raise UserError(message) from error
+    dated: bool = False
+    cells: str = ""
 
     def time(self, cell: Any) -> float:
-        """Return the time in a cell, NaN where it is missing; raises BadLine for what is no time."""
-        if not (isinstance(cell, str) and "T" in cell):
-            return self.scale * number(cell, "time")
+        """Return the time in a cell, NaN where it is missing.
+
+        Raises:
+            BadLine: it is no time.
+            UserError: an epoch, and none of time zero; or a number, and nobody said from when.
+        """
+        if not (isinstance(cell, str) and (DATE.match(cell) or "T" in cell)):
+            time = self.scale * number(cell, "time")
+            if self.dated and time == time:
+                start = spelled(self.zero or 0, utc=self.system == "UTC")
+                message = (
+                    f"measurements: expected epochs, as the start has its own, {start}; received time "
+                    f"{cell}. Add epoch= of time zero, or time= at which the start holds"
+                )
+                raise UserError(message)
+            return time
+        if self.zero is None:
+            message = (
+                f"epoch: expected that of time zero, as the measurements have epochs, such as {cell[:40]}; "
+                "received none. Add epoch="
+            )
+            raise UserError(message)
+        system = self.cells or self.system
         try:
-            moment = instant(cell, utc=self.system == "UTC")
+            moment = Reference(clock=system, epoch=instant(cell, utc=system == "UTC")).on(self.system).epoch
         except ValueError as error:
             message = f"time: expected {error}; received {cell[:40]!r}"
             raise BadLine(message) from error
-        size = unit(self.unit).size if unit(self.unit).dimension == TIME else 1.0
-        return (moment - self.zero) / SECOND / size
+        return self.between(self.zero, moment)
+
+    def between(self, one: int | None, other: int | None) -> float:
+        """Return the time from an epoch to another."""
+        return ((other or 0) - (one or 0)) / SECOND / self.second
+
+    def after(self, moment: int | None, time: float) -> int:
+        """Return the epoch so much time after another."""
+        return (moment or 0) + round(time * self.second * SECOND)
+
+    @property
+    def second(self) -> float:
+        """Seconds of the unit; a number without one is taken as seconds."""
+        clock = unit(self.unit)
+        return clock.size if clock.dimension == TIME else 1.0
+
+    def earth_angle(self) -> float:
+        """Return the Earth's rotation angle at time zero in rad (IERS Conventions 2010, 5.15), UT1 as UTC."""
+        moment = Reference(clock=self.system, epoch=self.zero).on("UTC").epoch or 0
+        seconds = moment / SECOND - leaps(moment // SECOND // DAY)
+        days = seconds / DAY - 0.5  # from J2000.0
+        return math.tau * ((0.7790572732640 + 0.00273781191135448 * days + days % 1.0) % 1.0)
 
     def named(self, text: str) -> Clock:
         """Return the clock of a header that names a unit of time or a time system; raises UserError."""
-        if text == self.system:
-            return self
+        if text == self.system or {text, self.system} <= TO_TT.keys():
+            return self._replace(cells=text)
         try:
             return self._replace(scale=factor(text, self.unit))
         except ValueError as error:

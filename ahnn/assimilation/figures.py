@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from ahnn.assimilation.record import Array, Record
 from ahnn.estimation.consistency import band
 from ahnn.evaluation import style
+from ahnn.labels import headed
 from ahnn.types import Space
 
 AVERAGED = 50
@@ -76,10 +77,10 @@ def deviations(record: Record, space: Space) -> Figure:
     figure = style.canvas(8, 5)
     panels = figure.subplots(2, 1, sharex=True)
     variance = np.diagonal(record.covariance, axis1=1, axis2=2)
-    parts = variance[:, : space.dof], variance[:, space.dof :] / space.inertia**2
+    parts = variance[:, : space.dof], variance[:, space.dof :] / space.divisor**2
     for axes, part, name in zip(panels, parts, style.NAMES, strict=True):
         axes.plot(time, np.sqrt(part.sum(1)), **(style.MODEL | {"lw": 1.2}))
-        axes.set_ylabel(f"believed σ of {name} [{getattr(space.units, name)}]")
+        axes.set_ylabel(f"believed σ of {headed(space, name)}")
         style.logarithmic(axes, 0)
     panels[0].set_title(f"{space.name}: what the filter believes to know")
     panels[-1].set_xlabel(f"time [{unit}]")

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import io
 import os
+import zlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
+from ahnn.contents import read_whole
 from ahnn.errors import UserError
 from ahnn.files import write_cached
+from ahnn.memory import available
 
 
 class Journal(io.RawIOBase):
     """Bytes of a pipe, which comes no second time, written to a file before they are used.
 
-    The file begins with the place in the stream of the byte behind its first line.
+    Each piece has a line with its length and its checksum in front; the first is the place of the others in
+    the stream.
 
     Args:
         pipe: what is read.
@@ -45,11 +50,15 @@ class Journal(io.RawIOBase):
             UserError: the journal is missing or damaged.
         """
         try:
-            head, _, content = self.path.read_bytes().partition(b"\n")
-            self._base = int(head)
+            head, *pieces = _pieces(read_whole(self.path, available()))
+            self._base, content = int(head), b"".join(pieces)
+            if not 0 <= place - self._base <= len(content):
+                message = f"that of {self._base} to {self._base + len(content)}, not of {place}"
+                raise ValueError(message)  # noqa: TRY301 - one message for all that is wrong
         except (OSError, ValueError) as error:
             message = (
-                f"state: expected its journal {self.path}; received {error}. Begin again with another state"
+                f"state: expected its journal {self.path}, intact; received {error}. Begin again with "
+                "another state and output"
             )
             raise UserError(message) from error
         self._kept = bytearray(content)
@@ -68,7 +77,7 @@ class Journal(io.RawIOBase):
             content = self.pipe.read(len(buffer)) or b""
             self._kept += content
             assert self._file is not None
-            self._file.write(content)
+            self._file.write(_piece(content))
             self._file.flush()
         buffer[: len(content)] = content
         return len(content)
@@ -77,7 +86,7 @@ class Journal(io.RawIOBase):
         """A state holds the stream up to a place: keep what was read beyond it."""
         del self._kept[: place - self._base]
         self._base = place
-        write_cached(self.path, b"%d\n%b" % (place, self._kept))
+        write_cached(self.path, _piece(b"%d" % place) + _piece(self._kept))
         self._close()
         self._file = self.path.open("ab")
 
@@ -89,3 +98,20 @@ class Journal(io.RawIOBase):
     def _close(self) -> None:
         if self._file is not None:
             self._file.close()
+
+
+def _piece(content: bytes | bytearray) -> bytes:
+    """Return bytes behind their length and checksum."""
+    return b"%d %d\n%b" % (len(content), zlib.crc32(content), content)
+
+
+def _pieces(journal: bytes) -> Iterator[bytes]:
+    """Yield what `_piece` was given; raises ValueError where it is something else."""
+    while journal:
+        head, _, journal = journal.partition(b"\n")
+        size, checksum = map(int, head.split(b" "))
+        piece, journal = journal[:size], journal[size:]
+        if size != len(piece) or size < 0 or checksum != zlib.crc32(piece):
+            message = "a damaged one"
+            raise ValueError(message)
+        yield piece

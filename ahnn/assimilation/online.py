@@ -13,15 +13,20 @@ import torch
 from torch import Tensor
 
 from ahnn.arguments import Count, Finite, Positive, Within, checked
+from ahnn.assimilation.cells import BadLine
 from ahnn.assimilation.process import Process, Sensor, plain
 from ahnn.assimilation.reading import Reading
 from ahnn.assimilation.window import Entry, Window
 from ahnn.errors import UserError
-from ahnn.estimation import Belief, Innovation, Status, load_notes, load_state, save_state
+from ahnn.estimation import Belief, FilterState, Innovation, Status, load_notes, load_state, save_state
 
+HOPELESS = 1e16
+"""NIS of a number, 1e8 standard deviations: what is added to the state has no digit of it left."""
 FURTHEST = 10_000
 """Steps of the flow that a reading may lie ahead, where nothing else is asked for."""
 
+LOST = (Status.NOT_FINITE, Status.COLLAPSED)
+"""What a single reading of absurd size makes of a filter."""
 Outcome = Literal["taken", "rejected", "predicted", "repeated", "late", "ahead"]
 """What became of a reading: it counted, the gate refused it, it was empty, it was there already, it came too
 late, or it lies too far ahead. The last three leave the estimate as it was."""
@@ -92,6 +97,8 @@ class Assimilation:
             }
             state = process.estimator.start(process.lifted(start), time)
             self.window = Window(state, float(time))
+            mean, covariance = start.mean[0].tolist(), start.covariance[0].tolist()
+            self.begun = {"start": mean, "start_sd": covariance, "time": float(time)}
             process.advanced(state, time, time + process.max_step)  # no line waits for what that prepares
 
     @torch.inference_mode()
@@ -100,6 +107,7 @@ class Assimilation:
 
         Raises:
             UserError: a sensor that there is none of, or another number of values than it has.
+            BadLine: numbers that leave no finite estimate; the state from before the reading is kept.
             Diverged: the filter has lost what it follows; the state from before the reading is kept.
         """
         reading = self._named(reading)
@@ -129,7 +137,7 @@ class Assimilation:
         """
         window = self.window
         readings = json.dumps([entry.reading for entry in window.entries])
-        own = {"since": repr(window.since), "readings": readings, "of": self.identity}
+        own = {"readings": readings, "of": self.identity}
         save_state(window.anchor, path, {**(notes or {}), **own})
 
     @torch.inference_mode()
@@ -141,16 +149,15 @@ class Assimilation:
         """
         try:
             state, notes = load_state(path), load_notes(path)
-            since, readings = float(notes["since"]), json.loads(notes["readings"])
-            window = Window(state, since)
-            if notes["of"] == self.identity:
-                for time, values, sensor, sd in readings:
+            window = Window(state, float(state.time))
+            if ours := notes["of"] == self.identity:
+                for time, values, sensor, sd in json.loads(notes["readings"]):
                     reading = Reading(time, tuple(values), sensor, None if sd is None else tuple(sd))
-                    window = self._added(window, reading)
-        except (OSError, ValueError, KeyError, TypeError) as error:
+                    window = self._added(window, self._named(reading))
+        except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
             message = f"state: expected a file written by save; received {path} ({error})"
             raise UserError(message) from error
-        if notes["of"] != self.identity:
+        if not ours:
             message = (
                 f"state: expected one of this model, process noise, sensors and window; received {path} of "
                 "others. Go on with the same command, or remove it and its output to begin again"
@@ -191,8 +198,13 @@ class Assimilation:
             self._factors[reading.sensor] if reading.deviations is None else sensor.factor(reading.deviations)
         )
         y = torch.tensor([reading.values], dtype=torch.float64)
-        state, innovation = process.estimator.update(state, y, self._models[reading.sensor], factor)
-        if status := int(state.status):
+        before, model = state, self._models[reading.sensor]
+        state, innovation = process.estimator.update(before, y, model, factor)
+        status = int(state.status)
+        absurd = float(innovation.nis) > HOPELESS * y.numel() and not bool(innovation.rejected)
+        if (status in LOST or absurd) and not reading.is_empty:
+            self._require_reading_at_fault(before, reading)
+        if status:
             message = (
                 f"expected a filter that follows its measurements; it is {Status(status).name} at time "
                 f"{reading.time:g}, by sensor {reading.sensor}"
@@ -200,6 +212,18 @@ class Assimilation:
             raise Diverged(message)
         entry = Entry(reading.time, reading, state, innovation)
         return window._replace(entries=(*window.entries, entry))
+
+    def _require_reading_at_fault(self, state: FilterState, reading: Reading) -> None:
+        """Raise BadLine where the filter takes what it expects to read: the reading is no measurement."""
+        model, sensor = self._models[reading.sensor], self.sensors[reading.sensor]
+        y = model(state.belief.mean, reading.time)
+        factor = sensor.factor(sensor.deviations or (1.0,) * len(sensor.columns))
+        after, _ = self.process.estimator.update(state, y, model, factor)
+        if int(after.status) not in LOST:
+            said = [f"{name} {value:g}" for name, value in zip(sensor.columns, reading.values, strict=True)]
+            said += [f"sd {sd:g}" for sd in reading.deviations or ()]
+            message = f"expected numbers that leave a finite estimate; received {', '.join(said)}"
+            raise BadLine(message)
 
     def _estimate(
         self, outcome: Outcome, innovation: Innovation | None = None, replayed: int = 0

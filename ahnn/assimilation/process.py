@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.deviations import require_squares
 from ahnn.errors import UserError
 from ahnn.estimation import Belief, Covariance, Factor, FilterState, Recursive
 from ahnn.measurements import Measurement, Position, State
@@ -87,6 +88,7 @@ class Sensor(NamedTuple):
         if len(given) != len(columns) or not all(0.0 < sd < math.inf for sd in given):
             message = f"sd: expected one number > 0 for each of {', '.join(columns)}; received {deviations}"
             raise UserError(message)
+        require_squares(torch.tensor(given, dtype=torch.float64), "sd")
         return cls(measurement, tuple(map(float, given)), columns)
 
     def factor(self, deviations: tuple[float, ...] | None) -> Factor:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import math
-import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -13,12 +12,12 @@ from ahnn.arguments import nearest
 from ahnn.assimilation.cells import BadLine, number
 from ahnn.assimilation.clock import Clock
 from ahnn.assimilation.process import Sensor
+from ahnn.data.files.table import HEADER
 from ahnn.data.files.units import factor
 from ahnn.errors import UserError
 
 TIME, SENSOR, SD = ("time", "t"), "sensor", "sd_"
 """Names of columns: of the time, of the sensor, and what stands before the name of a standard deviation."""
-HEAD = re.compile(r"\s*\"?(?P<name>[^\"\[]+?)\s*(\[(?P<unit>[^\]]*)\])?\s*\"?\s*")
 
 
 class Reading(NamedTuple):
@@ -62,10 +61,17 @@ class Layout:
         self.known = {*TIME, SENSOR, *known, *(SD + name for name in known)}
         self.names: list[str] | None = None
         self.scales: dict[str, float] = {}
+        if "\r" in first.strip():
+            message = "measurements: expected lines that end with LF; received CR. tr '\\r' '\\n' makes such"
+            raise UserError(message)
         if not first.lstrip().startswith("{"):
             self.delimiter = max(",;\t", key=first.count)
-            self.names = [self._name(cell) for cell in first.strip().split(self.delimiter)]
-            if len({*self.names}) < len(self.names) or not {*TIME} & {*self.names}:
+            try:
+                self.names = [self._name(cell) for cell in self._split(first)]
+            except BadLine as error:
+                message = f"measurements: expected a header; received {first[:40]!r} ({error})"
+                raise UserError(message) from error
+            if len({*self.names}) < len(self.names) or len({*TIME} & {*self.names}) != 1:
                 expected = f"a header with time and {self._expected()}, each once"
                 message = f"measurements: expected {expected}; received {first.strip()!r}"
                 raise UserError(message)
@@ -83,7 +89,8 @@ class Layout:
             message = f"sensor: expected one of {', '.join(self.sensors)}; received {row.get(SENSOR)!r}"
             raise BadLine(message)
         sensor = self.sensors[name]
-        cell = row.get("time", row.get("t"))
+        cells = [row[key] for key in TIME if key in row]
+        cell = cells[0] if len(cells) == 1 else None
         time = number(cell, "time") if self.clock is None else self.clock.time(cell)
         if math.isnan(time):
             message = "time: expected a number; received none"
@@ -91,19 +98,33 @@ class Layout:
         values = tuple([self._number(row, column) for column in sensor.columns])
         return Reading(time, values, name, self._deviations(row, sensor, values))
 
+    @property
+    def asks(self) -> bool:
+        """Whether lines are of times alone, and ask for predictions; JSON objects may be."""
+        return not {*(self.names or ())} - {*TIME, SENSOR}
+
     def _cells(self, text: str) -> dict[str, Any]:
         assert self.names is not None
-        cells = text.split(self.delimiter)
-        if '"' in text:
-            cells = next(csv.reader([text], delimiter=self.delimiter))
+        cells = self._split(text)
         if len(cells) != len(self.names):
             message = f"expected {len(self.names)} cells; received {len(cells)}"
             raise BadLine(message)
-        return dict(zip(self.names, map(str.strip, cells), strict=True))
+        return dict(zip(self.names, cells, strict=True))
+
+    def _split(self, text: str) -> list[str]:
+        """Return the cells of a line; raises BadLine."""
+        cells = text.split(self.delimiter)
+        if '"' in text:
+            try:
+                cells = next(csv.reader([text], delimiter=self.delimiter, skipinitialspace=True))
+            except csv.Error as error:
+                message = f"expected cells; received: {error}"
+                raise BadLine(message) from error
+        return [cell.strip() for cell in cells]
 
     def _object(self, text: str) -> dict[str, Any]:
         try:
-            row = json.loads(text)
+            row = json.loads(text, object_pairs_hook=unique)
         except (ValueError, RecursionError) as error:
             message = f"expected a JSON object; received: {error}"
             raise BadLine(message) from error
@@ -133,13 +154,14 @@ class Layout:
         return tuple(chosen)
 
     def _number(self, row: dict[str, Any], name: str) -> float:
-        """Return what stands in a column, in the unit of the sensor."""
-        return number(row.get(name), name) * self.scales.get(name, 1.0)
+        """Return what stands in a column, in the unit of the sensor; raises BadLine."""
+        cell, scale = row.get(name), self.scales.get(name, 1.0)
+        return number(number(cell, name) * scale, name)
 
     def _name(self, cell: str) -> str:
         """Return the name in a cell of the header; raises UserError for one that is not known."""
-        found = HEAD.fullmatch(cell)
-        name = found["name"] if found else cell.strip()
+        found = HEADER.fullmatch(cell)
+        name = found["name"] if found else cell
         if name not in self.known:
             expected = f"a header with time and {self._expected()}"
             message = (
@@ -179,3 +201,12 @@ class Layout:
 
     def _expected(self) -> str:
         return ", ".join(dict.fromkeys(name for one in self.sensors.values() for name in one.columns))
+
+
+def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return the object of some pairs; raises ValueError where a key comes twice."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        message = "a key twice"
+        raise ValueError(message)
+    return found

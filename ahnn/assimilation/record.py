@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import csv
-import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ahnn.assimilation.rows import COVARIANCE, DEVIATION, FIRST, INNOVATION
-from ahnn.data.files import Covariance, Ephemeris, instant, write_oem
+from ahnn.data.files import Covariance, Ephemeris, write_oem
+from ahnn.data.reference import Reference
+from ahnn.data.tracks import COVARIANCE, DEVIATION, FIRST, INNOVATION, rows_of
 from ahnn.errors import UserError
+from ahnn.labels import require_velocities
 from ahnn.types import Space
 
 Array = NDArray[np.float64]
@@ -81,43 +80,49 @@ def read_record(path: Path, components: tuple[str, ...], most: int = MOST) -> Re
     return Record(time, columns([*components]), covariance, outcome, nis, dof, measured, *told)
 
 
-def rows_of(path: Path) -> Iterator[dict[str, Any]]:
-    """Yield the rows of an output."""
-    with path.open(newline="") as file:
-        table = file.read(1) != "{"
-        file.seek(0)
-        yield from csv.DictReader(file) if table else map(json.loads, file)
-
-
 def _number(cell: Any) -> float:
     return np.nan if cell is None or cell == "" else float(cell)
 
 
-def write_ephemeris(path: Path, record: Record, space: Space, about: dict[str, str]) -> None:
-    """Write the estimates of an orbit with their covariances as an orbit ephemeris message.
-
-    Args:
-        path: of the message.
-        record: the estimates, in km and, of momenta, km/s times the mass.
-        space: what the numbers mean.
-        about: `object`, `epoch` of time zero, `frame`, `center` and `time_system`.
+def require_orbit(space: Space, reference: Reference) -> None:
+    """Refuse an ephemeris of what is no orbit, or of which frame, centre or epoch are unknown.
 
     Raises:
-        UserError: a space that is no orbit, or an epoch that is none.
+        UserError: names the keys that say what is missing.
     """
     if len(space.components) != 6 or space.units[:3] != ("s", "km", "km/s"):
         message = (
             f"oem: expected an orbit in s, km and km/s; received {space.name} in {', '.join(space.units[:3])}"
         )
         raise UserError(message)
-    utc = about["time_system"].upper() == "UTC"
-    try:
-        start = instant(about["epoch"], utc=utc)
-    except ValueError as error:
-        message = f"oem.epoch: expected {error}; received {about['epoch']!r}"
-        raise UserError(message) from error
+    require_velocities(space, "oem")
+    keys = zip(("frame", "center", "time_system", "epoch"), reference, strict=True)
+    if missing := [f"{key}=" for key, value in keys if value in ("", None)]:
+        message = (
+            f"oem: expected {', '.join(missing)} of the estimates, which neither model nor start says; "
+            "received none. Such as frame=EME2000 center=EARTH time_system=UTC epoch=2024-03-01T12:00:00"
+        )
+        raise UserError(message)
+
+
+def write_ephemeris(path: Path, record: Record, space: Space, name: str, reference: Reference) -> None:
+    """Write the estimates of an orbit with their covariances as an orbit ephemeris message.
+
+    Args:
+        path: of the message.
+        record: the estimates, in km and, of momenta, km/s times the mass.
+        space: what the numbers mean.
+        name: of the object.
+        reference: frame, centre, clock and epoch of time zero.
+
+    Raises:
+        UserError: see `require_orbit`.
+    """
+    require_orbit(space, reference)
+    frame, center, clock, epoch = reference
+    assert epoch is not None
     scale = np.array([1.0] * 3 + [1.0 / space.inertia] * 3)
     matrices = record.covariance * scale[:, None] * scale
     covariances = tuple(Covariance(float(t), matrix) for t, matrix in zip(record.time, matrices, strict=True))
-    words = about["object"], about["object"], about["center"], about["frame"], about["time_system"]
-    write_oem(path, [Ephemeris(*words, start, record.time, record.mean * scale, covariances)])
+    states = record.mean * scale
+    write_oem(path, [Ephemeris(name, name, center, frame, clock, epoch, record.time, states, covariances)])

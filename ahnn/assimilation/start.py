@@ -1,65 +1,103 @@
-"""Where an assimilation begins: a belief from values, a plain file, or an orbit ephemeris message."""
+"""Where an assimilation begins: a belief about one state, and when it holds."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
+import logging
+from collections.abc import Callable
+from typing import NamedTuple
 
 import torch
-import yaml
+from torch import Tensor
 
-from ahnn.data.files import read_oem
+from ahnn.assimilation.clock import Clock
+from ahnn.data.files.epochs import spelled
+from ahnn.data.reference import Reference
+from ahnn.data.starts import Starts
 from ahnn.deviations import state_deviations
 from ahnn.errors import UserError
 from ahnn.estimation import Belief, initial_belief
 from ahnn.types import Space
 
-Deviations = list[float] | tuple[float, ...] | None
+log = logging.getLogger("ahnn")
+
+Carry = Callable[[Tensor, Tensor, Tensor], Tensor]
+"""From states (1, D), times (2,) and covariances (1, D, D) at the first of them to those at the second."""
 
 
-def start_of(given: str | list[float] | None, deviations: Deviations, space: Space) -> Belief:
-    """Return the belief that an assimilation starts from.
+class Begin(NamedTuple):
+    """A clock, and when on it a start holds.
+
+    Attributes:
+        clock: of the stream.
+        time: of the start.
+        reference: of the estimates.
+    """
+
+    clock: Clock
+    time: float
+    reference: Reference
+
+
+def belief_of(found: Starts, deviations: list[float] | None, space: Space, carry: Carry) -> Belief:
+    """Return the belief about the one state of some starts.
 
     Args:
-        given: the mean, or the path of a file that holds it: `mean` with `sd` or `covariance` in YAML or
-            JSON, or an orbit ephemeris message, whose last state and covariance count.
-        deviations: standard deviations where nothing else says them: 2n, or one for positions and one for
-            velocities.
+        found: the starts.
+        deviations: standard deviations where the start has no covariance.
         space: what the numbers of a state mean.
+        carry: takes the covariance of an earlier state to the time of the start.
 
     Raises:
-        UserError: no such file, numbers that are missing or of another count, or no covariance.
+        UserError: several states, or no covariance.
     """
-    known = _read(Path(given), space) if isinstance(given, str) else {"mean": given}
-    size, covariance = 2 * space.dof, known.get("covariance")
-    if covariance is None:
-        covariance = state_deviations(known.get("sd", deviations), space, "start_sd").square().diag()
-    try:
-        return initial_belief(torch.tensor([known["mean"]], dtype=torch.float64).reshape(1, size), covariance)
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        names = ", ".join(space.components)
-        reason = str(error) if isinstance(error, ValueError) else "another count, or no numbers"
-        message = f"start: expected [{names}] with its covariance; received {given} ({reason})"
-        raise UserError(message) from error
-
-
-def _read(path: Path, space: Space) -> dict[str, Any]:
-    """Return what a file says of a state: `mean`, and `sd` or `covariance` if it has them."""
-    if path.suffix in (".oem", ".xml"):
-        last = read_oem(path)[-1]
-        scale = torch.tensor([1.0] * 3 + [space.inertia] * 3, dtype=torch.float64)
-        known: dict[str, Any] = {"mean": (torch.from_numpy(last.states[-1].copy()) * scale).tolist()}
-        if last.covariances:
-            known["covariance"] = torch.from_numpy(last.covariances[-1].matrix) * torch.outer(scale, scale)
-        return known
-    try:
-        content = yaml.safe_load(path.read_text())
-    except (OSError, yaml.YAMLError, ValueError) as error:
-        message = f"start: expected a file with mean and sd or covariance; received {path} ({error})"
-        raise UserError(message) from error
-    unknown = content.keys() - {"mean", "sd", "covariance"} if isinstance(content, dict) else {"no keys"}
-    if unknown or "mean" not in content:
-        received = ", ".join(sorted(unknown)) or "no mean"
-        message = f"start: expected mean and sd or covariance in {path}; received {received}"
+    if len(found.states) != 1:
+        names = ", ".join(found.names)
+        message = f"start: expected one state; received {len(found.states)}: {names}. Keep one of them"
         raise UserError(message)
-    return content
+    covariance = found.covariances
+    if covariance is None:
+        covariance = state_deviations(deviations, space, "start_sd").square().diag()
+    elif found.since is not None:
+        times, states = found.since
+        covariance = carry(states, torch.cat((times, found.times)), covariance)
+        span = f"{float(found.times - times):g} {space.units.time}"
+        log.info("start: its covariance is of a state %s before it, and carried on by the model", span)
+    try:
+        return initial_belief(found.states, covariance)
+    except ValueError as error:
+        message = f"start: expected a state with its covariance; received another ({error})"
+        raise UserError(message) from error
+
+
+def begin(found: Starts, ours: Reference, time: float | None, unit: str) -> Begin:
+    """Return the clock of a stream and when its start holds.
+
+    Args:
+        found: the start of one state.
+        ours: reference of the model, with the epoch of time zero where that is known.
+        time: at which the start holds, as a user says; None without.
+        unit: of time.
+
+    Raises:
+        UserError: two times of one start.
+    """
+    own, held = found.reference, float(found.times[0])
+    whole = ours.filled(own)
+    clock = Clock(unit, None, whole.clock or "UTC")
+    if own.epoch is None:
+        if time is not None and held not in (0.0, time):
+            message = (
+                f"time: expected none, since the file of the start has its own, {held:g}; received {time:g}"
+            )
+            raise UserError(message)
+        return Begin(clock._replace(zero=whole.epoch), held if time is None else time, whole)
+    moment = own.on(clock.system)
+    if ours.epoch is None:  # zero is where the user has the start, or the start itself
+        zero = clock.after(moment.epoch, held - (time or 0.0))
+        clock = clock._replace(zero=zero, dated=time is None)
+        return Begin(clock, time or 0.0, whole._replace(epoch=zero))
+    if time is not None:
+        said = spelled(clock.after(moment.epoch, held), utc=clock.system == "UTC")
+        message = f"time: expected none, since the file of the start has its own, {said}; received {time:g}"
+        raise UserError(message)
+    return Begin(clock._replace(zero=whole.epoch), clock.between(whole.epoch, moment.epoch) + held, whole)

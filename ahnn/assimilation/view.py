@@ -13,6 +13,7 @@ from rich.table import Table
 from ahnn.assimilation.online import Estimate
 from ahnn.assimilation.reading import Reading
 from ahnn.estimation.consistency import band
+from ahnn.labels import momentum_unit
 from ahnn.types import Space
 
 LAST = 100
@@ -75,7 +76,7 @@ class View:
         table = Table(title=f"{self.space.name}: line {line}, time {estimate.time:g} {units.time}")
         for head in ("", "estimate", "3 sigma", "unit"):
             table.add_column(head, justify="right")
-        momentum = units.velocity if self.space.inertia == 1.0 else f"{units.velocity} · mass"
+        momentum = momentum_unit(self.space)
         names, dof = self.space.components, self.space.dof
         for k, (name, value, sd) in enumerate(
             zip(names, estimate.mean.tolist(), self._deviations(estimate), strict=True)

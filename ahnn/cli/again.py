@@ -8,11 +8,13 @@ from typing import Any, NamedTuple
 from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import flatten, nearest
+from ahnn.cli.importing import let_import
 from ahnn.cli.parts import SENSOR, SIMULATION
 from ahnn.cli.settings import check_again
-from ahnn.cli.trust import require_trusted
+from ahnn.cli.trust import require_trusted, targets
+from ahnn.contents import read_plain
 from ahnn.errors import UserError
-from ahnn.files import read_plain
+from ahnn.paths import cache_dir
 from ahnn.pretrained import shipped
 
 OWN = ("run", "pretrained", "ckpt", "name")
@@ -21,7 +23,8 @@ NODES = ("system", "data", "evaluation", "plugins", "measurement")
 """Parts of a configuration that an evaluation builds from."""
 KEYS = ("label", "threads")
 DATA = (*SIMULATION, "split", *SENSOR)
-"""Keys of `data` that say which trajectories there are and what measures them, not the training."""
+"""Keys of `data` that say which trajectories there are and what measures them, not the training; they are
+kept where this user keeps his own, not where the run did."""
 
 
 class Request(NamedTuple):
@@ -83,8 +86,10 @@ def run_config(folder: Path, request: Request) -> DictConfig:
     if missing:
         message = f"{path}: expected the configuration of a run; received one without {', '.join(missing)}"
         raise UserError(message)
-    content["data"] = {key: content["data"].get(key) for key in DATA}
-    if not request.trust:
+    content["data"] = {key: content["data"].get(key) for key in DATA} | {"cache": str(cache_dir())}
+    if request.trust:
+        let_import(targets(content))
+    else:
         require_trusted(path, content, (*NODES, *KEYS))
     cfg = OmegaConf.create({key: content[key] for key in (*NODES, *KEYS)})
     cfg = chosen_again(cfg, request.overrides) if request.overrides else cfg

@@ -6,6 +6,7 @@ the plugins that extend it, so that options of one's own are found and offered t
 
 from __future__ import annotations
 
+import re
 import shlex
 from argparse import Namespace
 from collections.abc import Iterable, Sequence
@@ -25,11 +26,20 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import flatten, nearest
+from ahnn.cli.importing import let_import
+from ahnn.cli.trust import targets
 from ahnn.errors import UserError
 from ahnn.manifest import require_folder
 from ahnn.paths import conf_dir
 
 MODES = ("run", "multirun", "cfg", "info", "shell_completion")
+TEXTS = ("run", "pretrained", "ckpt", "weights", "name", "label", "start", "measurements", "state", "output")
+TEXTS += ("figure", "figures", "oem", "object", "system.path", "system.name", "system.gravity", "data.cache")
+"""Keys that name files, folders or things."""
+LISTS = ("run", "system.path")
+"""Those of them that take several."""
+BARE = re.compile(r"\s*(true|false|[+-]?(inf|nan|(\d[\d_]*\.?\d*|\.\d+)(e[+-]?\d+)?))\s*", re.IGNORECASE)
+"""What Hydra takes for a number or a truth value."""
 NAMES_A_RECIPE = ("recipe=", "loss=")
 
 
@@ -52,6 +62,17 @@ def read(argv: Sequence[str]) -> Namespace:
 def _refuse(message: str) -> NoReturn:
     text = f"command line: {message}; --help shows what there is"
     raise UserError(text)
+
+
+def worded(text: str) -> str:
+    """Return KEY=VALUE with quotes around a number where the key takes a text: a folder may be named 007."""
+    key, _, value = text.partition("=")
+    many = key in LISTS and value.startswith("[") and value.endswith("]")
+    if key not in TEXTS or not (many or BARE.fullmatch(value)):
+        return text
+    words = value[1:-1].split(",") if many else [value]
+    quoted = ",".join(f"'{word.strip()}'" if BARE.fullmatch(word) else word for word in words)
+    return f"{key}=[{quoted}]" if many else f"{key}={quoted}"
 
 
 def parse(text: str) -> Override:
@@ -81,7 +102,7 @@ def pair(text: str) -> tuple[str, Any]:
     Raises:
         UserError: it is something else, such as a sweep over several values.
     """
-    override = parse(text)
+    override = parse(worded(text))
     if override.is_sweep_override() or override.get_key_element() != override.key_or_group:
         message = f"{text!r}: expected key=value with one value"
         raise UserError(message)
@@ -175,6 +196,7 @@ def compose(loader: ConfigLoaderImpl, name: str, overrides: list[str]) -> DictCo
             hint = nearest_key(key, {*plain, *flatten(plain), *loader.list_groups("")})
             message = f"configuration: unknown key {key!r}{hint}"
         raise UserError(message) from error
+    let_import(targets(OmegaConf.to_container(cfg)))
     check_recipe(cfg, overrides)
     check_potential(cfg, overrides)
     return cfg

@@ -9,15 +9,15 @@ from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 
-from ahnn.cli.commandline import alternatives, compose, config_loader, parse
+from ahnn.cli.commandline import alternatives, compose, config_loader, parse, worded
 
 
 def composed(name: str, overrides: Sequence[str]) -> DictConfig:
     """Return the configuration NAME of conf/ with overrides; raises UserError where they do not compose."""
-    loader = config_loader()
-    for text in overrides:
+    loader, texts = config_loader(), [worded(text) for text in overrides]
+    for text in texts:
         alternatives(parse(text), loader)
-    return _opened(compose(loader, name, [*overrides]))
+    return _opened(compose(loader, name, texts))
 
 
 def compose_job(overrides: Sequence[str], folder: Path) -> DictConfig:

@@ -26,7 +26,8 @@ def run_hydra(task: Callable[[DictConfig], Any], config_name: str = "train") -> 
     """Run a task under Hydra; a user's mistake ends in one message and an exit code, not a traceback."""
     os.environ["HYDRA_FULL_ERROR"] = "1"  # makes Hydra raise, so that the messages are ours
     # Hydra takes no null for a group. For a group that is empty by default it is as good as no word.
-    sys.argv = [argument for argument in sys.argv if argument not in ("experiment=null", "sweep=null")]
+    given = [argument for argument in sys.argv if argument not in ("experiment=null", "sweep=null")]
+    sys.argv = [commandline.worded(argument) for argument in given]
     sys.exit(guard(lambda: start(task, config_name)))
 
 

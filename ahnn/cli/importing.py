@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
+from importlib.machinery import PathFinder
+from importlib.util import find_spec
 from types import ModuleType
 
 from ahnn.cli.stops import held
@@ -28,6 +31,19 @@ def importing() -> Iterator[None]:
     finally:
         if collects:
             gc.enable()
+
+
+def let_import(targets: Iterable[object]) -> None:
+    """Let modules of the working directory be imported, behind all others, where the user names one of them.
+
+    Args:
+        targets: each `_target_` of a configuration that is the user's own, or that he trusts.
+    """
+    for target in targets:
+        name, here = str(target).partition(".")[0], os.getcwd()
+        unknown = name.isidentifier() and here not in sys.path and find_spec(name) is None
+        if unknown and PathFinder.find_spec(name, [here]) is not None:
+            sys.path.append(here)
 
 
 def import_torchmetrics() -> None:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from omegaconf import DictConfig, OmegaConf
 
-from ahnn.arguments import Count, Seed, Within, check_arguments, flatten
+from ahnn.arguments import Count, Seed, Text, Within, check_arguments, flatten
 from ahnn.cli.build import plain_config
 from ahnn.errors import UserError
 
@@ -17,8 +17,16 @@ from ahnn.errors import UserError
 class Again:
     """What a finished run takes besides its groups."""
 
-    label: str
+    label: Text
     threads: Annotated[int, Within(1, 1024)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Splits:
+    """What of the data belongs to no object that measures or simulates."""
+
+    seed: Seed
+    split: list[float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +65,7 @@ class Evaluation:
 def check_again(cfg: DictConfig, top: type = Again) -> None:
     """Check what belongs to no object and is asked of finished runs too; raises as `check_settings`."""
     check_arguments("", top, _part(cfg, top))
+    check_arguments("data", Splits, _part(cfg.data, Splits, "data"))
     check_arguments("evaluation", Evaluation, plain_config(cfg.evaluation, "evaluation"))
 
 

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
+from torch import Tensor
 
 from ahnn.arguments import check_arguments, nearest
 from ahnn.assimilation import Assimilation, Process, Sensor
-from ahnn.assimilation.start import start_of
+from ahnn.assimilation.clock import Clock
+from ahnn.assimilation.record import require_orbit
+from ahnn.assimilation.start import begin, belief_of
 from ahnn.cli.again import GROUPS, KEYS, NODES, OWN, Request
 from ahnn.cli.build import blaming, build, build_all, plain_config
 from ahnn.cli.compose import composed
 from ahnn.cli.parts import build_sensor, build_source
 from ahnn.data import SplitData
+from ahnn.data.files.epochs import spelled
+from ahnn.data.reference import Reference
+from ahnn.data.starts import starts
 from ahnn.errors import UserError
 from ahnn.evaluation import Case, EvaluationPlugin
 from ahnn.evaluation.prepare import make_case
@@ -113,23 +119,86 @@ def build_process(cfg: DictConfig, run: Run, case: Callable[[], Case]) -> Proces
         return plugin.online(run.dynamics, run.dt, run.space, case, novelty, run.uncertainty)
 
 
-def build_assimilation(asked: Asked, nodes: DictConfig, cfg: DictConfig, run: Run) -> Assimilation:
+class Built(NamedTuple):
+    """What a stream needs besides its lines.
+
+    Attributes:
+        filtering: the filter.
+        clock: what times mean.
+        reference: of the estimates.
+        name: of what is followed.
+    """
+
+    filtering: Assimilation
+    clock: Clock
+    reference: Reference
+    name: str
+
+
+def build_assimilation(asked: Asked, nodes: DictConfig, cfg: DictConfig, run: Run) -> Built:
     """Build the filter of a stream; data are only made where a process noise is fitted to them.
 
     Raises:
         UserError: what is built from the options does not fit the run.
     """
     source = cache(lambda: build_source(cfg))
+    named = Reference(asked.frame or "", asked.center or "", (asked.time_system or "").upper())
+    ours = Reference.of(run.space.frame).chosen(named).since(asked.epoch)
+    found = starts(asked.start, run.space, ours, sd=asked.start_sd, last=True)
+    clock, time, reference = begin(found, ours, asked.time, run.space.units.time)
+    if asked.oem:
+        require_orbit(run.space, reference)
+    require_angles(nodes or {"measurement": cfg.measurement}, clock)
     sensors = build_sensors(nodes, cfg, run, lambda: source().truth)
-    deviations = asked.start_sd
-    if deviations is None and not isinstance(asked.start, str) and (truth := source().truth) is not None:
+    deviations = None
+    if (
+        found.covariances is None
+        and not isinstance(asked.start, str)
+        and (truth := source().truth) is not None
+    ):
         deviations = truth.deviations().tolist()
-    start = start_of(asked.start, deviations, run.space)
+
+    def carry(states: Tensor, times: Tensor, covariances: Tensor) -> Tensor:
+        predicted = run.predict(states, times, start_covariance=covariances).covariances
+        assert predicted is not None
+        return predicted[:, -1]
 
     def case() -> Case:
         splits = SplitData(source(), list(cfg.data.split), build_sensor(cfg, source()))
         about = {"label": cfg.label, "seed": cfg.evaluation.seed, "folder": run.folder}
         return make_case(run.dynamics, splits, **about, uncertainty=run.uncertainty, domain=run.domain)
 
+    belief = belief_of(found, deviations, run.space, carry)
     limits = {"window": asked.window, "lines": asked.lines, "gap": asked.gap}
-    return Assimilation(build_process(cfg, run, case), sensors, start, time=asked.time, **limits)
+    filtering = Assimilation(build_process(cfg, run, case), sensors, belief, time=time, **limits)
+    name = asked.object or (found.names[0] if isinstance(asked.start, str) else "UNKNOWN")
+    return Built(filtering, clock, reference, name)
+
+
+def require_angles(nodes: Any, clock: Clock) -> None:
+    """Refuse ground stations that do not say where the Earth stood at an epoch of time zero.
+
+    Raises:
+        UserError: names the key, and the rotation angle of that epoch.
+    """
+    if clock.zero is None:
+        return
+    for name, node in nodes.items():
+        who = "measurement" if name == "measurement" else f"sensors.{name}"
+        for key, model in models_of(node.get("model"), f"{who}.model"):
+            station = str(model.get("_target_", "")).endswith(".GroundStation")
+            if station and model.get("earth_angle") is None:
+                epoch = spelled(clock.zero, utc=clock.system == "UTC")
+                message = (
+                    f"{key}.earth_angle: expected the Greenwich meridian's angle from the x axis at {epoch}, "
+                    f"time zero; received none. The Earth's rotation angle is {clock.earth_angle():.6f} then"
+                )
+                raise UserError(message)
+
+
+def models_of(node: Any, key: str) -> Iterator[tuple[str, Any]]:
+    """Yield the nodes of measurement models, those of several too, with their keys."""
+    if isinstance(node, DictConfig):
+        yield key, node
+        for k, one in enumerate(node.get("models") or ()):
+            yield from models_of(one, f"{key}.models.{k}")

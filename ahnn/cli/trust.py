@@ -20,13 +20,14 @@ from ahnn.errors import UserError
 
 LINK = re.compile(r"\$\{measurement(\.\w+)+\}")
 """The one interpolation that we store: what a plugin takes from the group `measurement`."""
+MEASURES = (("locate", "__call__"), ("residual", "__call__"))
 NEEDED = {
-    "system": ("recipe", "read", "energy"),
-    "plugins": ("check", "residual"),
-    "measurement": ("residual",),
-    "data": ("residual",),  # what measures
+    "system": (("energy", "initial_states"), ("recipe", "steps", "read")),
+    "plugins": (("check", "__call__"), *MEASURES),
+    "measurement": MEASURES,
+    "data": MEASURES,
 }
-"""What a class must have one of to be built for a node; nothing is built for any other."""
+"""What a class must have to be built for a node: all of one row or of another."""
 
 
 def require_trusted(path: Path, content: dict[str, Any], nodes: tuple[str, ...]) -> None:
@@ -39,8 +40,11 @@ def require_trusted(path: Path, content: dict[str, Any], nodes: tuple[str, ...])
     for node in nodes:
         for name, value in flat(content.get(node), node):
             role = "system" if name.endswith(".beside._target_") else node  # beside the model of a plugin
+            inner = node == "system" and name.count(".") > 1  # a system is made of plain values
             if (
                 (isinstance(value, str) and "${" in value and not LINK.fullmatch(value))
+                or (isinstance(value, str) and not value.isprintable())
+                or (inner and name.endswith("._target_"))
                 or (name.endswith("._target_") and not is_trusted(value, role))
                 or name.rpartition(".")[2] in ("_partial_", "_args_", "_recursive_", "_convert_")
             ):
@@ -62,8 +66,10 @@ def is_trusted(target: Any, node: str) -> bool:
         found = get_object(target)
     except Exception:  # whatever the import says: it is not what it should be
         return False
-    own = inspect.isclass(found) and found.__module__.partition(".")[0] in packages
-    return own and any(hasattr(found, name) for name in NEEDED.get(node, ()))
+    if not inspect.isclass(found) or found.__module__.partition(".")[0] not in packages:
+        return False
+    members = {name for base in found.__mro__ for name in vars(base)}
+    return any(members.issuperset(names) for names in NEEDED.get(node, ()))
 
 
 def flat(value: Any, name: str) -> Iterator[tuple[str, Any]]:
@@ -76,3 +82,8 @@ def flat(value: Any, name: str) -> Iterator[tuple[str, Any]]:
             yield from flat(item, name)
     else:
         yield name, value
+
+
+def targets(value: Any) -> Iterator[Any]:
+    """Yield what nested values name to be built."""
+    return (leaf for name, leaf in flat(value, "") if name.endswith("._target_"))

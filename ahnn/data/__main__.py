@@ -60,16 +60,23 @@ def request(arguments: list[str]) -> tuple[list[Path], dict[str, Any]]:
     from ahnn.data.files import Files
     from ahnn.errors import UserError
 
-    options = dict(pair(argument) for argument in arguments[1:] if "=" in argument)
+    known = [argument for argument in arguments[1:] if is_option(argument)]
+    options = dict(pair(argument) for argument in known)
     if unknown := [key for key in options if key not in (*KEYS, "figures")]:
         message = f"check: unknown key {unknown[0]!r}{nearest(unknown[0], (*KEYS, 'figures'))}"
         raise UserError(message)
-    paths = [Path(argument).expanduser() for argument in arguments[1:] if "=" not in argument]
+    paths = [Path(argument).expanduser() for argument in arguments[1:] if argument not in known]
     if arguments[:1] != ["check"] or not paths:
         message = f"{USAGE}; received: {' '.join(arguments) or 'nothing'}"
         raise UserError(message)
     check_values("", Files, {key: value for key, value in options.items() if key in KEYS})
     return paths, options
+
+
+def is_option(argument: str) -> bool:
+    """Return whether an argument is key=value, and not a path with that sign in it."""
+    key, sign, _ = argument.partition("=")
+    return bool(sign) and (key in (*KEYS, "figures") or not Path(argument).expanduser().exists())
 
 
 def main() -> None:

@@ -24,6 +24,8 @@ SHARE = 1e-4
 """Noise in increments from which objectives that compare windows of samples learn it."""
 LOOKED_AT = 2**18
 """Samples of which medians are sharp enough, to half a per cent."""
+SMALL, MEANS = 0.02, 0.25
+"""Noise relative to all that a component moves that needs no test, and by which means may be off."""
 TWICE = 2.0
 """Factor by which stated and found noise may differ without a word."""
 
@@ -38,14 +40,48 @@ def noise_floor(trajectories: Trajectories) -> Tensor:
     Args:
         trajectories: absent samples are NaN.
     """
+    plateau = differences_level(trajectories)
+    return torch.where(falls_as_noise(trajectories, plateau), plateau, torch.nan)
+
+
+def differences_level(trajectories: Trajectories) -> Tensor:
+    """Return what differences of all high orders leave of each component, (D,); NaN where they disagree."""
     samples, times = trajectories
     if samples.shape[1] <= ORDERS[-1]:
         return samples.new_full(samples.shape[-1:], torch.nan)
-    kept = without_events(samples, times)
-    sizes = [differences(kept, weights(times, order)).abs().flatten(0, 1) for order in ORDERS]
-    level = torch.stack([size.nanmedian(0).values for size in sizes]) / NORMAL
+    level = torch.stack(levels(samples, times, ORDERS))
     changes = (level[1:] / level[:-1] - 1).abs()
     return torch.where((changes <= PLATEAU).all(0), level[0], torch.nan)
+
+
+def levels(samples: Tensor, times: Tensor, orders: Sequence[int]) -> list[Tensor]:
+    """Return the standard deviations (D,) of independent noise that would leave differences as large."""
+    kept = without_events(samples, times)
+    sizes = [differences(kept, weights(times, order)).abs().flatten(0, 1) for order in orders]
+    return [size.nanmedian(0).values / NORMAL for size in sizes]
+
+
+def falls_as_noise(trajectories: Trajectories, level: Tensor) -> Tensor:
+    """Return for which components (D,) means of m samples in a row show the level over the root of m.
+
+    Those of independent noise do. A motion that is sampled a few times a period leaves differences of high
+    order as large as it is itself, but not such means. A level of a small part of the motion needs no test.
+    """
+    samples, times = trajectories
+    if samples.shape[1] <= ORDERS[-1]:
+        return torch.zeros_like(level, dtype=torch.bool)
+    flat, samples = samples.flatten(0, 1), without_events(samples, times)
+    all_of_it = (flat - flat.nanmean(0)).square().nanmean(0).sqrt()
+    small, alike = level < SMALL * all_of_it, level < (1 + MEANS) * all_of_it
+    for m in (2, 3):
+        count = samples.shape[1] // m
+        if (order := min(ORDERS[0], count - 1)) < 2:
+            continue
+        means, at = (part[:, : m * count].unflatten(1, (count, m)).mean(2) for part in (samples, times))
+        ratio = levels(means, at, (order,))[0] * m**0.5 / level
+        allowed = 1 + MEANS + 2 / (len(samples) * (count - order)) ** 0.5
+        alike &= (ratio < allowed) & (ratio > 1 / allowed)
+    return small | alike
 
 
 def weights(times: Tensor, order: int) -> Tensor:
@@ -77,7 +113,7 @@ def without_events(samples: Tensor, times: Tensor) -> Tensor:
     A single outlier is part of k + 1 differences of order k: a few per cent of outliers would reach so many
     of them that medians grow, too. Where it counts most is the largest of these.
     """
-    weight = weights(times, ORDERS[0])
+    weight = weights(times, min(ORDERS[0], samples.shape[1] - 1))
     sizes = differences(samples, weight).abs()
     values, _ = sizes.flatten(0, 1).nan_to_num(nan=torch.inf).sort(0)
     there = sizes.flatten(0, 1).isfinite().sum(0, keepdim=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ahnn.data.sensor import Sensor
+from ahnn.measurements import continuous, periods
 from ahnn.types import Trajectories
 
 
@@ -13,6 +14,7 @@ class Recorded(Sensor):
     """
 
     def measure(self, truth: Trajectories, part: int) -> Trajectories:
-        """Return the values (B, T, M) that were recorded, NaN where one is missing."""
+        """Return the recorded values (B, T, M), NaN where one is missing; angles go on over turns."""
         del part
-        return truth._replace(states=self.measurement(truth.states, truth.times))
+        values = self.measurement(truth.states, truth.times)
+        return truth._replace(states=continuous(values, periods(self.measurement)))

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from ahnn.arguments import Count, Seed, Within, checked
+from ahnn.deviations import require_squares
 from ahnn.errors import UserError
 from ahnn.measurements import Instrument, Locating, Measurement, Several, State, observe, reading
 from ahnn.memory import require_memory
@@ -114,4 +115,4 @@ def deviations(measurement: Measurement, noise: float | Sequence[float], space: 
             f"received {noise}"
         )
         raise UserError(message)
-    return torch.tensor(values, dtype=torch.float64)
+    return require_squares(torch.tensor(values, dtype=torch.float64), "data.noise")

@@ -23,6 +23,7 @@ from filelock import FileLock
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
+from ahnn.contents import require_regular
 from ahnn.files import atomic_file, require_writable
 from ahnn.systems import System
 from ahnn.types import Trajectories
@@ -172,6 +173,7 @@ def read(path: Path) -> Trajectories:
     Raises:
         ValueError: the checksum does not match.
     """
+    require_regular(path)
     with safe_open(path, framework="pt") as file:
         metadata = file.metadata()
         states, times = file.get_tensor("states"), file.get_tensor("times")

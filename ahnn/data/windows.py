@@ -91,6 +91,10 @@ class Windows:
 
 def require_span(steps: int, longest: int) -> None:
     """Raise UserError for windows of no step, or of more than the longest stretch of samples has."""
+    if longest < 1:
+        expected = "two samples in a row without a gap, for windows of steps"
+        message = f"data: expected {expected}; received {steps} steps, and none in a row"
+        raise UserError(message)
     if not 1 <= steps <= longest:
         message = (
             f"window, loss.order: expected windows of 1 to {longest} steps, the longest stretch of samples "

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from ahnn.arguments import check_arguments
 from ahnn.dynamics.base import Dynamics, HasEnergy, HasField, has_field
 from ahnn.dynamics.fields import HamiltonianDynamics, NeuralODE
 from ahnn.dynamics.maps import NextState
@@ -35,6 +36,7 @@ def make_dynamics(kind: str, **options: Any) -> Dynamics:
             f"packages that declare them in the entry-point group {KINDS.group}"
         )
         raise UserError(message)
+    check_arguments("dynamics", KINDS[kind], options)
     dynamics = KINDS[kind](**options)
     dynamics.spec = {"kind": kind, **options}
     return dynamics

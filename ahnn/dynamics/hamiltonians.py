@@ -138,7 +138,7 @@ def make_hamiltonian(
     structure: Structure,
     dof: int,
     *,
-    mass: float,
+    mass: Positive,
     mu: Positive | None,
     falloff: NonNegative = 0.0,
     inputs: InputName,

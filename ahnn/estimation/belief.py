@@ -37,7 +37,7 @@ class Status(IntEnum):
     DIVERGED = 3
     """The gate rejected too many measurements in a row."""
     IMPRECISE = 4
-    """Rounding may exceed a fraction of a standard deviation: differences too small for the numbers."""
+    """Rounding may exceed a fraction of a standard deviation: too few digits for noise so small."""
 
 
 def choose(condition: Tensor, yes: Belief, no: Belief) -> Belief:

@@ -1,22 +1,54 @@
-"""State of a recursive estimator on disk: restored bit for bit, in a file that never executes anything."""
+"""State of a recursive estimator on disk: restored bit for bit, in a file that never executes anything.
+
+Tensors and texts are under one checksum, as weights are, and within the limits of a state.
+"""
 
 from __future__ import annotations
 
-import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
 from torch import Tensor
 
-from ahnn.estimation.belief import Belief
+from ahnn.checkpoints import Weights, packed, read_safetensors
+from ahnn.errors import UserError
+from ahnn.estimation.belief import Belief, Status
 from ahnn.estimation.state import FilterState, detached
 from ahnn.files import write_cached
 
-FORMAT = "ahnn filter state 1"
-"""Raise the number when the meaning of a stored tensor changes."""
+FORMAT = "ahnn filter state 2"
+"""Raise the number when the meaning of a stored tensor changes. Format 1 had no checksum."""
+
+
+class Part(NamedTuple):
+    """What a tensor of a state must be: finite, and no smaller or larger than this.
+
+    Attributes:
+        axes: of B members and D components.
+        dtype: of its numbers.
+        least, most: limits of each.
+    """
+
+    axes: str
+    dtype: torch.dtype
+    least: float = -math.inf
+    most: float = math.inf
+
+
+PARTS = {
+    "mean": Part("BD", torch.float64),
+    "chol": Part("BDD", torch.float64),
+    "time": Part("", torch.float64),
+    "steps": Part("", torch.int64, 0),
+    "status": Part("B", torch.int64, 0, max(Status)),
+    "failed_step": Part("B", torch.int64, -1),
+    "rejections": Part("B", torch.int64, 0),
+    "repairs": Part("B", torch.int64, 0),
+    "log_likelihood": Part("B", torch.float64),
+}
 
 
 def save_state(state: FilterState, path: Path | str, notes: Mapping[str, str] | None = None) -> None:
@@ -26,11 +58,16 @@ def save_state(state: FilterState, path: Path | str, notes: Mapping[str, str] | 
         state: what is written.
         path: of the file.
         notes: texts that are kept beside it, for `load_notes`.
+
+    Raises:
+        ValueError: what is no state, which `load_state` would refuse.
     """
     parts = _named(detached(state))
+    _check(parts)
     orders = {name: _order(part) for name, part in parts.items()}
-    content = {name: part.permute(orders[name]).contiguous().clone() for name, part in parts.items()}
-    write_cached(Path(path), save(content, {**(notes or {}), "format": FORMAT, "orders": json.dumps(orders)}))
+    content = {name: part.cpu().permute(orders[name]).contiguous().clone() for name, part in parts.items()}
+    about = {"format": FORMAT, "orders": orders, "notes": dict(notes or {})}
+    write_cached(Path(path), packed(Weights(content, about)))
 
 
 def load_state(path: Path | str, device: torch.device | str = "cpu") -> FilterState:
@@ -38,30 +75,69 @@ def load_state(path: Path | str, device: torch.device | str = "cpu") -> FilterSt
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: it is damaged, or no state.
+        ValueError: it is damaged, of an earlier format, or no state.
     """
+    stored, about = _read(Path(path))
     try:
-        with safe_open(path, framework="pt", device=str(device)) as file:
-            metadata = file.metadata() or {}
-            if metadata.get("format") != FORMAT:
-                raise KeyError(FORMAT)  # noqa: TRY301 - one message for all that is no state
-            orders = json.loads(metadata["orders"])
-            parts = {
-                name: file.get_tensor(name).permute([order.index(i) for i in range(len(order))])
-                for name, order in orders.items()
-            }
-        belief = Belief(parts.pop("mean"), parts.pop("chol"))
-        return FilterState(belief=belief, **parts)
-    except (SafetensorError, KeyError, TypeError, ValueError) as error:
-        message = f"path: expected a file written by save_state; received {path} ({error})"
-        raise ValueError(message) from error
+        orders = about["orders"]
+        parts = {
+            name: part.to(device).permute([orders[name].index(i) for i in range(part.ndim)])
+            for name, part in stored.items()
+        }
+        _check(parts)
+    except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+        raise ValueError(_refusal(path, error)) from error
+    belief = Belief(parts.pop("mean"), parts.pop("chol"))
+    return FilterState(belief=belief, **parts)
 
 
 def load_notes(path: Path | str) -> dict[str, str]:
-    """Return the texts beside a state that `load_state` reads."""
-    with safe_open(path, framework="pt") as file:
-        metadata = file.metadata()
-    return {name: text for name, text in metadata.items() if name not in ("format", "orders")}
+    """Return the texts beside a state that `load_state` reads; raises as it does."""
+    return _read(Path(path)).about["notes"]
+
+
+def _read(path: Path) -> Weights:
+    """Return what a file of this format holds, as it was written.
+
+    Raises:
+        FileNotFoundError: there is none.
+        ValueError: it is damaged, or of another format.
+    """
+    if not path.exists():
+        raise FileNotFoundError(path)
+    if not path.is_file():
+        raise ValueError(_refusal(path, "no file"))
+    try:
+        content = read_safetensors(path, "state")
+    except UserError as error:
+        raise ValueError(_refusal(path, "damaged")) from error
+    if content.about.get("format") != FORMAT:
+        raise ValueError(_refusal(path, "another format"))
+    return content
+
+
+def _refusal(path: Path | str, reason: object) -> str:
+    return (
+        f"path: expected a file written by save_state, of this version; received {path} ({reason}). "
+        "Begin again with another state"
+    )
+
+
+def _check(parts: dict[str, Any]) -> None:
+    """Refuse tensors that are no state; raises ValueError with the first that is not."""
+    if parts.keys() != PARTS.keys():
+        message = f"expected {', '.join(PARTS)}; received {', '.join(parts)}"
+        raise ValueError(message)
+    sizes = dict(zip("BD", parts["mean"].shape, strict=True))
+    for name, (axes, dtype, least, most) in PARTS.items():
+        part, shape = parts[name], tuple(sizes[axis] for axis in axes)
+        known = part.dtype == dtype and tuple(part.shape) == shape and bool(part.isfinite().all())
+        if not known or bool(((part < least) | (part > most)).any()):
+            message = (
+                f"{name}: expected finite {dtype} of shape {shape}, from {least:g} to {most:g}; received "
+                f"{part.dtype} {tuple(part.shape)}, or numbers beyond"
+            )
+            raise ValueError(message)
 
 
 def _named(state: FilterState) -> dict[str, Tensor]:

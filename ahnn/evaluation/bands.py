@@ -12,7 +12,9 @@ from torch import Tensor
 from ahnn.dynamics import Dynamics
 from ahnn.evaluation import style
 from ahnn.evaluation.case import Case
+from ahnn.labels import quantity
 from ahnn.metrics import errors
+from ahnn.types import Space
 from ahnn.uncertainty import Uncertainty, rollout_sensitivities
 
 SIGMAS = (1, 2, 3)
@@ -42,13 +44,13 @@ class Band(NamedTuple):
     bound: tuple[float, float]
     efficiency: tuple[float, float]
 
-    def sentence(self) -> str:
+    def sentence(self, space: Space) -> str:
         """Return the finding as a note under the table."""
         return (
             f"its bands of 1, 2 and 3 standard deviations hold {percent(self.coverage)} % of unseen states "
             f"({right_bands(self.right)}); "
-            f"the error is {self.efficiency[0]:.2f} (position) and {self.efficiency[1]:.2f} (velocity) "
-            "of the noise bound"
+            f"the error is {self.efficiency[0]:.2f} (position) and {self.efficiency[1]:.2f} "
+            f"({quantity(space, 'velocity')[0]}) of the noise bound"
         )
 
     def numbers(self) -> dict[str, Any]:
@@ -72,14 +74,14 @@ def banded(case: Case, uncertainty: Uncertainty, prediction: Tensor) -> Band:
             within += held(own[seen] @ draws, own[seen].norm(dim=-1, keepdim=True))
     deviations, alone = (torch.cat(some).sqrt() for some in zip(*parts, strict=True))
     alone = alone / uncertainty.inflation**0.5  # the last column is the offset, and both are inflated
-    bound = norms(alone.where(there, torch.nan), case.space.inertia)
-    real = norms(off, case.space.inertia)
+    bound = norms(alone.where(there, torch.nan), case.space.divisor)
+    real = norms(off, case.space.divisor)
     later, band = off[:, 1:].abs(), deviations[:, 1:]
     return Band(
         deviations=deviations,
         coverage=tuple(float((later <= k * band)[there[:, 1:]].double().mean()) for k in SIGMAS),
         right=middle(within / int(there[:, 1:].sum())),
-        expected=norms(deviations.where(there, torch.nan), case.space.inertia),
+        expected=norms(deviations.where(there, torch.nan), case.space.divisor),
         bound=bound,
         efficiency=(real[0] / bound[0], real[1] / bound[1]),
     )
@@ -128,7 +130,7 @@ def band_figure(case: Case, prediction: Tensor, deviations: Tensor) -> Figure:
     panels = figure.subplots(2, 1, sharex=True)
     axis, names = style.time_axis(case), style.state_labels(case)
     off = errors(prediction, case.test.states)[0]
-    for axes, i, unit in zip(panels, (0, case.space.dof), (1.0, case.space.inertia), strict=True):
+    for axes, i, unit in zip(panels, (0, case.space.dof), (1.0, case.space.divisor), strict=True):
         sd = deviations[0, :, i] / unit
         for k, alpha in zip(SIGMAS, (0.5, 0.3, 0.15), strict=True):
             axes.fill_between(

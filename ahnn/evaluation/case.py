@@ -106,7 +106,7 @@ class Case:
         energies = None
         if self.truth is not None and self.true_energy is not None:
             energies = self.truth.energy(prediction), self.true_energy[:, first:]
-        return score(prediction, truth, energies, self.space.inertia)
+        return score(prediction, truth, energies, self.space.divisor)
 
 
 class Who(NamedTuple):

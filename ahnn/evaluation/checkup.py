@@ -41,16 +41,27 @@ def checkup(found: Examined) -> RenderableType:
     counts = ", ".join(f"{len(part)} {level}{'s' * (len(part) != 1)}" for level, part in levels.items())
     samples = sum(len(part.times) for content in found.contents for part in content.tracks)
     files = {finding.file for finding in found.findings} | {c.tracks[0].file for c in found.contents}
-    head = f"{len(files)} file{'s' * (len(files) != 1)}, {samples:,} samples: {counts}"
+    many = "s" * (samples != 1)
+    head = f"{len(files)} file{'s' * (len(files) != 1)}, {samples:,} sample{many}: {counts}"
+    taken = [line for content in found.contents if (line := columns(content))]
     if not found.findings:
-        return head
+        return Group(*taken, head)
     table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
     for name, width in (("", 7), ("file", 12), ("row", 6), ("column", 6), ("what", 24), ("what to do", 20)):
         table.add_column(name, width=width, overflow="fold", justify="right" if name == "row" else "left")
     for level, part in levels.items():
         for cells in shortened(sorted(part, key=lambda one: (one.file, one.row))):
             table.add_row(level, *cells)
-    return Group(table, "", head)
+    return Group(table, "", *taken, head)
+
+
+def columns(content: Content) -> str:
+    """Return what each column of a table was taken for; "" for formats that say it."""
+    roles: dict[str, list[str]] = {}
+    for name, role, unit in content.columns:
+        roles.setdefault(role, []).append(f"{name} [{unit}]" if unit else name)
+    listed = "; ".join(f"{role} {', '.join(names)}" for role, names in roles.items())
+    return f"{Path(content.tracks[0].file).name}: {listed}" if roles else ""
 
 
 def shortened(findings: list[Finding]) -> Iterator[tuple[str, str, str, str, str]]:

@@ -20,11 +20,13 @@ from torch import Tensor
 from ahnn.dynamics.derivatives import knows_velocities
 from ahnn.evaluation.bands import norms
 from ahnn.evaluation.case import Case
+from ahnn.labels import quantity
 from ahnn.measurements import Segment
 from ahnn.metrics import errors
 from ahnn.rollouts import rollout
 from ahnn.systems import System
 from ahnn.systems.truth import varied_flow
+from ahnn.types import Space
 
 STEP = 1e-6
 """Of central differences, as a fraction of a constant, or of the largest position or momentum of a start."""
@@ -52,11 +54,12 @@ class ForceBound(NamedTuple):
     bound: tuple[float, float]
     efficiency: tuple[float, float]
 
-    def sentence(self) -> str:
+    def sentence(self, space: Space) -> str:
         """Return the finding as a note under the table."""
+        second, _ = quantity(space, "velocity")
         return (
             f"the error from the true start is {self.efficiency[0]:.3g} (position) and "
-            f"{self.efficiency[1]:.3g} (velocity) of the bound of the true force with unknown "
+            f"{self.efficiency[1]:.3g} ({second}) of the bound of the true force with unknown "
             f"{', '.join(self.constants)} and starts"
         )
 
@@ -97,8 +100,8 @@ def force_bound(case: Case, prediction: Tensor) -> ForceBound | None:
         return None
     covariance = torch.cholesky_inverse(factor)
     off = errors(prediction, case.test.states)
-    bound = norms(rollout_deviations(case, system, names, covariance), case.space.inertia)
-    real = norms(off, case.space.inertia)
+    bound = norms(rollout_deviations(case, system, names, covariance), case.space.divisor)
+    real = norms(off, case.space.divisor)
     return ForceBound(
         constants=names,
         deviations=tuple(covariance.diagonal().sqrt().tolist()),

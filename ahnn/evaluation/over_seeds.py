@@ -14,6 +14,7 @@ from ahnn.evaluation.results import Results, load_results
 from ahnn.evaluation.table import number
 from ahnn.evaluation.terminal import WIDTH
 from ahnn.evaluation.titles import MODEL, estimator_title
+from ahnn.labels import headed
 
 COLUMNS = [(start, quantity) for start in ("true", "perturbed") for quantity in ("position", "velocity")]
 CELL = 16
@@ -40,10 +41,10 @@ def summary(folder: Path, names: Iterable[str]) -> str:
 
 def seeds_table(runs: list[Results]) -> Iterator[str]:
     """Yield the lines: for each estimator a line a model, mean and relative spread, and the floor."""
-    units, models = runs[0].space.units, list(dict.fromkeys(run.label for run in runs))
+    models = list(dict.fromkeys(run.label for run in runs))
     width = max(5, *map(len, models)) + 2
     yield " " * width + f"{'true start':>{2 * CELL}}{'perturbed start':>{2 * CELL}}"
-    heads = [f"{quantity} [{getattr(units, quantity)}]" for _, quantity in COLUMNS]
+    heads = [headed(runs[0].space, quantity) for _, quantity in COLUMNS]
     yield " " * width + "".join(f"{head:>{CELL}}" for head in heads)
     estimators = dict.fromkeys(
         row.who.estimator for run in runs for row in run.rows if row.who.process == MODEL

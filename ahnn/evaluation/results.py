@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, get_args, get_type_hints
 
+from ahnn.contents import read_json
 from ahnn.errors import UserError
 from ahnn.evaluation.case import Row, Who
 from ahnn.evaluation.titles import title
@@ -57,14 +57,11 @@ def load_results(folder: Path | str) -> Results:
         UserError: there is none, it is damaged, or of another schema.
     """
     path = Path(folder) / FILE
+    content = read_json(path)
+    schema = content.get("schema", "none")
     try:
-        content = json.loads(path.read_text())
-        schema = content.get("schema", "none")
         results = decoded(content) if schema == SCHEMA else None
-    except OSError as error:
-        message = f"{path}: expected the results of an evaluation; received: {error.strerror}"
-        raise UserError(message) from error
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         reason = f"no {error}" if isinstance(error, KeyError) else error
         message = f"{path}: expected the results of an evaluation; received a damaged file: {reason}"
         raise UserError(message) from error
@@ -90,6 +87,7 @@ def encoded(results: Results) -> dict[str, Any]:
         "components": space.components,
         "inertia": space.inertia,
         "frame": space.frame,
+        "mechanical": space.mechanical,
         "rows": [
             {"name": title(r.who, results.label), **r.who._asdict(), **r.scores._asdict()}
             | {"note": r.note, "extra": r.extra}
@@ -109,10 +107,13 @@ def decoded(content: Mapping[str, Any]) -> Results:
     units = Units(**{key: _text(value) for key, value in content["units"].items()})
     components = tuple(_text(name) for name in content["components"])
     frame = _text(content.get("frame", ""))  # earlier versions have none
+    mechanical = content.get("mechanical", True) is True
     return Results(
         label=_text(content["model"]),
         assumes=_text(content["assumes"]),
-        space=Space(_text(content["system"]), components, units, _number(content["inertia"]), frame),
+        space=Space(
+            _text(content["system"]), components, units, _number(content["inertia"]), frame, mechanical
+        ),
         rows=tuple(_row(row) for row in content["rows"]),
         training=restored(dict(content["training"])),
         numbers=restored(dict(content["plugins"])),

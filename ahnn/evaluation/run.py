@@ -61,7 +61,7 @@ def add_band(case: Case, uncertainty: Uncertainty, findings: Findings, *, figure
     """Add the band of the prediction from the true start to the findings of the open loop."""
     prediction = findings.arrays["true_start"]
     band = banded(case, uncertainty, prediction)
-    findings.tell(band.sentence())
+    findings.tell(band.sentence(case.space))
     findings.numbers["uncertainty"] |= band.numbers()
     findings.arrays["true_start_deviations"] = band.deviations
     if figures:
@@ -81,7 +81,7 @@ def add_force_bound(case: Case, findings: Findings) -> None:
     """Add the bound of the true force to the row of the prediction from the true start, where it is known."""
     bound = force_bound(case, findings.arrays["true_start"])
     if bound is not None:
-        findings.tell(bound.sentence())
+        findings.tell(bound.sentence(case.space))
         row = findings.rows[0]
         findings.rows[0] = row._replace(extra={**row.extra, "force_bound": bound.numbers()})
 

@@ -14,6 +14,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from torch import Tensor
 
 from ahnn.evaluation.case import Case
+from ahnn.labels import components, quantity
 
 ORANGE, SKY, GREEN, BLUE = "#E69F00", "#56B4E9", "#009E73", "#0072B2"
 VERMILLION, PURPLE, BLACK = "#D55E00", "#CC79A7", "#000000"
@@ -91,15 +92,13 @@ def label_time(axes: Any, axis: Axis) -> None:
 def label_errors(case: Case, panels: Iterable[Any], word: str = "error") -> None:
     """Label the vertical axes of a panel of positions and one of velocities, if there is one."""
     for axes, name in zip(panels, NAMES, strict=False):
-        axes.set_ylabel(f"{name} {word} [{getattr(case.space.units, name)}]")
+        called, unit = quantity(case.space, name)
+        axes.set_ylabel(f"{called} {word} [{unit}]")
 
 
 def state_labels(case: Case) -> list[str]:
-    """Return the names of the state components with their units, momenta as velocities."""
-    n, units = case.space.dof, case.space.units
-    names = enumerate(case.space.components)
-    scale = "" if case.space.inertia == 1 else " / m"
-    return [f"{s} [{units.position}]" if i < n else f"{s}{scale} [{units.velocity}]" for i, s in names]
+    """Return the names of the state components with their units, momenta as velocities where they are."""
+    return components(case.space)
 
 
 def legend_below(figure: Figure, *panels: Any) -> None:

@@ -11,6 +11,7 @@ from ahnn.evaluation.case import Row, Who
 from ahnn.evaluation.results import Results
 from ahnn.evaluation.terminal import WIDTH
 from ahnn.evaluation.titles import MODEL, described, estimator_title, title
+from ahnn.labels import headed, quantity
 
 NUMBER = 9
 """Columns of a number: `1.23e-300` is the longest score."""
@@ -102,8 +103,7 @@ def _columns(lines: list[Line], results: Results) -> Iterator[str]:
     width = max([least, *(len(cell) for _, cells in body for group in cells for cell in group)])
     between = "  " if width < NUMBER else " "
     group = len(sides) * (width + 1) - 1
-    units = results.space.units._asdict()
-    heads = [textwrap.wrap(f"{quantity} [{units[quantity]}]", group) for quantity in known]
+    heads = [textwrap.wrap(headed(results.space, quantity), group) for quantity in known]
     depth = max((len(head) for head in heads), default=0)
     names = max([18, *(2 + len(line.name) for line in lines)])
     for i in range(depth):
@@ -150,14 +150,15 @@ def _explanations(results: Results) -> Iterator[str]:
 
 def _details(row: Row, results: Results) -> str:
     """Return the scores of a row that the table has no column for."""
-    units, names = results.space.units, results.space.components
-    n = results.space.dof
-    labels = [*names[:n], *(f"{name}/m" for name in names[n:])]
+    space, names = results.space, results.space.components
+    over = "/m" if space.mechanical else ""
+    labels = [*names[: space.dof], *(name + over for name in names[space.dof :])]
     parts = zip(labels, row.scores.components, strict=False)
+    (position, where), (velocity, how_fast) = (quantity(space, name) for name in QUANTITIES[:2])
     components = ", ".join(f"{name} {number(value)}" for name, value in parts)
     return (
-        f"{described(row.who, results.label)}: pooled position {number(row.scores.position_pooled)} "
-        f"{units.position}, pooled velocity {number(row.scores.velocity_pooled)} {units.velocity}; "
+        f"{described(row.who, results.label)}: pooled {position} {number(row.scores.position_pooled)} "
+        f"{where}, pooled {velocity} {number(row.scores.velocity_pooled)} {how_fast}; "
         f"components {components}"
     )
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import torch
 from torch import Tensor
 
-from ahnn.arguments import Count, Within, checked
+from ahnn.arguments import Within, checked
 from ahnn.errors import UserError
 from ahnn.integrators.base import Integrator, column
 from ahnn.types import TimeStep, VectorField
@@ -31,7 +31,7 @@ class GaussLegendre4(Integrator):
     """
 
     tolerance: Annotated[float, Within(above=0, below=1)] = 1e-14
-    max_iterations: Count = 50
+    max_iterations: Annotated[int, Within(1, 1000)] = 50
     name: str = "gl4"
     order: int = 4
 

@@ -6,7 +6,8 @@ members of `Measurement`: one class, and one YAML file that names it.
 
 from __future__ import annotations
 
-from ahnn.measurements.base import Locating, Measurement, Sighted, Time, observe, wrap
+from ahnn.measurements.angles import continuous, nearest, periods, residual, wrap
+from ahnn.measurements.base import Locating, Measurement, Sighted, Time, observe
 from ahnn.measurements.gnss import GnssRange
 from ahnn.measurements.ground_station import GroundStation
 from ahnn.measurements.readings import Position, State, reading
@@ -27,9 +28,13 @@ __all__ = [
     "Sighted",
     "State",
     "Time",
+    "continuous",
     "every",
+    "nearest",
     "observe",
+    "periods",
     "reading",
+    "residual",
     "schedule",
     "wrap",
 ]

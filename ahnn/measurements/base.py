@@ -1,8 +1,7 @@
-"""What a measurement model is, what it sees of a state, and angles that wrap."""
+"""What a measurement model is, and what it sees of a state."""
 
 from __future__ import annotations
 
-import math
 from typing import Protocol, runtime_checkable
 
 import torch
@@ -13,11 +12,12 @@ Time = float | Tensor
 
 
 class Measurement(Protocol):
-    """Map of states to measurements, and what their difference means.
+    """Map of states to measurements; see `ahnn.measurements.angles` for what their difference means.
 
     Attributes:
         names: of the M components.
-        units: of the M components.
+        units: of the M components. Those in rad or deg are angles, unless the model has `periods` of the M
+            components, inf of one that does not come again, such as a counter of turns.
     """
 
     @property
@@ -32,10 +32,6 @@ class Measurement(Protocol):
 
     def __call__(self, x: Tensor, t: Time) -> Tensor:
         """Return the measurements (..., M) of the states x (..., D) at time t."""
-        ...
-
-    def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
-        """Return y - y_pred, shape (..., M), with angles wrapped to (-pi, pi]."""
         ...
 
 
@@ -72,14 +68,6 @@ def observe(measurement: Measurement, x: Tensor, t: Time) -> Tensor:
     if isinstance(measurement, Sighted):
         return torch.where(measurement.in_view(x, t), y, torch.nan)
     return y
-
-
-def wrap(angle: Tensor) -> Tensor:
-    """Return the angle in (-pi, pi]; an angle that is already there is returned as it is, bit for bit."""
-    turned = angle - 2.0 * math.pi * torch.round(angle / (2.0 * math.pi))
-    # Rounding may have put it just outside.
-    turned = torch.where(turned > math.pi, turned - 2.0 * math.pi, turned)
-    return torch.where(turned <= -math.pi, turned + 2.0 * math.pi, turned)
 
 
 def check_state(x: Tensor, least: int, who: str) -> None:

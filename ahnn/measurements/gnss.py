@@ -7,12 +7,13 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from ahnn.measurements.angles import Differing
 from ahnn.measurements.base import Time, check_state
 from ahnn.measurements.interpolation import lagrange
 from ahnn.numbers import as_float64, described
 
 
-class GnssRange:
+class GnssRange(Differing):
     """Pseudoranges to N satellites whose positions are given, in the frame and unit of the state.
 
     Between the rows of a table a polynomial of the stated order is laid through the rows nearest to the time,
@@ -58,10 +59,6 @@ class GnssRange:
         satellites = self._at(t).to(x)
         ranges = (x[..., None, :3] - satellites).square().sum(-1).sqrt()
         return ranges if self.clock is None else ranges + x[..., self.clock, None]
-
-    def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
-        """Return y - y_pred."""
-        return y - y_pred
 
     def _at(self, t: Time) -> Tensor:
         """Return the satellite positions (N, 3) at time t, or (..., N, 3) at times t, shape (...)."""

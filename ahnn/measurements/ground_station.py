@@ -12,7 +12,8 @@ import torch
 from torch import Tensor
 
 from ahnn.arguments import Finite, Positive, Within, checked
-from ahnn.measurements.base import Time, check_state, wrap
+from ahnn.measurements.angles import Differing, wrap
+from ahnn.measurements.base import Time, check_state
 
 EARTH_RATE = 7.2921150e-5
 """Rotation rate of the Earth in rad/s (IERS Conventions 2010, table 1.2, nominal value)."""
@@ -29,7 +30,7 @@ Degrees = Annotated[float, Within(-90, 90)]
 
 
 @checked
-class GroundStation:
+class GroundStation(Differing):
     """Range, azimuth, elevation and, if asked for, range-rate seen from a point on a rotating Earth.
 
     Azimuth counts from north through east, in (-pi, pi]; elevation from the plane normal to the ellipsoid's
@@ -41,7 +42,7 @@ class GroundStation:
         longitude: degrees, positive east.
         height: above the ellipsoid, km.
         range_rate: also measure the range-rate.
-        earth_angle: angle of the Greenwich meridian from the inertial x axis at t = 0, rad.
+        earth_angle: angle of the Greenwich meridian from the inertial x axis at t = 0, rad; None is 0.
         rotation_rate: of the Earth, rad/s.
         radius: equatorial, km.
         flattening: of the ellipsoid; 0 for a sphere.
@@ -59,7 +60,7 @@ class GroundStation:
         height: Finite = 0.0,
         *,
         range_rate: bool = False,
-        earth_angle: Finite = 0.0,
+        earth_angle: Finite | None = None,
         rotation_rate: Finite = EARTH_RATE,
         radius: Positive = EARTH_RADIUS,
         flattening: Annotated[float, Within(0, below=1)] = EARTH_FLATTENING,
@@ -72,7 +73,7 @@ class GroundStation:
         self.units = ("km", "rad", "rad", *(("km/s",) if range_rate else ()))
         self.latitude = math.radians(latitude)
         self.longitude = math.radians(longitude)
-        self.earth_angle = earth_angle
+        self.earth_angle = earth_angle or 0.0
         self.rotation_rate = rotation_rate
         sine = math.sin(self.latitude)
         squared_eccentricity = flattening * (2.0 - flattening)
@@ -109,12 +110,6 @@ class GroundStation:
         """Return whether the states x (..., D) stand at the least elevation or higher, (..., M) bool."""
         seen = self(x, t)
         return (seen[..., 2:3] >= self.min_elevation).expand_as(seen)
-
-    def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
-        """Return y - y_pred, the azimuth wrapped to (-pi, pi]."""
-        difference = y - y_pred
-        azimuth = wrap(difference[..., 1:2])
-        return torch.cat((difference[..., :1], azimuth, difference[..., 2:]), dim=-1)
 
     def _frame(self, like: Tensor, t: Time) -> tuple[Tensor, Tensor, Tensor]:
         """Return the station's position, its axes east, north, up as columns, and its velocity, inertial.

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from torch import Tensor
 
+from ahnn.labels import momentum_unit
+from ahnn.measurements.angles import Differing
 from ahnn.measurements.base import Measurement, Time
 from ahnn.types import Space
 
 
-class Position:
+class Position(Differing):
     """The first n of 2 n state components: the positions q, as in the paper.
 
     Args:
@@ -28,12 +30,8 @@ class Position:
         """Return the positions themselves, shape (..., n)."""
         return y
 
-    def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
-        """Return y - y_pred."""
-        return y - y_pred
 
-
-class State:
+class State(Differing):
     """The whole state, positions and momenta.
 
     Args:
@@ -53,10 +51,6 @@ class State:
         """Return the states themselves, shape (..., 2n)."""
         return y
 
-    def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
-        """Return y - y_pred."""
-        return y - y_pred
-
 
 def reading(name: str, space: Space) -> Measurement:
     """Return the measurement called `position` or `state` of a space.
@@ -67,6 +61,7 @@ def reading(name: str, space: Space) -> Measurement:
     if name == "position":
         return Position(space.dof, space.units.position)
     if name == "state":
-        return State(space.dof, (space.units.position, f"{space.units.velocity} · mass"))
+        momentum = f"{space.units.velocity} · mass" if space.mechanical else momentum_unit(space)
+        return State(space.dof, (space.units.position, momentum))
     message = f"expected state, position or a model; received {name!r}"
     raise ValueError(message)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.measurements.angles import residual
 from ahnn.measurements.base import Measurement
 
 
@@ -64,6 +65,6 @@ class Segment(NamedTuple):
             states: (B, K + 1, D) predicted at the times of the measurements.
         """
         measurement = self.instrument.measurement
-        difference = -measurement.residual(self.values, measurement(states, self.times))
+        difference = -residual(measurement, self.values, measurement(states, self.times))
         scaled = difference / self.instrument.deviations.to(states)
         return torch.where(self.values.isnan(), torch.zeros_like(scaled), scaled)

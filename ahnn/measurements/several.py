@@ -8,6 +8,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
+from ahnn.measurements.angles import periods, residual
 from ahnn.measurements.base import Locating, Measurement, Sighted, Time
 
 
@@ -29,6 +30,7 @@ class Several:
         self.sizes = [len(model.names) for model in self.models]
         self.names = tuple(f"{k}.{name}" for k, model in enumerate(self.models, 1) for name in model.names)
         self.units = tuple(unit for model in self.models for unit in model.units)
+        self.periods = tuple(period for model in self.models for period in periods(model))
 
     def __call__(self, x: Tensor, t: Time) -> Tensor:
         """Return the measurements (..., M) of the states x (..., D), in view or not."""
@@ -47,7 +49,7 @@ class Several:
     def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
         """Return y - y_pred, each part as its model takes differences."""
         parts = zip(self.models, y.split(self.sizes, -1), y_pred.split(self.sizes, -1), strict=True)
-        return torch.cat([model.residual(a, b) for model, a, b in parts], dim=-1)
+        return torch.cat([residual(model, a, b) for model, a, b in parts], dim=-1)
 
     def locate(self, y: Tensor, t: Time) -> Tensor:
         """Return the mean of the positions (..., n) that y (..., M) are read as; NaN where none is."""

@@ -16,10 +16,11 @@ from torch import Tensor
 from torch.nn.functional import pad
 from torch.nn.utils import parameters_to_vector
 
+from ahnn.deviations import require_finite
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.dynamics.variations import own_jacobians
-from ahnn.errors import UserError
+from ahnn.errors import TrainingError, UserError
 from ahnn.memory import require_memory
 from ahnn.progress import track
 from ahnn.shooting.paths import Steps, in_quarters, path, sensitivities, steps_between
@@ -61,17 +62,17 @@ class Knowledge(NamedTuple):
     Attributes:
         spread: factor (P, R) of the covariance of the parameters, or None.
         domain: where they were learned, or None.
-        deviations: (D,) standard deviations of the starts, or None where they are exact.
+        start: factor (D, D) or (B, D, D) of the covariance of the starts, or None where they are exact.
     """
 
     spread: Tensor | None = None
     domain: Domain | None = None
-    deviations: Tensor | None = None
+    start: Tensor | None = None
 
     @property
     def columns(self) -> int:
         """How many columns the factor of a state's covariance has; 0 where nothing is known of it."""
-        of_starts = 0 if self.deviations is None else len(self.deviations)
+        of_starts = 0 if self.start is None else self.start.shape[-1]
         return of_starts + (0 if self.spread is None else self.spread.shape[1])
 
 
@@ -159,8 +160,8 @@ class _Path:
         """Take the starts (B, D) and return them as rows."""
         self.x, size, states = start, start.shape[1], start.unsqueeze(1)
         moved = start.new_zeros(len(start), size, self.known.columns)
-        if self.known.deviations is not None:
-            moved[..., -size:] = self.known.deviations.diag()
+        if self.known.start is not None:
+            moved[..., -size:] = self.known.start
         self.moved = moved.float()
         return _Rows(states, self._covariances(moved.unsqueeze(1)), self._novelty(states))
 
@@ -229,15 +230,6 @@ def together(predictions: Sequence[Prediction]) -> Prediction:
     return Prediction(first.times, states.mean(0), covariances, novelty)
 
 
-def require_finite(start: Tensor) -> None:
-    """Refuse starts (B, D) with NaN or infinity; raises UserError."""
-    wrong = ~start.isfinite().all(-1)
-    if bool(wrong.any()):
-        row = int(wrong.nonzero()[0])
-        message = f"start: expected finite numbers; received {start[row].tolist()} in start {row + 1}"
-        raise UserError(message)
-
-
 def require_times(times: Tensor) -> None:
     """Refuse times that are not (T,), finite and increasing; raises UserError."""
     if times.ndim != 1 or len(times) < 2 or not bool((times.diff() > 0).all() & times.isfinite().all()):
@@ -246,3 +238,18 @@ def require_times(times: Tensor) -> None:
             f"times: expected two or more that increase, the first that of the start; received {received}"
         )
         raise UserError(message)
+
+
+def require_finite_prediction(prediction: Prediction, unit: str) -> None:
+    """Refuse predicted states or covariances that are not finite; raises TrainingError with their time."""
+    wrong = ~prediction.states.isfinite().all(-1)
+    if prediction.covariances is not None:
+        wrong |= ~prediction.covariances.isfinite().all(-1).all(-1)
+    if bool(wrong.any()):
+        lost = int(wrong.any(0).nonzero()[0])
+        row, time = int(wrong[:, lost].nonzero()[0]), float(prediction.times[lost])
+        message = (
+            f"prediction: expected finite states; received NaN or infinity {time:g} {unit} after start "
+            f"{row + 1}. Nothing is written: shorten duration, or look at start and model"
+        )
+        raise TrainingError(message)

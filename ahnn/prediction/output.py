@@ -4,22 +4,23 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ahnn.data.files import sidecar
 from ahnn.data.files.messages import SUFFIXES as MESSAGES
 from ahnn.data.files.messages import write_oem
+from ahnn.data.starts import Starts
 from ahnn.errors import UserError
 from ahnn.files import write_atomically
 from ahnn.manifest import require_own
 from ahnn.prediction.kernel import Prediction
-from ahnn.prediction.message import ephemerides, frame_of
-from ahnn.prediction.starts import Starts, words
-from ahnn.prediction.table import as_csv, as_parquet, columns
+from ahnn.prediction.message import ephemerides
+from ahnn.prediction.table import as_csv, as_parquet, columns, described
 from ahnn.types import Space
 
 SUFFIXES = (".csv", ".parquet", ".oem", ".xml")
 PICTURES = (".png", ".svg")
 
 
-def require_output(path: Path, starts: Starts, space: Space, frame: str) -> None:
+def require_output(path: Path, starts: Starts, space: Space) -> None:
     """Refuse, before anything is computed, a file that cannot be written.
 
     Raises:
@@ -31,7 +32,9 @@ def require_output(path: Path, starts: Starts, space: Space, frame: str) -> None
     require_own([path], "output")
     if path.suffix.lower() in MESSAGES:
         nothing = Prediction(starts.times[:1], starts.states.unsqueeze(1))
-        ephemerides(nothing, starts, space, frame_of(frame))
+        ephemerides(nothing, starts, space)
+    else:
+        sidecar.require_place(path)
 
 
 def require_other(path: Path, start: Path) -> None:
@@ -41,7 +44,7 @@ def require_other(path: Path, start: Path) -> None:
         raise UserError(message)
 
 
-def write(path: Path, prediction: Prediction, starts: Starts, space: Space, frame: str) -> None:
+def write(path: Path, prediction: Prediction, starts: Starts, space: Space) -> None:
     """Write a prediction.
 
     Raises:
@@ -49,11 +52,11 @@ def write(path: Path, prediction: Prediction, starts: Starts, space: Space, fram
     """
     suffix = path.suffix.lower()
     if suffix in MESSAGES:
-        write_oem(path, ephemerides(prediction, starts, space, frame_of(frame)))
+        write_oem(path, ephemerides(prediction, starts, space))
         return
-    utc = clock_of(frame) == "UTC"
-    found = columns(prediction, starts, space, utc=utc)
+    found = columns(prediction, starts, space)
     write_atomically(path, as_csv(found) if suffix == ".csv" else as_parquet(found))
+    sidecar.write(path, described(starts, space))
 
 
 def require_figure(path: Path) -> None:
@@ -70,8 +73,3 @@ def draw(path: Path, prediction: Prediction, space: Space, title: str) -> None:
     from ahnn.prediction.figure import prediction_figure
 
     write_atomically(path, drawn(prediction_figure(prediction, space, title), path.suffix.lower()))
-
-
-def clock_of(frame: str) -> str:
-    """Return the time system of a frame such as "EME2000, EARTH, TAI"; UTC where none is named."""
-    return [*(word.upper() for word in words(frame)), "", "", "UTC"][2] or "UTC"

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from ahnn.data.starts import Starts
 from ahnn.prediction.kernel import Prediction
-from ahnn.prediction.starts import Starts
 from ahnn.prediction.table import labels
 from ahnn.types import Space
 from ahnn.uncertainty import BEYOND
@@ -14,11 +14,11 @@ def summary(prediction: Prediction, starts: Starts, space: Space, title: str) ->
     count, samples, _ = prediction.states.shape
     end = f"{float(prediction.times[-1]):g} {space.units.time}"
     whose = f", {starts.names[0]} of {count} trajectories" if count > 1 else ""
-    lines = [f"{title}: {samples:,} states over {end}{whose}", ""]
+    lines = [f"{title}: {samples:,} states over {end}{whose}", str(starts.reference)]
     deviations = prediction.deviations
     lines.append(f"  {'':16s}{'last state':>16s}{'1 sigma':>12s}")
     for k, name in enumerate(labels(space)):
-        scale = 1.0 if k < space.dof else 1 / space.inertia
+        scale = 1.0 if k < space.dof else 1 / space.divisor
         value = float(prediction.states[0, -1, k]) * scale
         sigma = "not known" if deviations is None else f"{float(deviations[0, -1, k]) * scale:.3g}"
         lines.append(f"  {name:16s}{value:>16.9g}{sigma:>12s}")
@@ -42,9 +42,10 @@ def warning(prediction: Prediction, starts: Starts, space: Space) -> str | None:
     row, sample = (int(k) for k in beyond.nonzero()[0])
     first = float(starts.times[row] + prediction.times[sample])
     whose = f" of {starts.names[row]}" if len(beyond) > 1 else ""
-    share = 100 * float(beyond.double().mean())
+    percent = 100 * float(beyond.double().mean())
+    fraction = f"{percent:.0f}" if percent >= 10 else f"{percent:.2g}"
     return (
-        f"novelty: {share:.2g} % of the predicted states lie beyond the training data, up to "
+        f"novelty: {fraction} % of the predicted states lie beyond the training data, up to "
         f"{float(prediction.novelty.max()):.3g} times as far as its edge, first{whose} at t = {first:g} "
         f"{space.units.time}. There a learned model may be wrong by far more than it knows"
     )

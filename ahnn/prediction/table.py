@@ -8,34 +8,36 @@ from typing import Any
 import numpy as np
 
 from ahnn.data.files import epochs
+from ahnn.data.files.sidecar import Sidecar
+from ahnn.data.starts import Starts
 from ahnn.errors import UserError
+from ahnn.labels import components
 from ahnn.prediction.amounts import picoseconds
 from ahnn.prediction.kernel import Prediction
-from ahnn.prediction.starts import Starts
 from ahnn.types import Space
 from ahnn.uncertainty import BEYOND
 
 
-def columns(prediction: Prediction, starts: Starts, space: Space, *, utc: bool) -> dict[str, Any]:
+def columns(prediction: Prediction, starts: Starts, space: Space) -> dict[str, Any]:
     """Return the columns of all trajectories, one behind the other.
 
-    Momenta are written as velocities, as docs/data.md names them; `sd_` is a standard deviation, and `novel`
-    is 1 where a state lies beyond the training data.
+    Momenta are written as velocities, as docs/data.md names them, where they are m times these; `sd_` is a
+    standard deviation, and `novel` is 1 where a state lies beyond the training data.
 
     Args:
         prediction: of the starts.
-        starts: their names, times and epoch.
+        starts: their names, times and reference.
         space: what the numbers mean.
-        utc: whether epochs count leap seconds.
     """
     samples = prediction.states.shape[1]
     times = (starts.times.unsqueeze(1) + prediction.times).flatten()
     found: dict[str, Any] = {"id": np.repeat(np.asarray(starts.names), samples)}
     found[f"t [{space.units.time}]"] = times.numpy()
-    if starts.epoch is not None:
-        moments = (starts.epoch + picoseconds(float(t), space.units.time) for t in times)
+    if (epoch := starts.reference.epoch) is not None:
+        utc = starts.reference.clock == "UTC"
+        moments = (epoch + picoseconds(float(t), space.units.time) for t in times)
         found["epoch"] = np.asarray([epochs.spelled(moment, utc=utc) for moment in moments])
-    names, factors = labels(space), np.repeat([1.0, 1 / space.inertia], space.dof)
+    names, factors = labels(space), np.repeat([1.0, 1 / space.divisor], space.dof)
     for prefix, values in (("", prediction.states), ("sd_", prediction.deviations)):
         if values is not None:
             rows = values.flatten(0, 1).numpy() * factors
@@ -46,8 +48,21 @@ def columns(prediction: Prediction, starts: Starts, space: Space, *, utc: bool) 
     return found
 
 
+def described(starts: Starts, space: Space) -> Sidecar:
+    """Return the sidecar of a table: with it a reader of data takes the prediction as trajectories."""
+    names, momenta = list(space.components[: space.dof]), list(space.components[space.dof :])
+    reference = starts.reference
+    rates = {"velocities": [f"v{name}" for name in names]} if space.mechanical else {"momenta": momenta}
+    time = "t" if reference.epoch is None else "epoch"
+    columns = {"time": time, "id": "id", "positions": names, **rates}
+    units = {} if reference.epoch is None else {"epoch": reference.clock or "UTC"}
+    return Sidecar(units, columns, str(reference._replace(epoch=None)))
+
+
 def labels(space: Space) -> list[str]:
-    """Return the names of positions and their velocities, with units."""
+    """Return the names of positions and their velocities, or momenta that are none, with units."""
+    if not space.mechanical:
+        return components(space)
     positions = space.components[: space.dof]
     units = space.units
     return [*(f"{q} [{units.position}]" for q in positions), *(f"v{q} [{units.velocity}]" for q in positions)]

@@ -13,6 +13,7 @@ import yaml
 
 from ahnn.arguments import nearest
 from ahnn.checkpoints import read_weights, write_weights
+from ahnn.contents import read_plain
 from ahnn.errors import UserError
 
 HERE = Path(__file__).parent
@@ -45,8 +46,7 @@ def pack(run: Path, name: str) -> Path:
     folder = HERE / name
     folder.mkdir(exist_ok=True)
     write_weights(folder / "weights.safetensors", read_weights(run / "checkpoints" / "best.ckpt"))
-    cfg = yaml.safe_load((run / "config.yaml").read_text())
-    cfg["data"]["cache"] = "~/.cache/ahnn"
+    cfg = read_plain(run / "config.yaml")
     kept = {key: value for key, value in cfg.items() if key not in MACHINE}
     (folder / "config.yaml").write_text(yaml.safe_dump(kept, sort_keys=False))
     shutil.copyfile(run / "metrics.json", folder / "metrics.json")

@@ -93,9 +93,14 @@ class System(ABC):
         return asdict(self)
 
     @property
+    def mechanical(self) -> bool:
+        """Whether p = m dq/dt; a system whose H has other kinetic terms says so by what it overrides."""
+        return self.separable and type(self).velocity is System.velocity
+
+    @property
     def space(self) -> Space:
         """What the numbers of a state mean."""
-        return Space(self.name, self.components, self.units, self.inertia)
+        return Space(self.name, self.components, self.units, self.inertia, mechanical=self.mechanical)
 
     def velocity(self, p: Tensor) -> Tensor:
         """Return dq/dt = p / m, shape (..., n), at the momenta p, shape (..., n)."""

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from ahnn.dynamics import Dynamics
 from ahnn.errors import UserError
+from ahnn.stored import Known, read
 
 KEPT = 500
 """Training states that are kept, at most half of them: the others say how far apart neighbours are."""
@@ -98,19 +99,13 @@ def domain_of(about: dict[str, Any], size: int) -> Domain | None:
     Raises:
         UserError: it is damaged.
     """
-    if "domain" not in about:
+    if about.get("domain") is None:
         return None
-    try:
-        states = torch.tensor(about["domain"]["states"], dtype=torch.float64)
-        unit = float(about["domain"]["unit"])
-    except (KeyError, TypeError, ValueError) as error:
-        states, unit, cause = torch.empty(0), 0.0, error
-    else:
-        cause = None
-    if states.ndim != 2 or states.shape[1] != size or not (unit > 0 and bool(states.isfinite().all())):
+    known = read("domain", Known, about["domain"])
+    if not known.states or {len(row) for row in known.states} != {size}:
         message = f"domain: expected training states of {size} components beside the weights; received others"
-        raise UserError(message) from cause
-    return Domain(states, unit)
+        raise UserError(message)
+    return Domain(torch.tensor(known.states, dtype=torch.float64), known.unit)
 
 
 def _distances(inputs: Tensor, known: Tensor) -> Tensor:

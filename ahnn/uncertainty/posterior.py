@@ -13,6 +13,7 @@ from ahnn.checkpoints import FORMAT, Weights, checksum, read_weights, write_weig
 from ahnn.dynamics import Dynamics
 from ahnn.dynamics.linearised import linearised
 from ahnn.errors import UserError
+from ahnn.stored import Spread, read
 
 FILE = "covariance.safetensors"
 PARTS = ("factor", "offset", "directions", "step")
@@ -87,10 +88,11 @@ def load_uncertainty(folder: Path, state: dict[str, Tensor]) -> Uncertainty | No
     Raises:
         UserError: the file is damaged.
     """
-    if not (folder / FILE).is_file():
+    if not (folder / FILE).exists():
         return None
-    tensors, about = read_weights(folder / FILE)
-    if about.get("weights") != checksum(state, ""):
+    tensors, content = read_weights(folder / FILE)
+    about = read(f"{folder / FILE}", Spread, content)
+    if about.weights != checksum(state, ""):
         return None
     factor, offset, directions, step = (tensors.get(name) for name in PARTS)
     if (
@@ -99,10 +101,11 @@ def load_uncertainty(folder: Path, state: dict[str, Tensor]) -> Uncertainty | No
         or factor.shape != (len(offset), len(offset))
         or (step is not None and step.shape != offset.shape)
         or (directions is not None and (directions.ndim != 2 or len(directions) != len(offset)))
+        or not all(t.dtype == torch.float64 and bool(t.isfinite().all()) for t in tensors.values())
     ):
         message = (
-            f"{folder / FILE}: expected a square factor, steps and directions as long; received tensors that "
-            "do not fit"
+            f"{folder / FILE}: expected a square factor, steps and directions as long, finite float64; "
+            "received tensors that do not fit"
         )
         raise UserError(message)
-    return Uncertainty(factor, offset, float(about["inflation"]), dict(about["found"]), directions, step)
+    return Uncertainty(factor, offset, about.inflation, about.found, directions, step)

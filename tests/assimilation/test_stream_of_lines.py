@@ -10,7 +10,6 @@ import math
 
 import numpy as np
 import pytest
-import torch
 from following import SENSORS, SPACE, make, readings, session, written
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -18,15 +17,14 @@ from rich.console import Console
 
 from ahnn.assimilation import Reading
 from ahnn.assimilation.cells import BadLine
-from ahnn.assimilation.clock import Clock
 from ahnn.assimilation.figures import figures_of
 from ahnn.assimilation.journal import Journal
 from ahnn.assimilation.lines import LONGEST
 from ahnn.assimilation.reading import Layout
 from ahnn.assimilation.record import read_record, write_ephemeris
-from ahnn.assimilation.start import start_of
 from ahnn.assimilation.view import View
 from ahnn.data.files import read_oem
+from ahnn.data.reference import Reference
 from ahnn.errors import TrainingError, UserError
 from ahnn.types import Space, Units
 
@@ -121,7 +119,7 @@ def test_a_pipe_loses_nothing_that_was_read_and_counts_nothing_twice(tmp_path_fa
             session(Journal(pipe, folder / "lines"), *names).run(killer(after))
     session(Journal(pipe, folder / "lines"), *names).run()
     assert (folder / "parts.csv").read_bytes() == (folder / "whole.csv").read_bytes()
-    assert (folder / "lines").read_bytes() == b"%d\n" % len(TEXT.encode())
+    assert len((folder / "lines").read_bytes()) < 40  # nothing but where it ended
 
 
 def test_a_kill_between_the_state_and_the_journal_counts_nothing_twice(tmp_path, monkeypatch):
@@ -142,7 +140,7 @@ def test_a_journal_without_its_state_is_refused_and_a_bad_header_leaves_none(tmp
     with pytest.raises(UserError, match="measurements: expected a header with time and q, p; received 'x'"):
         session(Journal(Pipe(b"time,x\n"), tmp_path / "lines"), *names).run()
     assert list(tmp_path.iterdir()) == []
-    (tmp_path / "lines").write_text("0\ntime,q")
+    (tmp_path / "lines").write_text("left by a process that is gone")
     with pytest.raises(UserError, match="expected the state of the journal"):
         session(Journal(Pipe(b""), tmp_path / "lines"), *names)
 
@@ -222,13 +220,7 @@ def test_an_object_that_is_no_measurement_is_a_bad_line(text):
 
 
 ORBIT = Space("orbit", ("x", "y", "z", "px", "py", "pz"), Units("s", "km", "km/s", "J"), 2.0)
-ABOUT = {
-    "object": "X",
-    "epoch": "2024-03-01T00:00:00",
-    "frame": "EME2000",
-    "center": "EARTH",
-    "time_system": "UTC",
-}
+ABOUT = Reference.of("EME2000, EARTH, UTC, from 2024-03-01T00:00:00")
 
 
 def test_an_output_becomes_pictures_and_an_ephemeris(tmp_path):
@@ -238,12 +230,12 @@ def test_an_output_becomes_pictures_and_an_ephemeris(tmp_path):
     assert len(read_record(tmp_path / "out.csv", SPACE.components, most=10).time) in (10, 11)
     assert {*figures_of(record, SPACE)} == {"innovations", "consistency", "deviations"}
     with pytest.raises(UserError, match="oem: expected an orbit"):
-        write_ephemeris(tmp_path / "no.oem", record, SPACE, ABOUT)
+        write_ephemeris(tmp_path / "no.oem", record, SPACE, "X", ABOUT)
     draw = np.random.default_rng(0)
     factor = draw.normal(size=(40, 6, 6))
     covariance = factor @ factor.transpose(0, 2, 1)
     mean = draw.normal(size=(40, 6)) * 7000
-    write_ephemeris(tmp_path / "it.oem", record._replace(mean=mean, covariance=covariance), ORBIT, ABOUT)
+    write_ephemeris(tmp_path / "it.oem", record._replace(mean=mean, covariance=covariance), ORBIT, "X", ABOUT)
     (read,) = read_oem(tmp_path / "it.oem")
     assert np.allclose(read.states, mean / [1, 1, 1, 2, 2, 2], rtol=1e-14, atol=0)
     assert np.allclose(read.covariances[3].matrix[4, 1], covariance[3, 4, 1] / 2, rtol=1e-14)
@@ -263,36 +255,3 @@ def test_the_view_is_drawn_in_place_on_a_terminal_and_in_lines_elsewhere(tmp_pat
     for text in shown.values():
         assert "95 % band" in text
         assert "3 predicted, 37 taken" in text
-
-
-def test_a_start_is_read_from_values_files_and_messages(tmp_path):
-    (tmp_path / "a.yaml").write_text("mean: [1, 2]\nsd: [0.1, 0.2]\n")
-    (tmp_path / "b.json").write_text('{"mean": [1, 2], "covariance": [[0.01, 0], [0, 0.04]]}')
-    beliefs = [start_of(str(tmp_path / name), None, SPACE) for name in ("a.yaml", "b.json")]
-    beliefs.append(start_of([1.0, 2.0], [0.1, 0.2], SPACE))
-    for belief in beliefs:
-        assert torch.allclose(
-            belief.covariance[0], torch.diag(torch.tensor([0.01, 0.04]).double()), rtol=1e-14
-        )
-    assert torch.equal(
-        start_of([0.0] * 6, [3.0, 0.5], ORBIT).chol[0].diagonal(), torch.tensor([3, 3, 3, 1, 1, 1]).double()
-    )
-    for given_, sd in (([1.0], [1.0, 1.0]), (None, [1.0, 1.0]), ([1.0, 2.0], None), ("none.yaml", None)):
-        with pytest.raises(UserError, match=r"^start"):
-            start_of(given_, sd, SPACE)
-
-
-def test_epochs_count_from_time_zero_with_leap_seconds():
-    clock = Clock.of("min", "2016-12-31T23:00:00", "UTC")
-    table = Layout("time [UTC],sensor,q [m],p", SENSORS, clock)
-    name = next(iter(SENSORS))
-    assert table.reading(f"2017-01-01T00:00:00.5,{name},1,").time == pytest.approx(60 + 1.5 / 60, rel=1e-15)
-    assert table.reading(f"30,{name},1,").time == 30.0
-    with pytest.raises(BadLine, match=r"time: expected an epoch such as .*; received '2017-13T'"):
-        table.reading(f"2017-13T,{name},1,")
-    seconds = Layout("t [s],sensor,q [m],p", SENSORS, clock)
-    assert seconds.reading(f"90,{name},1,").time == pytest.approx(1.5, rel=1e-15)
-    with pytest.raises(UserError, match=r"expected times in min, another unit of time or .*; received kg\."):
-        Layout("time [kg],sensor,q", SENSORS, clock)
-    with pytest.raises(UserError, match=r"epoch: expected an epoch such as"):
-        Clock.of("min", "yesterday", "UTC")

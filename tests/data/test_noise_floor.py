@@ -14,7 +14,14 @@ from scipy.stats import norm
 
 from ahnn.data import noise_floor as room
 from ahnn.data.generate import generate
-from ahnn.data.noise_floor import differences, noise_floor, remark_on, weights, without_events
+from ahnn.data.noise_floor import (
+    differences,
+    differences_level,
+    noise_floor,
+    remark_on,
+    weights,
+    without_events,
+)
 from ahnn.types import Trajectories
 
 ORBITS = generate(MOLNIYA, 12, 0)
@@ -129,7 +136,8 @@ def test_noise_is_what_differences_of_the_next_orders_find_again_to_a_fifth(fact
     phases = torch.arange(400, dtype=torch.float64).unsqueeze(-1) * math.pi / 400
     times = torch.arange(40, dtype=torch.float64).expand(400, -1)
     waves = (2 * math.asin(sine) * times + phases).cos().unsqueeze(-1)
-    (found,) = noise_floor(Trajectories(waves, times)).tolist()
+    (found,) = differences_level(Trajectories(waves, times)).tolist()
+    assert bool(noise_floor(Trajectories(waves, times)).isnan())
     expected = (2 * sine) ** 8 * math.cos(math.pi / 4) / norm.ppf(0.75) / math.sqrt(comb(16, 8))
     assert found == (pytest.approx(expected, rel=0.01) if told else pytest.approx(math.nan, nan_ok=True))
 

@@ -103,8 +103,8 @@ def test_the_covariance_of_a_start_is_carried_along_by_the_flow(monkeypatch):
 
     moved = [torch.func.jacrev(end)(x) for x in START]
     expected = torch.stack([m @ sd.square().diag() @ m.mT for m in moved])
-    of_start = predicted(Swing(), START, times, 0.1, Knowledge(deviations=sd)).covariances
-    of_both = predicted(Swing(), START, times, 0.1, Knowledge(FACTOR, deviations=sd)).covariances
+    of_start = predicted(Swing(), START, times, 0.1, Knowledge(start=sd.diag())).covariances
+    of_both = predicted(Swing(), START, times, 0.1, Knowledge(FACTOR, start=sd.diag())).covariances
     of_model = predicted(Swing(), START, times, 0.1, Knowledge(FACTOR)).covariances
     assert of_start is not None
     assert of_both is not None

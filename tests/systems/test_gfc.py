@@ -87,9 +87,9 @@ def test_writings_of_the_same_field(parsed, changed):
 
 def test_mass_and_centre_are_those_of_the_file_where_it_gives_them(parsed):
     field = parsed(
-        TEXT.replace("gfc 0 0 1.0d0", "gfc 0 0 1.5d0").replace("gfc 1 1 0.0 0.0", "gfc 1 1 2D-9 3D-9")
+        TEXT.replace("gfc 0 0 1.0d0", "gfc 0 0 1.00001d0").replace("gfc 1 1 0.0 0.0", "gfc 1 1 2D-9 3D-9")
     )
-    assert (field.cosines[0, 0], field.cosines[1, 1], field.sines[1, 1]) == (1.5, 2e-9, 3e-9)
+    assert (field.cosines[0, 0], field.cosines[1, 1], field.sines[1, 1]) == (1.00001, 2e-9, 3e-9)
     assert parsed(TEXT.replace(FIRST, "")).cosines[:2, :2].tolist() == [[1.0, 0.0], [0.0, 0.0]]
 
 
@@ -168,6 +168,38 @@ def test_a_mistake_is_one_message(parsed, text, said):
     assert "field.gfc" in str(refused.value)
 
 
+MOON = SMALL.replace("0.3986004415E+15", "0.4902800222E+13").replace("6378136.3", "1738000")
+UNPHYSICAL = {
+    "no mass": (TEXT.replace("gfc 0 0 1.0d0", "gfc 0 0 0.0d0"), r"\(0, 0\) = 1: .*; received 0"),
+    "five masses": (TEXT.replace("gfc 0 0 1.0d0", "gfc 0 0 5.0d0"), r"\(0, 0\) = 1: .*; received 5"),
+    "far off along z": (TEXT.replace("gfc 1 0 0.0", "gfc 1 0 5.0"), "centre of mass, .*up to 5"),
+    "off along x": (TEXT.replace("gfc 1 1 0.0", "gfc 1 1 -1e-3"), "centre of mass, .*up to 0.001"),
+    "off along y": (TEXT.replace("gfc 1 1 0.0 0.0", "gfc 1 1 0.0 1e-5"), "centre of mass, .*up to 1e-05"),
+    "a flattening of 5": (SMALL.replace("-4.8e-4", "5.0"), "at most 1; received one of 5"),
+    "radius in km": (TEXT.replace("6378136.3", "6378.1363"), r"row 6: expected radius in m .*in metres"),
+    "constant in km": (TEXT.replace("0.3986004415E+15", "398600.4415"), "row 6: expected radius in m"),
+    "both in km": (
+        TEXT.replace("0.3986004415E+15", "398600.4415").replace("6378136.3", "6378.1363"),
+        r"5\.\d+e\+03 kg/m\^3",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", UNPHYSICAL)
+def test_what_no_body_has_is_refused_with_the_remedy(parsed, case):
+    text, said = UNPHYSICAL[case]
+    with pytest.raises(UserError, match=said):
+        parsed(text)
+
+
+def test_other_bodies_are_read_and_small_ones_reported(parsed, caplog):
+    assert parsed(MOON).radius == 1738.0
+    assert caplog.messages == []
+    eros = parsed(SMALL.replace("0.3986004415E+15", "4.463E+05").replace("6378136.3", "16000"))
+    assert eros.radius == 16.0
+    assert "radius 16000 m" in caplog.text
+
+
 @pytest.mark.parametrize(
     ("epoch", "text", "said"),
     [
@@ -183,7 +215,7 @@ def test_a_mistake_in_time_is_one_message(parsed, epoch, text, said):
 
 @pytest.mark.parametrize("place", ["/dev/zero", "/", "no\0where", "", "~nobody-of-this-name/x.gfc"])
 def test_what_is_no_file_is_refused(place):
-    with pytest.raises(UserError, match="expected a file with a gravity field; received none"):
+    with pytest.raises(UserError, match="expected a file with a gravity field; received"):
         read_gfc(place)
 
 

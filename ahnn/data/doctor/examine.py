@@ -9,11 +9,11 @@ from typing import NamedTuple
 from ahnn.data.doctor.finding import Finding
 from ahnn.data.doctor.leakage import leakage_findings
 from ahnn.data.doctor.orbits import orbit_findings
-from ahnn.data.doctor.samples import sample_findings
+from ahnn.data.doctor.samples import sample_findings, too_few
 from ahnn.data.doctor.velocities import velocity_findings
 from ahnn.data.files.content import Content, since_first
 from ahnn.data.files.reading import Reading, bytes_of, parsed
-from ahnn.data.files.table import Fault, Place
+from ahnn.data.files.table import Fault, Place, Remark
 
 JUDGED = 200
 """Trajectories of a file, evenly spread, whose units and frame are judged."""
@@ -52,18 +52,18 @@ def examine(
     Raises:
         UserError: there is no such file.
     """
-    faults: list[Fault] = []
+    said: list[Fault | Remark] = []
     contents: list[Content] = []
     for path in paths:
         raw, aside = bytes_of(path)
         try:
-            contents.append(parsed(path, raw, aside, reading, faults.append))
+            contents.append(parsed(path, raw, aside, reading, said.append))
         except Fault as fault:
-            faults.append(fault)
+            said.append(fault)
     contents = [content for content in contents if any(len(track.times) for track in content.tracks)]
     contents = since_first(contents)
-    found = [Finding.of(fault) for fault in faults]
-    known = {(one.file, one.row, one.column) for one in found}
+    found = [Finding.of(one) for one in said]
+    known = {(one.file, one.row, one.column) for one in found if one.level == "fault"}
     later = [one for one in diagnosis(contents, mass, gap) if (one.file, one.row, one.column) not in known]
     return Examined(found + later, contents)
 
@@ -76,7 +76,7 @@ def diagnosis(contents: Sequence[Content], mass: float | None, gap: float) -> li
         mass: factor m of p = m dq/dt; None where nobody said.
         gap: a step so many times longer than the median is one.
     """
-    found: list[Finding] = []
+    found: list[Finding] = list(too_few(contents))
     for content in contents:
         file = content.tracks[0].file
         whole = content._replace(tracks=tuple(track for track in content.tracks if len(track.times)))

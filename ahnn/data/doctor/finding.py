@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
-from ahnn.data.files.table import Fault
+from ahnn.data.files.table import Fault, Remark
 
 Level = Literal["fault", "warning", "note"]
 """A fault would spoil a training, a warning may, a note is good to know."""
@@ -30,7 +30,9 @@ class Finding(NamedTuple):
     remedy: str
 
     @classmethod
-    def of(cls, fault: Fault) -> Finding:
-        """Return what a reader refuses."""
-        what = f"expected {fault.expected}; received {fault.received}"
-        return cls("fault", *fault.place, what, fault.remedy or "Correct it")
+    def of(cls, said: Fault | Remark) -> Finding:
+        """Return what a reader refuses or remarks on."""
+        if isinstance(said, Remark):
+            return cls(said.level, *said.place, said.what, said.remedy or "Nothing")
+        what = f"expected {said.expected}; received {said.received}"
+        return cls("fault", *said.place, what, said.remedy or "Correct it")

@@ -15,7 +15,8 @@ import numpy as np
 from ahnn.data.doctor.finding import Finding
 from ahnn.data.doctor.slopes import slopes
 from ahnn.data.files.content import Content
-from ahnn.data.files.frames import ROTATING, TURN
+from ahnn.data.files.frame_names import ROTATING
+from ahnn.data.files.frames import TURN
 from ahnn.data.files.samples import Array, Track
 from ahnn.data.files.units import LENGTH, TIME, unit
 

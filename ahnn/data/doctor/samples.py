@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ahnn.data.doctor.finding import Finding
+from ahnn.data.doctor.finding import Finding, Level
+from ahnn.data.doctor.slopes import through_neighbours
 from ahnn.data.files.content import Content
 from ahnn.data.files.samples import Track, filled, stacked
 from ahnn.data.files.table import Fault
 from ahnn.data.files.units import ANGLE, unit
-from ahnn.data.noise_floor import ORDERS, SHARE, looked_at, noise_floor
+from ahnn.data.noise_floor import ORDERS, SHARE, differences_level, looked_at, noise_floor
 
+FAR = 30.0
+"""Doubts of the curve through its neighbours beyond which a sample is an outlier."""
+EVEN, LEAST = 0.1, 1e-6
+"""Of an outlier: by what its neighbours may differ, and its least size relative to all samples."""
 EXAMPLES = 64
 """Trajectories of a file whose noise is looked at."""
 
@@ -31,6 +36,7 @@ def sample_findings(content: Content, gap: float) -> Iterator[Finding]:
         yield from gaps(track, content.time, gap)
         if angles:
             yield from jumps(track, content.positions)
+        yield from outliers(track, names)
     yield from constant(content, names)
     if angles:
         yield from too_wide(content)
@@ -69,15 +75,50 @@ def jumps(track: Track, names: tuple[str, ...]) -> Iterator[Finding]:
 
 
 def constant(content: Content, names: tuple[str, ...]) -> Iterator[Finding]:
-    """Yield columns that have one value in the whole file."""
+    """Yield columns that have one value in the whole file: of such a position nothing is learned."""
     values = np.concatenate([track.values for track in content.tracks])
     if len(values) < 3:
         return
     for c, name in enumerate(names):
         known = values[np.isfinite(values[:, c]), c]
         if len(known) and known.min() == known.max():
-            what, remedy = f"always {known[0]:g}", "Leave the column out, if nothing moves there"
-            yield Finding("warning", content.tracks[0].file, content.head, name, what, remedy)
+            what, remedy = f"always {known[0]:g}", "Name the other columns in a sidecar: nothing moves there"
+            level: Level = "fault" if c < len(content.positions) else "warning"
+            yield Finding(level, content.tracks[0].file, content.head, name, what, remedy)
+
+
+def too_few(contents: Sequence[Content]) -> Iterator[Finding]:
+    """Yield that files together have nothing to learn from, or nothing to test what was learned with."""
+    tracks = [track for content in contents for track in content.tracks]
+    if not tracks:
+        return
+    file, head, column = tracks[0].file, contents[0].head, contents[0].time
+    if max(len(track.times) for track in tracks) < 2:
+        what = "one sample in each trajectory, and no step to learn from"
+        yield Finding("fault", file, head, column, what, "Give more samples of a trajectory")
+    elif len(tracks) == 1:
+        what = "one trajectory alone: no training, validation and test"
+        yield Finding("warning", file, head, "", what, "Cut it: system.cut=SAMPLES; or give more")
+
+
+def outliers(track: Track, names: tuple[str, ...]) -> Iterator[Finding]:
+    """Yield single samples far from the polynomials through their neighbours, where these agree."""
+    count = len(track.times)
+    if count < 11:
+        return
+    at = np.arange(4, count - 4)
+    near = [through_neighbours(track.times, track.values, at, k) for k in (4, 3, 2)]
+    left = track.values[at] - near[0]
+    off = np.abs(left)
+    doubt = np.abs(near[0] - near[1]) + 0.1 * np.abs(near[1] - near[2]) + np.nanmedian(off, axis=0)
+    before, behind = np.roll(left, 1, axis=0), np.roll(left, -1, axis=0)
+    alone = np.abs(before - behind) < EVEN * off  # a jump, behind which samples go on, is none
+    highest = (off > np.abs(before)) & (off > np.abs(behind))
+    far = alone & highest & (off > FAR * doubt) & (off > LEAST * np.nanmax(np.abs(track.values), axis=0))
+    for k, c in zip(*np.nonzero(far), strict=True):
+        what = f"an outlier: {off[k, c]:.2g} from the curve through its neighbours"
+        remedy = "Correct it, or empty the cell: a missing number"
+        yield Finding("warning", track.file, int(track.rows[at[k]]), names[c], what, remedy)
 
 
 def too_wide(content: Content) -> Iterator[Finding]:
@@ -105,11 +146,17 @@ def noise(content: Content, names: tuple[str, ...], gap: float) -> Iterator[Find
     if samples.states.shape[1] <= ORDERS[-1]:
         return
     typical = samples.states.diff(dim=1).abs().flatten(0, 1).nanmedian(0).values
-    levels = zip(names, noise_floor(samples).tolist(), typical.tolist(), strict=True)
-    n = len(content.positions)
-    for c, (name, level, step) in enumerate(levels):
+    file, n, plateau = content.tracks[0].file, len(content.positions), differences_level(samples)
+    found = noise_floor(samples)
+    rare = (plateau > SHARE * typical) & found.isnan()
+    for c, (name, level, step) in enumerate(zip(names, found.tolist(), typical.tolist(), strict=True)):
         if level > SHARE * step > 0:
             units = content.units.position if c < n else content.units.velocity
             what = f"noise of about {level:.2g}" + ("" if content.momenta and c >= n else f" {units}")
             remedy = "Say it: sensor=recorded data.noise=..."
-            yield Finding("note", content.tracks[0].file, content.head, name, what, remedy)
+            yield Finding("note", file, content.head, name, what, remedy)
+    if bool(rare.any()):
+        remedy = "Give more samples in a period: noise and units are not judged"
+        yield Finding(
+            "note", file, content.head, content.time, "samples too rare to tell how it moves", remedy
+        )

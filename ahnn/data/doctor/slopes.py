@@ -84,6 +84,11 @@ def weights(offsets: Array, order: int) -> Array:
 
 def roughness(times: Array, values: Array, at: NDArray[np.int64]) -> Array:
     """Return how far samples (K, C) are from the cubic through the two before and the two behind them."""
-    window = at[:, None] + np.array([-2, -1, 1, 2])
+    return np.abs(through_neighbours(times, values, at, 2) - values[at])
+
+
+def through_neighbours(times: Array, values: Array, at: NDArray[np.int64], count: int) -> Array:
+    """Return what the polynomials through so many samples before and behind others say of them, (K, C)."""
+    window = at[:, None] + np.delete(np.arange(-count, count + 1), count)
     offsets = times[window] - times[at, None]
-    return np.abs(np.einsum("kj,kjc->kc", weights(offsets, 0), values[window]) - values[at])
+    return np.einsum("kj,kjc->kc", weights(offsets, 0), values[window])

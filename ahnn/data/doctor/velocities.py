@@ -10,6 +10,7 @@ from ahnn.data.doctor.finding import Finding, Level
 from ahnn.data.doctor.slopes import Slopes, roughness, slopes
 from ahnn.data.files.content import Content
 from ahnn.data.files.samples import Array, Track
+from ahnn.data.files.units import LENGTH, unit
 
 EXACT = 0.03
 """Relative difference that needs no explanation."""
@@ -18,17 +19,19 @@ DOUBTS = 8.0
 
 Noise moves a derivative by 3.6 times what it moves the difference between stencils of five and three points.
 """
+OF_SPEED = 0.01
+"""Difference relative to the speed of an orbit that needs none: theories such as SGP4 differ by so much."""
 UNCLEAR = 0.1
 """Doubt beyond which nothing is said."""
 LEAST = 8
 """Samples of a trajectory that is judged by itself; shorter ones are judged together."""
 FACTORS = {
-    1000.0: "metres under a name in km, or the reverse",
-    60.0: "minutes under a name in s, or the reverse",
-    3600.0: "hours under a name in s, or the reverse",
-    180 / np.pi: "degrees under a name in rad, or the reverse",
-    100.0: "centimetres under a name in m, or the reverse",
-    86400.0: "days under a name in s, or the reverse",
+    1000.0: "metres given as km, or the reverse",
+    60.0: "minutes given as s, or the reverse",
+    3600.0: "hours given as s, or the reverse",
+    180 / np.pi: "degrees given as rad, or the reverse",
+    100.0: "centimetres given as m, or the reverse",
+    86400.0: "days given as s, or the reverse",
 }
 
 
@@ -74,7 +77,8 @@ def compared(track: Track, n: int, scale: float) -> Compared | None:
 
 def of_component(content: Content, c: int, pairs: list[tuple[Track, Compared]]) -> list[Finding]:
     """Return a finding for each track whose velocity is wrong; a single one where nearly all are."""
-    judged = [(track, ratio) for track, one in pairs if (ratio := misfit(one, c)) is not None]
+    orbit = len(content.positions) == 3 and unit(content.units.position).dimension == LENGTH
+    judged = [(track, ratio) for track, one in pairs if (ratio := misfit(one, c, orbit=orbit)) is not None]
     wrong = [(track, ratio) for track, ratio in judged if ratio != 1]
     if not wrong:
         return []
@@ -84,11 +88,12 @@ def of_component(content: Content, c: int, pairs: list[tuple[Track, Compared]]) 
     return [finding(content, c, track.file, int(track.rows[0]), ratio) for track, ratio in wrong]
 
 
-def misfit(one: Compared, c: int) -> float | None:
+def misfit(one: Compared, c: int, *, orbit: bool = False) -> float | None:
     """Return 1 where a velocity is right, else its ratio to the derivative (0: they are not proportional).
 
-    None where nothing can be said.
+    None where nothing can be said. Components of an orbit are judged by its speed, too.
     """
+    exact = OF_SPEED * float(np.median(np.linalg.norm(one.derived, axis=1))) if orbit else 0.0
     stated, derived, doubts = (part[:, c] for part in one)
     if len(stated) < 2:
         return None
@@ -96,7 +101,7 @@ def misfit(one: Compared, c: int) -> float | None:
     doubt = float(np.median(doubts))
     if size == 0 or doubt > UNCLEAR * size:
         return None
-    allowed = max(EXACT * size, DOUBTS * doubt)
+    allowed = max(EXACT * size, DOUBTS * doubt, exact)
     if np.median(np.abs(stated - derived)) <= allowed:
         return 1.0
     ratio = weighted_median(stated, derived)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import unicodedata
 from typing import Any, Literal, NamedTuple
 
 from ahnn.arguments import nearest
@@ -9,8 +11,29 @@ from ahnn.data.files.table import Header, Place
 
 TIMES, IDS = ("t", "time"), ("id", "trajectory")
 Kind = Literal["velocities", "momenta"]
-RATES: dict[str, Kind] = {"v": "velocities", "p": "momenta"}
 ROLES = ("time", "id", "positions", "velocities", "momenta")
+SIDECAR = "Name the columns in a sidecar, docs/data.md"
+NAMES: dict[Kind, tuple[str, ...]] = {
+    "velocities": (
+        *("v{}", "vel{}", "velocity{}", "{}vel", "{}velocity"),
+        *("{}dot", "{}'", "d{}", "d{}dt", "d{}/dt"),
+    ),
+    "momenta": ("p{}", "mom{}", "momentum{}", "{}mom", "{}momentum"),
+}
+"""Names of the velocity and of the momentum of a position, in small letters and without underscores."""
+OF_ANGLES = ("w{}", "omega{}", "angularvelocity{}")
+COORDINATE = re.compile(r"(?P<stem>q|x|(?P<angle>theta|phi|psi|alpha|angle))(?P<index>\d*)")
+"""Positions whose velocity may have its index alone: v1 of q1, omega of theta."""
+PLACED = re.compile(r"(position|pos|r|q)(?P<of>.*)")
+"""Positions that say so: their velocity is vx where they are rx or position_x."""
+DEVIATIONS = "sd_"
+"""How the names of standard deviations begin, which a training is told as data.noise."""
+NO_POSITION = re.compile(
+    r"[vpw]_?([xyzq]?_?\d*)|d_?[xyzq]_?\d*|omega.*|.*dot|.*(vel|velocity|mom|momentum)|(vel|mom|speed).*"
+    r"|d.+dt|a_?[xyz]|.*acc|acc.*|(std|sigma|err|cov|var)_.*|.*_(sd|std|sigma|err)|.*'"
+    r"|index|step|row|sample|energy|mass|unnamed.*"
+)
+"""Names that no position has by itself: a sidecar may say so."""
 
 
 class Roles(NamedTuple):
@@ -30,12 +53,19 @@ class Roles(NamedTuple):
     rates: tuple[int, ...]
     kind: Kind
 
+    def of(self, column: int) -> str:
+        """Return what a column is."""
+        if column in (self.time, self.id):
+            return "time" if column == self.time else "id"
+        rate = "velocity" if self.kind == "velocities" else "momentum"
+        return "position" if column in self.positions else rate if column in self.rates else "not used"
+
 
 def roles(header: Header, named: dict[str, Any], place: Place) -> Roles:
-    """Return the roles of columns, as a sidecar names them or by their names.
+    """Return the roles of columns, as a sidecar names them or by their names, in small letters or capitals.
 
-    By name `t` or `time` is the time and `id` or `trajectory` tells trajectories apart; of a position x the
-    velocity is `vx` and the momentum `px`, of q1 `v1` and `p1`, of q `v` and `p`. All others are positions.
+    By name `t` or `time` is the time and `id` or `trajectory` tells trajectories apart; `rates_of` says which
+    are velocities and momenta, and standard deviations begin with `sd_`. All others are positions.
 
     Args:
         header: of the file.
@@ -43,7 +73,7 @@ def roles(header: Header, named: dict[str, Any], place: Place) -> Roles:
         place: of the header.
 
     Raises:
-        UserError: a column that is missing, or that has no counterpart.
+        UserError: a column that is missing, that has no counterpart, or whose name is not that of a position.
     """
     names = header.names
     if named:
@@ -51,40 +81,72 @@ def roles(header: Header, named: dict[str, Any], place: Place) -> Roles:
     time = [i for i, name in enumerate(names) if name.lower() in TIMES]
     ids = [i for i, name in enumerate(names) if name.lower() in IDS]
     if len(time) != 1 or len(ids) > 1:
-        place.refuse(f"one column {' or '.join(TIMES)} and at most one {' or '.join(IDS)}", ", ".join(names))
-    rest = [i for i in range(len(names)) if i not in (*time, *ids)]
-    partners = {i: partner(names[i], [names[k] for k in rest if k != i]) for i in rest}
-    positions = tuple(i for i in rest if partners[i] is None)
-    moving = [i for i in rest if partners[i] is not None]
-    rates = {partners[i]: i for i in moving}
-    kinds: list[Kind] = list({RATES[names[i][0]] for i in moving})
+        expected = f"one column {' or '.join(TIMES)} and at most one {' or '.join(IDS)}"
+        place.refuse(expected, ", ".join(names), SIDECAR)
+    rest = [i for i in range(len(names)) if i not in (*time, *ids) and not is_deviation(names[i])]
+    moving = {i: found for i in rest if (found := partner(names, i, rest)) is not None}
+    positions = tuple(i for i in rest if i not in moving)
+    rates = {position: i for i, (position, _) in moving.items()}
+    kinds = list({kind for _, kind in moving.values()})
     if not positions:
-        place.refuse("columns of positions", ", ".join(names))
-    if len(kinds) > 1 or len(rates) < len(moving):
+        place.refuse("columns of positions", ", ".join(names), SIDECAR)
+    if len(kinds) > 1 or len(rates) < len(moving) or not rates.keys() <= {*positions}:
         received = ", ".join(names[i] for i in moving)
-        place.refuse("a velocity or a momentum of each position", received, "Name the columns in a sidecar")
-    if rates and (alone := [names[i] for i in positions if names[i] not in rates]):
-        known = ", ".join(names[i] for i in rates.values())
-        remedy = "If it is something else, name the columns in a sidecar"
-        place._replace(column=alone[0]).refuse(f"its {kinds[0]} beside {known}", "none", remedy)
-    ordered = tuple(rates[names[i]] for i in positions) if rates else ()
-    kind: Kind = kinds[0] if kinds else "velocities"
-    return Roles(time[0], ids[0] if ids else None, positions, ordered, kind)
+        place.refuse("a velocity or a momentum of each position", received, SIDECAR)
+    for i in positions:
+        if i not in rates and NO_POSITION.fullmatch(names[i].lower()):
+            place._replace(column=names[i]).refuse("the name of a position", repr(names[i]), SIDECAR)
+        if rates and i not in rates:
+            known = ", ".join(names[k] for k in rates.values())
+            remedy = f"If it is something else: {SIDECAR[0].lower()}{SIDECAR[1:]}"
+            place._replace(column=names[i]).refuse(f"its {kinds[0]} beside {known}", "none", remedy)
+    ordered = tuple(rates[i] for i in positions) if rates else ()
+    return Roles(time[0], ids[0] if ids else None, positions, ordered, kinds[0] if kinds else "velocities")
 
 
-def partner(name: str, others: list[str]) -> str | None:
-    """Return the position whose velocity or momentum a column is; None for one that stands for itself."""
-    if name[0] not in RATES:
-        return None
-    rest = name[1:].removeprefix("_")
-    return next((other for other in (rest, f"q{rest}", f"q_{rest}") if other in others), None)
+def is_deviation(name: str) -> bool:
+    """Return whether a column is a standard deviation of another, by its name."""
+    return name.lower().startswith(DEVIATIONS)
+
+
+def partner(names: tuple[str, ...], column: int, rest: list[int]) -> tuple[int, Kind] | None:
+    """Return the position whose velocity or momentum a column is, and which of them; None for a position.
+
+    Names are compared as they are spelled first, and then in small letters.
+    """
+    for fold in (str, str.lower):
+        own = bare(fold(names[column]))
+        for other in rest:
+            for kind, known in rates_of(bare(fold(names[other]))).items():
+                if other != column and own in known:
+                    return other, kind
+    return None
+
+
+def bare(name: str) -> str:
+    """Return a name without underscores, a dot above its letter as a word behind it."""
+    return unicodedata.normalize("NFD", name).replace("\u0307", "dot").replace("_", "")
+
+
+def rates_of(position: str) -> dict[Kind, set[str]]:
+    """Return what the velocity and the momentum of a position may be called, without underscores."""
+    found: dict[Kind, set[str]] = {kind: {name.format(position) for name in NAMES[kind]} for kind in NAMES}
+    if indexed := COORDINATE.fullmatch(position):
+        found["velocities"] |= {name.format(indexed["index"]) for name in ("v{}", "vel{}", "velocity{}")}
+        found["momenta"] |= {name.format(indexed["index"]) for name in ("p{}", "momentum{}")}
+        if indexed["angle"] or indexed["stem"] == "q":
+            found["velocities"] |= {name.format(indexed["index"]) for name in OF_ANGLES}
+    elif placed := PLACED.fullmatch(position):
+        for kind, known in found.items():
+            known |= {name.format(placed["of"]) for name in NAMES[kind][:3]}
+    return found
 
 
 def of_sidecar(names: tuple[str, ...], named: dict[str, Any], place: Place) -> Roles:
     """Return the roles that a sidecar names.
 
     Raises:
-        UserError: an unknown role or column, or not as many rates as positions.
+        UserError: an unknown role or column, one in two roles, or not as many rates as positions.
     """
     found: dict[str, list[int]] = {}
     for role, value in named.items():
@@ -94,7 +156,9 @@ def of_sidecar(names: tuple[str, ...], named: dict[str, Any], place: Place) -> R
         for column in columns:
             if column not in names:
                 place.refuse(f"a column {column!r} ({role})", ", ".join(names) + nearest(column, names))
-        found[role] = [names.index(column) for column in columns]
+            if any(names.index(column) in known for known in found.values()):
+                place._replace(column=column).refuse("one role in the sidecar", f"another, {role}")
+            found.setdefault(role, []).append(names.index(column))
     single = [len(found.get(role, [])) for role in ("time", "id")]
     kind: Kind = "momenta" if "momenta" in found else "velocities"
     rates = found.get(kind, [])

@@ -4,10 +4,25 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ahnn.data.files import epochs
+from ahnn.data.files import epochs, frame_names
 from ahnn.data.files.samples import Track
+from ahnn.data.files.table import Place
 from ahnn.data.files.units import unit
 from ahnn.types import Units
+
+
+class Column(NamedTuple):
+    """What a column of a file was taken for.
+
+    Attributes:
+        name: of the column.
+        role: time, id, position, velocity, momentum or left out.
+        unit: of its numbers, or the clock of its epochs; "" without.
+    """
+
+    name: str
+    role: str
+    unit: str = ""
 
 
 class Content(NamedTuple):
@@ -23,6 +38,7 @@ class Content(NamedTuple):
         clock: of the epoch, such as UTC.
         time: name of the column of the times.
         head: number of the line that names the columns; 0 where none does.
+        columns: what each column was taken for; none where the format says it.
     """
 
     positions: tuple[str, ...]
@@ -35,6 +51,31 @@ class Content(NamedTuple):
     clock: str = ""
     time: str = "EPOCH"
     head: int = 0
+    columns: tuple[Column, ...] = ()
+
+
+def joined(parts: list[Content], places: list[Place]) -> Content:
+    """Return the segments of a file as one content, its times from the first epoch.
+
+    Args:
+        parts: of one frame, centre and time system each.
+        places: of the segments.
+
+    Raises:
+        UserError: segments that differ in them.
+    """
+    first = parts[0]
+    names = [part.frame.split(", ") for part in parts]
+    for place, found, part in zip(places, names, parts, strict=True):
+        for what, here, other in zip(("frame", "center", "time_system"), names[0], found, strict=False):
+            if here != other:
+                remedy = (
+                    frame_names.remedy(first.frame, part.frame) if what == "frame" else "Convert one of them"
+                )
+                place.refuse(f"{what} {here} in each segment", other, remedy)
+    start = min(part.epoch or 0 for part in parts)
+    tracks = tuple(track for part in parts for track in shifted(part, start))
+    return first._replace(tracks=tracks, epoch=start)
 
 
 def since_first(contents: list[Content]) -> list[Content]:
@@ -47,8 +88,13 @@ def counted(content: Content, first: int) -> Content:
     """Return content whose times count from an epoch, where they do not count from nothing."""
     if content.epoch is None:
         return content
-    shift = (content.epoch - first) / epochs.SECOND / unit(content.units.time).size
-    tracks = tuple(track._replace(times=track.times + shift) for track in content.tracks)
+    tracks = shifted(content, first)
     epoch = f"from {epochs.spelled(first, utc=content.clock == 'UTC')}"
     frame = f"{content.frame}, {epoch}" if content.frame else epoch
     return content._replace(tracks=tracks, epoch=first, frame=frame)
+
+
+def shifted(content: Content, first: int) -> tuple[Track, ...]:
+    """Return the tracks of content that has an epoch, their times from another one."""
+    shift = ((content.epoch or 0) - first) / epochs.SECOND / unit(content.units.time).size
+    return tuple(track._replace(times=track.times + shift) for track in content.tracks)

@@ -5,6 +5,7 @@ Hoots and Roehrich, Spacetrack Report 3 (1980), as revised by Vallado et al., AI
 
 from __future__ import annotations
 
+import math
 import re
 from datetime import date
 from typing import Any, NamedTuple
@@ -17,15 +18,30 @@ from ahnn.data.files.content import Content
 from ahnn.data.files.ephemeris import of_orbits
 from ahnn.data.files.libraries import library
 from ahnn.data.files.samples import Track
-from ahnn.data.files.table import Fault, Note, Place, refuse
+from ahnn.data.files.table import Fault, Note, Place, Remark, refuse
 from ahnn.errors import UserError
 
-SUFFIX = ".tle"
 FRAME = "TEME, EARTH, UTC"
 FIRST, SECOND = re.compile(r"1 [ \dA-Z]{5}[A-Z ] "), re.compile(r"2 [ \dA-Z]{5} ")
 LENGTH = 69
 """Signs of a line; what follows is no part of the set."""
 EPOCH = slice(18, 32)
+ANGLE = re.compile(r" *\d+\.\d*")
+FIELDS: tuple[tuple[str, int, slice, re.Pattern[str], float], ...] = (
+    ("drag term", 0, slice(53, 61), re.compile(r"[ +-][ \d]{4}\d[+-]\d"), math.inf),
+    ("ephemeris type", 0, slice(62, 63), re.compile(r"[ 0234]"), 3.0),
+    ("inclination", 1, slice(8, 16), ANGLE, 180.0),
+    ("node", 1, slice(17, 25), ANGLE, 360.0),
+    ("eccentricity", 1, slice(26, 33), re.compile(r" *\d+"), math.inf),
+    ("perigee", 1, slice(34, 42), ANGLE, 360.0),
+    ("mean anomaly", 1, slice(43, 51), ANGLE, 360.0),
+    ("mean motion", 1, slice(52, 63), ANGLE, 20.0),
+)
+"""What SGP4 reads of a set: line, columns, notation, and the largest number; type 4 is of SGP4-XP."""
+UNUSED = (
+    "not used: names, classes, designators, derivatives of the mean motion, numbers of sets and revolutions"
+)
+"""SGP4 needs none of them."""
 
 
 class Elements(NamedTuple):
@@ -33,12 +49,6 @@ class Elements(NamedTuple):
 
     place: Place
     lines: tuple[str, str]
-
-
-def are_elements(text: str, suffix: str) -> bool:
-    """Return whether a text holds element sets: by the ending of its file, or by its first lines."""
-    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")][:2]
-    return suffix == SUFFIX or any(FIRST.match(line) for line in lines)
 
 
 def content(
@@ -78,6 +88,7 @@ def content(
             starts.append(epoch(one))
         except Fault as fault:
             note(fault)
+    note(Remark(Place(file), UNUSED))
     if not tracks:
         Place(file).refuse("an element set, lines that begin with 1 and 2", "none")
     first = min(starts)
@@ -90,7 +101,7 @@ def content(
 
 def sets_of(text: str, file: str, note: Note) -> list[Elements]:
     """Return the sets of a text; lines that begin otherwise are names and remarks."""
-    lines = [(row, line) for row, line in enumerate(text.splitlines(), 1) if line[:2] in ("1 ", "2 ")]
+    lines = [(row, line) for row, line in enumerate(text.split("\n"), 1) if line[:2] in ("1 ", "2 ")]
     found: list[Elements] = []
     pending: tuple[int, str] | None = None
     damaged: set[int] = set()
@@ -132,6 +143,11 @@ def fault_of(line: str, place: Place) -> Fault | None:
 
 def propagated(model: Any, one: Elements, times: NDArray[np.float64]) -> Track:
     """Return the orbit of a set; raises Fault where its lines hold no numbers or SGP4 gives up."""
+    for name, line, columns, notation, most in FIELDS:
+        text = one.lines[line][columns]
+        if not notation.fullmatch(text) or (most < math.inf and float(text.strip() or 0) > most):
+            place = one.place._replace(row=one.place.row + line, column=name)
+            place.refuse(f"a number up to {most:g}" if most < math.inf else "a number", repr(text))
     try:
         satellite = model.Satrec.twoline2rv(*one.lines)
     except ValueError as error:
@@ -139,8 +155,8 @@ def propagated(model: Any, one: Elements, times: NDArray[np.float64]) -> Track:
     days = times / epochs.DAY
     whole = np.full(len(times), satellite.jdsatepoch)
     codes, positions, velocities = satellite.sgp4_array(whole, satellite.jdsatepochF + days)
-    if len(wrong := np.flatnonzero(codes)):
-        reason, k = model.SGP4_ERRORS[int(codes[wrong[0]])], wrong[0]
+    if len(wrong := np.flatnonzero((codes != 0) | ~np.isfinite(positions).all(1))):
+        reason, k = model.SGP4_ERRORS.get(int(codes[wrong[0]]), "no finite position"), wrong[0]
         one.place.refuse(
             "elements that SGP4 propagates", f"after {times[k]:g} s: {reason}", "Shorten system.duration"
         )
@@ -153,9 +169,11 @@ def epoch(one: Elements) -> int:
     """Return the epoch of a set (`epochs.instant`); years from 57 on are of the last century."""
     text = one.lines[0][EPOCH]
     try:
-        year, day, fraction = int(text[:2]), int(text[2:5]), int(text[6:].rstrip().ljust(8, "0"))
+        year, day, fraction = (int(part) for part in (text[:2], text[2:5], text[6:].rstrip().ljust(8, "0")))
     except ValueError:
         one.place._replace(column="epoch").refuse("year and day", repr(text))
     year += 1900 if year >= 57 else 2000
     days = date(year, 1, 1).toordinal() + day - 1 - epochs.FIRST
+    if not (day > 0 and days < date(year + 1, 1, 1).toordinal() - epochs.FIRST):
+        one.place._replace(column="epoch").refuse("a day of the year", repr(text))
     return (days * epochs.DAY + epochs.leaps(days)) * epochs.SECOND + fraction * epochs.DAY * 10**4

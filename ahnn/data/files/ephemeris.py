@@ -9,14 +9,30 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ahnn.arguments import nearest
 from ahnn.data.files import epochs
 from ahnn.data.files.content import Content
+from ahnn.data.files.frame_names import canonical
 from ahnn.data.files.samples import Array, Track, ordered
-from ahnn.data.files.table import Fault, Note, Place, number, refuse
+from ahnn.data.files.table import Fault, Note, Place, Remark, number, refuse
 from ahnn.types import Units
 
 COMPONENTS = ("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")
+ACCELERATION = ("X_DDOT", "Y_DDOT", "Z_DDOT")
 REQUIRED = ("OBJECT_ID", "CENTER_NAME", "REF_FRAME", "TIME_SYSTEM")
+SPANS = ("START_TIME", "STOP_TIME"), ("USEABLE_START_TIME", "USEABLE_STOP_TIME")
+USED = (*REQUIRED, "OBJECT_NAME", "REF_FRAME_EPOCH", *SPANS[0], *SPANS[1])
+UNUSED = ("INTERPOLATION", "INTERPOLATION_DEGREE")
+"""What else a message may say of a segment."""
+HEADER = ("CREATION_DATE", "ORIGINATOR", "MESSAGE_ID", "CLASSIFICATION")
+VERSIONS = ("1.0", "2.0", "3.0")
+
+
+ALONE = "Give the ephemeris alone"
+FIXED = ("EME2000", "GCRF", "ICRF")
+"""Frames to which no epoch belongs."""
+SLACK = epochs.SECOND // 1000
+"""By which the ends of spans may be rounded."""
 
 
 class Covariance(NamedTuple):
@@ -25,7 +41,7 @@ class Covariance(NamedTuple):
     Attributes:
         time: in seconds from the start of the ephemeris.
         matrix: (6, 6), in km and km/s.
-        frame: of its components, "" for that of the ephemeris.
+        frame: of its components, such as RTN; "" for that of the ephemeris.
     """
 
     time: float
@@ -44,6 +60,7 @@ class Ephemeris(NamedTuple):
         states: (T, 6) positions in km and velocities in km/s.
         covariances: of some of the states.
         rows: (T,) numbers of the lines that they are from.
+        frame_epoch: of a frame that is one of a date; "" for others.
     """
 
     object_id: str
@@ -56,6 +73,7 @@ class Ephemeris(NamedTuple):
     states: Array
     covariances: tuple[Covariance, ...] = ()
     rows: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+    frame_epoch: str = ""
 
     def epoch(self, time: float) -> str:
         """Return the epoch so many seconds after the start."""
@@ -69,6 +87,7 @@ class Ephemeris(NamedTuple):
             "OBJECT_ID": self.object_id,
             "CENTER_NAME": self.center,
             "REF_FRAME": self.frame,
+            **({"REF_FRAME_EPOCH": self.frame_epoch} if self.frame_epoch else {}),
             "TIME_SYSTEM": self.time_system,
             "START_TIME": self.epoch(float(self.times[0])),
             "STOP_TIME": self.epoch(float(self.times[-1])),
@@ -84,12 +103,26 @@ class Block:
         meta: what is said of it.
         vectors: each with its line: an epoch and at least six numbers.
         matrices: each with its line: epoch, frame and the 21 numbers of a lower triangle.
+        unused: what else stands in it, of which nothing is read.
     """
 
     place: Place
     meta: dict[str, str] = field(default_factory=dict)
     vectors: list[tuple[int, list[str]]] = field(default_factory=list)
     matrices: list[tuple[int, str, str, list[str]]] = field(default_factory=list)
+    unused: dict[str, None] = field(default_factory=dict)
+
+    def say(self, key: str, value: str, place: Place) -> None:
+        """Add what is said of the segment; raises UserError for a second time."""
+        if key in self.meta:
+            place._replace(column=key).refuse("each keyword once in the metadata", "it twice")
+        self.meta[key] = value
+
+
+def check_version(text: str, place: Place) -> None:
+    """Refuse a version of messages that is not known; raises UserError."""
+    if text not in VERSIONS:
+        place.refuse(f"version {', '.join(VERSIONS)} of an OEM", repr(text))
 
 
 def ephemeris(block: Block, note: Note = refuse) -> Ephemeris:
@@ -105,31 +138,85 @@ def ephemeris(block: Block, note: Note = refuse) -> Ephemeris:
     for key in REQUIRED:
         if not block.meta.get(key):
             block.place._replace(column=key).refuse("a value in the metadata of a segment", "none")
-    file, utc = block.place.file, block.meta["TIME_SYSTEM"].upper() == "UTC"
+    file, system = block.place.file, canonical(block.meta["TIME_SYSTEM"].upper())
+    utc, frame = system == "UTC", canonical(block.meta["REF_FRAME"].upper())
     rows, moments, states = [], [], []
     for row, cells in block.vectors:
         try:
             epoch = moment(cells[0], Place(file, row, "EPOCH"), utc=utc)
-            states.append(values(cells[1:7], COMPONENTS, Place(file, row)))
+            numbers = values(cells[1:7], COMPONENTS, Place(file, row))
         except Fault as fault:
             note(fault)
         else:
             rows.append(row)
             moments.append(epoch)
+            states.append(numbers)
     if not rows:
         block.place.refuse("a state in each segment", "none")
+    kept = [k for k, useful in enumerate(useable(block, moments, note, utc=utc)) if useful]
+    rows, moments, states = ([part[k] for k in kept] for part in (rows, moments, states))
+    found = [covariance(block, k, moments[0], utc=utc) for k in range(len(block.matrices))]
+    own = (frame, "")
     return Ephemeris(
         object_id=block.meta["OBJECT_ID"],
         object_name=block.meta.get("OBJECT_NAME", ""),
-        center=block.meta["CENTER_NAME"],
-        frame=block.meta["REF_FRAME"],
-        time_system=block.meta["TIME_SYSTEM"],
+        center=canonical(block.meta["CENTER_NAME"].upper()),
+        frame=frame,
+        time_system=system,
         start=moments[0],
         times=np.array([(m - moments[0]) / epochs.SECOND for m in moments]),
         states=np.array(states),
-        covariances=tuple(covariance(block, k, moments[0], utc=utc) for k in range(len(block.matrices))),
+        covariances=tuple(one._replace(frame="") if one.frame in own else one for one in found),
         rows=np.array(rows, dtype=np.int64),
+        frame_epoch=block.meta.get("REF_FRAME_EPOCH", "") if frame not in FIXED else "",
     )
+
+
+def useable(block: Block, moments: list[int], note: Note, *, utc: bool) -> list[bool]:
+    """Return which states are data: others, outside the useable span, serve the interpolation near its ends.
+
+    Raises:
+        UserError: a span that is none, or without any state.
+    """
+    chosen = [True] * len(moments)
+    for names in SPANS:
+        said = [block.meta.get(name, "") for name in names]
+        places = [block.place._replace(column=name) for name in names]
+        ends = [moment(text, at, utc=utc) if text else None for text, at in zip(said, places, strict=True)]
+        low, high = (math.inf * sign if end is None else end for sign, end in zip((-1, 1), ends, strict=True))
+        inside = [low - SLACK <= m <= high + SLACK for m in moments]
+        count, span = inside.count(False), f"{names[0]} to {names[1]}"
+        if names == SPANS[0] and count:
+            what = f"{count} of {len(moments)} states lie outside {span}"
+            note(Remark(block.place, what, "Correct the metadata, or leave the states out", "warning"))
+        elif count:
+            if count == len(moments):
+                block.place.refuse(f"a state from {span}", "none")
+            chosen = inside
+            note(Remark(block.place, f"{count} of {len(moments)} states left out, outside {span}"))
+    return chosen
+
+
+def remarks(blocks: list[Block], *, covariances: bool = True) -> list[Remark]:
+    """Return what of segments is not used.
+
+    Args:
+        blocks: the segments.
+        covariances: whether these are used.
+    """
+    names: dict[str, None] = {}
+    found: list[Remark] = []
+    for block in blocks:
+        names |= block.unused | {key: None for key in UNUSED if key in block.meta}
+        if block.matrices and not covariances:
+            names["covariances"] = None
+        for key in block.meta:
+            if key not in (*USED, *UNUSED):
+                what = f"{key} is no keyword of an OEM, and is not used{nearest(key, USED)}"
+                found.append(Remark(block.place, what, "Correct its name, or leave it out", "warning"))
+    if names:
+        found.append(Remark(Place(blocks[0].place.file), f"not used: {', '.join(names)}"))
+    return found
 
 
 def covariance(block: Block, k: int, start: int, *, utc: bool) -> Covariance:
@@ -138,6 +225,7 @@ def covariance(block: Block, k: int, start: int, *, utc: bool) -> Covariance:
     place = Place(block.place.file, row, "EPOCH")
     if len(cells) != 21:
         place.refuse("the 21 numbers of a lower triangle of a covariance", f"{len(cells)}")
+    frame = canonical(frame.upper())
     matrix = np.zeros((6, 6))
     matrix[np.tril_indices(6)] = values(cells, ("covariance",) * 21, place)
     full = matrix + np.tril(matrix, -1).T
@@ -154,44 +242,34 @@ def moment(text: str, place: Place, *, utc: bool) -> int:
 
 def values(cells: list[str], names: tuple[str, ...], place: Place) -> list[float]:
     """Return the numbers in cells; raises UserError for what is none."""
-    found = [number(cell, place._replace(column=name)) for cell, name in zip(cells, names, strict=True)]
+    found = [number(cell, place._replace(column=name), "") for cell, name in zip(cells, names, strict=True)]
     for name, value in zip(names, found, strict=True):
         if math.isnan(value):
             place._replace(column=name).refuse("a number", "none")
     return found
 
 
-def content(blocks: list[Block], *, weighed: bool, note: Note = refuse) -> Content:
-    """Return segments as trajectories, their times from the first epoch.
+def contents(blocks: list[Block], *, weighed: bool, note: Note = refuse) -> list[Content]:
+    """Return each segment as a trajectory, its times from its first epoch.
 
     Args:
         blocks: the segments.
         weighed: whether a mass is stated.
-        note: of each state that is none, and each time that does not increase.
+        note: of each state that is none, each time that does not increase, and what is not used.
 
     Raises:
-        UserError: segments that differ in centre, frame or time system, or what `note` raises.
+        UserError: what `note` raises.
     """
-    found = [ephemeris(block, note) for block in blocks]
-    for name in ("frame", "center", "time_system"):
-        first = getattr(found[0], name)
-        for block, other in zip(blocks, found, strict=True):
-            if (received := getattr(other, name)) != first:
-                block.place.refuse(f"{name} {first} in each segment", received, "Convert one of them")
-    epoch = min(one.start for one in found)
-    tracks = [
-        Track(
-            one.object_id,
-            block.place.file,
-            one.rows,
-            one.times + (one.start - epoch) / epochs.SECOND,
-            one.states,
-        )
-        for block, one in zip(blocks, found, strict=True)
-    ]
-    tracks = [ordered(track, "EPOCH", note) for track in tracks]
-    frame = f"{found[0].frame}, {found[0].center}, {found[0].time_system}"
-    return of_orbits(tracks, frame, epoch, weighed=weighed)
+    found = []
+    for block in blocks:
+        one = ephemeris(block, note)
+        track = Track(one.object_id, block.place.file, one.rows, one.times, one.states)
+        of_date = f" of {one.frame_epoch}" if one.frame_epoch else ""
+        frame = f"{one.frame}{of_date}, {one.center}, {one.time_system}"
+        found.append(of_orbits([ordered(track, "EPOCH", note)], frame, one.start, weighed=weighed))
+    for remark in remarks(blocks, covariances=False):
+        note(remark)
+    return found
 
 
 def of_orbits(tracks: list[Track], frame: str, epoch: int, *, weighed: bool) -> Content:

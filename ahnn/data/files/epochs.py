@@ -13,9 +13,17 @@ SECOND = 10**12
 DAY = 86400
 FIRST = date(2000, 1, 1).toordinal()
 CODE = re.compile(
-    r"(?P<year>\d{4})-((?P<month>\d\d)-(?P<day>\d\d)|(?P<number>\d{3}))"
-    r"T(?P<hour>\d\d):(?P<minute>\d\d):(?P<second>\d\d)(\.(?P<fraction>\d{0,12})\d*)?Z?"
+    r"(?P<year>\d{4})([-/](?P<month>\d\d)[-/](?P<day>\d\d)|-(?P<number>\d{3}))"
+    r"([T ](?P<hour>\d\d):(?P<minute>\d\d)(:(?P<second>\d\d)(\.(?P<fraction>\d{0,12})\d*)?)?)?"
+    r" ?(?P<zone>Z|(?P<sign>[+-])(?P<ahead>\d\d):?(?P<rest>\d\d)?)?",
+    re.ASCII,
 )
+DATE = re.compile(
+    r"\s*(\d+\s*[-/.]\s*(\d+|[A-Za-z]{3,9})\s*[-/.]\s*\d+|\d+:\d\d|\d{8}T\d"
+    r"|[A-Za-z]{3,9},?\s+\d|\d+\s+[A-Za-z]{3})"
+)
+"""How dates and times of day begin, in whatever notation."""
+EXPECTED = "an epoch such as 2024-03-01T12:00:00.125, 2024-061T12:00:00 or 2024-03-01T14:00:00+02:00"
 LEAPS = tuple(
     date(year, month, 1).toordinal() - FIRST
     for month, years in (
@@ -31,24 +39,45 @@ def instant(text: str, *, utc: bool) -> int:
     """Return an epoch in picoseconds from the first day of 2000.
 
     Args:
-        text: such as 2024-03-01T12:00:00.125 or 2024-061T12:00:00.
+        text: such as 2024-03-01T12:00:00.125 or 2024-061T12:00:00, with a blank in place of the T, without
+            seconds or without a time (midnight), and in UTC with an offset such as +02:00.
         utc: whether its clock is UTC, so that leap seconds lie between two epochs.
 
     Raises:
-        ValueError: another format, or a date that is not in the calendar.
+        ValueError: another format, a date that is not in the calendar, or an offset from another clock.
     """
-    found = CODE.fullmatch(text)
+    found = CODE.fullmatch(text.strip())
     if found is None:
-        message = "an epoch such as 2024-03-01T12:00:00.125 or 2024-061T12:00:00"
-        raise ValueError(message)
+        raise ValueError(EXPECTED)
     days = _days(found) - FIRST
-    hour, minute, second = (int(found[name]) for name in ("hour", "minute", "second"))
-    leap = utc and (hour, minute, second) == (23, 59, 60) and days + 1 in LEAPS
+    hour, minute, second = (int(found[name] or 0) for name in ("hour", "minute", "second"))
+    behind = _offset(found, utc=utc)
+    leap = second == 60 and utc and _ends_with_leap(days, 60 * hour + minute - behind)
     if hour > 23 or minute > 59 or (second > 59 and not leap):
         message = "a time of day"
         raise ValueError(message)
-    seconds = days * DAY + 3600 * hour + 60 * minute + second + (leaps(days) if utc else 0)
+    minutes = 1440 * days + 60 * hour + minute - behind
+    seconds = 60 * minutes + second + (leaps(minutes // 1440) if utc else 0)
     return seconds * SECOND + int((found["fraction"] or "").ljust(12, "0"))
+
+
+def _offset(found: re.Match[str], *, utc: bool) -> int:
+    """Return by how many minutes a local time is ahead of its clock."""
+    if found["sign"] is None:
+        return 0
+    ahead, rest = int(found["ahead"]), int(found["rest"] or 0)
+    if ahead > 15 or rest > 59 or found["hour"] is None:
+        message = "an offset from UTC such as +02:00 behind a time"
+        raise ValueError(message)
+    if (ahead or rest) and not utc:
+        message = "an epoch without an offset, since its clock is not UTC"
+        raise ValueError(message)
+    return (60 * ahead + rest) * (-1 if found["sign"] == "-" else 1)
+
+
+def _ends_with_leap(days: int, minute: int) -> bool:
+    """Return whether a minute of a day, in UTC, is the last before a leap second is over."""
+    return minute % 1440 == 1439 and days + minute // 1440 + 1 in LEAPS
 
 
 def _days(found: re.Match[str]) -> int:

@@ -15,27 +15,18 @@ from numpy.typing import NDArray
 
 from ahnn.data.files import epochs
 from ahnn.data.files.content import Content
+from ahnn.data.files.frame_names import CENTRES, INERTIAL, NAMES, SIDECAR, known
 from ahnn.data.files.libraries import library
 from ahnn.data.files.samples import Array, Track
 from ahnn.data.files.table import Place
 from ahnn.data.files.units import LENGTH, unit
 
-INERTIAL = ("GCRF", "EME2000")
-NAMES = {"GCRF": "GCRF", "ICRF": "GCRF", "EME2000": "EME2000", "J2000": "EME2000", "TEME": "TEME"}
-ROTATING = ("ITRF", "ECEF", "EFG", "GTOD", "GRC", "TDR", "WGS")
-"""How the names of frames begin that turn with the Earth."""
 TURN = 7.292115146706979e-5
 """Rate of the Earth's rotation angle in rad/s (IERS Conventions 2010, 5.15)."""
 TO_TT = {"UTC": 42.184, "TAI": 32.184, "GPS": 51.184, "TT": 0.0, "TDB": 0.0}
 """Seconds from instants of a clock to terrestrial time; those of UTC count all its leap seconds."""
 JULIAN = 2451544.5
 """Julian date of the first day of 2000."""
-
-
-def known(frame: str) -> str:
-    """Return the frame that a name such as `ITRF2014, EARTH, UTC` means; "" for one that is not known."""
-    name = frame.split(",")[0].strip().upper()
-    return "ITRF" if name.startswith("ITRF") else NAMES.get(name, "")
 
 
 def turned(content: Content, frame: str, file: str) -> Content:
@@ -53,9 +44,11 @@ def turned(content: Content, frame: str, file: str) -> Content:
     if given == frame:
         return content
     if not given:
-        remedy = "The key frame of a sidecar says it"
         expected = f"a frame that can be turned into {frame}: {', '.join((*NAMES, 'ITRF'))}"
-        place.refuse(expected, content.frame or "none", remedy)
+        place.refuse(expected, content.frame or "none", "" if content.frame else SIDECAR)
+    centre = [word for word in content.frame.upper().split(", ")[1:2] if word in CENTRES]
+    if given not in INERTIAL and centre not in ([], ["EARTH"]):
+        place.refuse(f"the Earth as the centre of {given}", centre[0])
     if content.momenta or len(content.positions) != 3 or unit(content.units.position).dimension != LENGTH:
         place.refuse(
             "three lengths, with velocities or alone", ", ".join((*content.positions, *content.rates))

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from ahnn.data.files import oem, oem_xml
-from ahnn.data.files.ephemeris import Block, Ephemeris, ephemeris
+from ahnn.data.files import kinds, oem, oem_xml
+from ahnn.data.files.ephemeris import Block, Ephemeris, ephemeris, remarks
 from ahnn.data.files.raw import content_of, decoded
-from ahnn.data.files.table import Note, refuse
+from ahnn.data.files.table import Note, Place, refuse
 from ahnn.files import write_atomically
 
 SUFFIXES = (".oem", ".xml")
@@ -26,7 +26,13 @@ def read_oem(path: str | Path) -> list[Ephemeris]:
         UserError: names the line of what is wrong.
     """
     path = Path(path)
-    return [ephemeris(block) for block in blocks_of(decoded(content_of(path), path), str(path))]
+    raw = content_of(path)
+    if (kind := kinds.kind_of(raw, str(path))) not in ("oem", "xml"):
+        Place(str(path)).refuse("an orbit ephemeris message (OEM)", f"a file of kind {kind}")
+    blocks = blocks_of(decoded(raw, path), str(path))
+    for remark in remarks(blocks):
+        refuse(remark)
+    return [ephemeris(block) for block in blocks]
 
 
 def write_oem(path: str | Path, ephemerides: Iterable[Ephemeris], originator: str = "ahnn") -> None:

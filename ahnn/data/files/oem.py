@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from ahnn.data.files import epochs
-from ahnn.data.files.ephemeris import Block, Covariance, Ephemeris
+from ahnn.data.files.ephemeris import ACCELERATION, ALONE, HEADER, Block, Covariance, Ephemeris, check_version
 from ahnn.data.files.table import Fault, Note, Place, refuse
 
 VERSION = "CCSDS_OEM_VERS"
@@ -24,7 +24,7 @@ def blocks_of(text: str, file: str, note: Note = refuse) -> list[Block]:
     Raises:
         UserError: names the line of what does not belong there, or what `note` raises.
     """
-    lines = [(row, line.strip()) for row, line in enumerate(text.splitlines(), 1)]
+    lines = [(row, line.strip()) for row, line in enumerate(text.split("\n"), 1)]
     used = [(row, line) for row, line in lines if line and not line.startswith("COMMENT")]
     if not used or not used[0][1].startswith(VERSION):
         Place(file, used[0][0] if used else 0).refuse(
@@ -39,17 +39,27 @@ def blocks_of(text: str, file: str, note: Note = refuse) -> list[Block]:
             state = "meta"
         elif (line, state) in CHANGES:
             state = CHANGES[line, state]
-        elif state in ("header", "meta"):
-            key, value = pair(line, place)
-            if state == "meta":
-                blocks[-1].meta[key] = value
+        elif state == "header":
+            check_header(*pair(line, place), place, first=row == used[0][0])
+        elif state == "meta":
+            blocks[-1].say(*pair(line, place), place)
         elif state == "data":
             add_vector(blocks[-1], line, place, note)
         else:
             add_covariance(blocks[-1], line, place)
     if state != "data":
         Place(file, used[-1][0]).refuse("a segment from META_START to its states", f"the end of its {state}")
+    if any(line.startswith("COMMENT") for _, line in lines):
+        blocks[0].unused["COMMENT"] = None
     return blocks
+
+
+def check_header(key: str, value: str, place: Place, *, first: bool) -> None:
+    """Refuse what does not belong before the first segment; raises UserError."""
+    if first:
+        check_version(value, place)
+    elif key not in HEADER:
+        place.refuse(f"{', '.join(HEADER)} or META_START", repr(key), ALONE)
 
 
 CHANGES = {
@@ -69,10 +79,13 @@ def pair(line: str, place: Place) -> tuple[str, str]:
 
 
 def add_vector(block: Block, line: str, place: Place, note: Note) -> None:
-    """Add a state to a block, or note that it has too few numbers; accelerations behind it are left out."""
+    """Add a state to a block, or note that it has too few numbers; accelerations behind it are not used."""
     cells = line.split()
+    if "=" in line:
+        place.refuse("a state, a covariance or META_START", repr(line), ALONE)
     if len(cells) in (7, 10):
         block.vectors.append((place.row, cells))
+        block.unused |= dict.fromkeys(ACCELERATION if len(cells) == 10 else ())
     else:
         expected = "an epoch, three positions and three velocities"
         note(Fault(place, expected, f"{len(cells)} values"))
@@ -87,8 +100,7 @@ def add_covariance(block: Block, line: str, place: Place) -> None:
         return
     key, value = pair(line, place)
     if key == "EPOCH":
-        frame = block.matrices[-1][2] if block.matrices else ""
-        block.matrices.append((place.row, value, frame, []))
+        block.matrices.append((place.row, value, "", []))  # a frame of its own is said for each
     elif key == "COV_REF_FRAME" and block.matrices:
         row, epoch, _, cells = block.matrices[-1]
         block.matrices[-1] = (row, epoch, value, cells)

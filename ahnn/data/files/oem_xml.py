@@ -9,10 +9,33 @@ from xml.parsers import expat
 import numpy as np
 
 from ahnn.data.files import epochs
-from ahnn.data.files.ephemeris import COMPONENTS, Block, Ephemeris
+from ahnn.data.files.ephemeris import (
+    ACCELERATION,
+    ALONE,
+    COMPONENTS,
+    HEADER,
+    Block,
+    Ephemeris,
+    check_version,
+)
+from ahnn.data.files.kinds import MESSAGES, refuse_message
 from ahnn.data.files.table import Place
 
 TRIANGLE = [f"C{a}_{b}" for k, a in enumerate(COMPONENTS) for b in COMPONENTS[: k + 1]]
+GROUPS: dict[str, tuple[str, ...]] = {
+    "metadata": (),
+    "stateVector": ("EPOCH", *COMPONENTS, *ACCELERATION),
+    "covarianceMatrix": ("EPOCH", "COV_REF_FRAME", *TRIANGLE),
+}
+"""Elements of texts, and which: of metadata any."""
+STRUCTURE = ("ndm", "oem", "header", "body", "segment", "data", "COMMENT", *HEADER)
+
+
+def unit_of(tag: str) -> str:
+    """Return the unit that the standard gives an element; "" where it has none."""
+    if tag in (*COMPONENTS, *ACCELERATION):
+        return "km" + {0: "", 1: "/s", 2: "/s**2"}[2 if "DDOT" in tag else tag.count("DOT")]
+    return "km**2" + {0: "", 1: "/s", 2: "/s**2"}[tag.count("DOT")] if tag in TRIANGLE else ""
 
 
 def blocks_of(text: str, file: str) -> list[Block]:
@@ -28,6 +51,8 @@ def blocks_of(text: str, file: str) -> list[Block]:
         Place(file, error.lineno).refuse("XML", expat.ErrorString(error.code))
     if not reader.blocks:
         Place(file).refuse("an orbit ephemeris message <oem> with a <segment>", "none")
+    if reader.comments:
+        reader.blocks[0].unused["COMMENT"] = None
     return reader.blocks
 
 
@@ -37,6 +62,7 @@ class _Reader:
     def __init__(self, file: str) -> None:
         self.file, self.blocks, self.text = file, list[Block](), ""
         self.texts: dict[str, str] = {}
+        self.group, self.comments = "", False
         self.parser = expat.ParserCreate()
         self.parser.StartElementHandler = self.start
         self.parser.EndElementHandler = self.end
@@ -54,16 +80,22 @@ class _Reader:
         """The segment that the parser is in; raises UserError outside of any."""
         return self.blocks[-1] if self.blocks else self.place.refuse("a <segment> around it", "none")
 
-    def start(self, tag: str, attributes: dict[str, str]) -> None:
-        """Begin an element."""
-        self.text = ""
-        wanted = "km/s" if tag.endswith("_DOT") else "km"
-        if tag in COMPONENTS and attributes.get("units", wanted) != wanted:
-            self.place._replace(column=tag).refuse(f"units {wanted}", repr(attributes["units"]))
-        if tag == "segment":
-            self.blocks.append(Block(self.place))
-        if tag in ("metadata", "stateVector", "covarianceMatrix"):
-            self.texts, self.row = {}, self.parser.CurrentLineNumber
+    def start(self, name: str, attributes: dict[str, str]) -> None:
+        """Begin an element; raises UserError for one that belongs to no ephemeris."""
+        self.text, tag, place = "", name.rpartition(":")[2], self.place
+        if tag.upper() in MESSAGES:
+            refuse_message(tag.upper(), place)
+        if tag == "oem":
+            check_version(attributes.get("version", "2.0"), place)
+        elif tag == "segment":
+            self.blocks.append(Block(place))
+        elif tag in GROUPS:
+            self.group, self.texts, self.row = tag, {}, self.parser.CurrentLineNumber
+        elif tag not in (GROUPS[self.group] or (tag,) if self.group else STRUCTURE) and tag != "COMMENT":
+            place.refuse("an orbit ephemeris message <oem>", f"<{tag}> in it", ALONE)
+        wanted = unit_of(tag)
+        if wanted and attributes.get("units", wanted).lower().replace("^", "**") != wanted:
+            place._replace(column=tag).refuse(f"units {wanted}", repr(attributes["units"]))
 
     def more(self, text: str) -> None:
         """Add to the text of an element."""
@@ -73,17 +105,30 @@ class _Reader:
         """Refuse what could make a small file a huge one."""
         self.place.refuse("no entities of its own", "one")
 
-    def end(self, tag: str) -> None:
+    def end(self, name: str) -> None:
         """End an element: a text, or a group of them."""
-        if tag == "metadata":
-            self.block.meta |= self.texts
-        elif tag == "stateVector":
+        tag = name.rpartition(":")[2]
+        if tag in GROUPS:
+            self.add(tag)
+            self.group = ""
+        elif tag == "COMMENT":
+            self.comments = True
+        elif self.group:
+            if tag in self.texts:
+                self.place._replace(column=tag).refuse("each element once", "it twice")
+            self.texts[tag] = self.text.strip()
+
+    def add(self, group: str) -> None:
+        """Add a group of texts to the segment."""
+        if group == "metadata":
+            for key, value in self.texts.items():
+                self.block.say(key, value, Place(self.file, self.row))
+        elif group == "stateVector":
             self.block.vectors.append((self.row, self.taken(("EPOCH", *COMPONENTS))))
-        elif tag == "covarianceMatrix":
+            self.block.unused |= dict.fromkeys(key for key in ACCELERATION if key in self.texts)
+        else:
             epoch, *cells = self.taken(("EPOCH", *TRIANGLE))
             self.block.matrices.append((self.row, epoch, self.texts.get("COV_REF_FRAME", ""), cells))
-        else:
-            self.texts[tag] = self.text.strip()
 
     def taken(self, names: tuple[str, ...]) -> list[str]:
         """Return the texts of some elements; raises UserError where one is missing."""

@@ -9,17 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ahnn.data.files.libraries import library
-from ahnn.data.files.table import Place, Sheet, header_of
+from ahnn.data.files.table import Note, Place, Remark, Sheet, header_of, refuse
 
-SUFFIX = ".parquet"
+INDEX = "__index_level_"
+"""How pandas names the columns of an index that has no name."""
 
 
-def read_parquet(raw: bytes, file: str) -> Sheet:
+def read_parquet(raw: bytes, file: str, note: Note = refuse) -> Sheet:
     """Return the columns of a Parquet file; its rows are records, counted from 1.
 
     Args:
         raw: content of the file.
         file: its name, for messages.
+        note: of an index and of metadata that are not used.
 
     Raises:
         UserError: no Parquet, a column of neither numbers, texts nor times, or units that are said twice.
@@ -31,6 +33,9 @@ def read_parquet(raw: bytes, file: str) -> Sheet:
     except (arrow.ArrowInvalid, OSError) as error:
         Place(file).refuse("a Parquet file", " ".join(str(error).split()))
     place = Place(file)
+    if index := [name for name in table.column_names if name.startswith(INDEX)]:
+        note(Remark(place, f"not used: the index {', '.join(index)} of pandas"))
+        table = table.drop_columns(index)
     header = header_of(table.column_names, place)
     units = []
     for name, unit, field in zip(header.names, header.units, table.schema, strict=True):
@@ -39,9 +44,14 @@ def read_parquet(raw: bytes, file: str) -> Sheet:
         if unit not in (None, text):
             place._replace(column=name).refuse(f"[{text}], as in its metadata", f"[{unit}]", "Say it once")
         units.append(text)
+        if other := [key.decode(errors="replace") for key in field.metadata or {} if key not in OURS]:
+            note(Remark(place._replace(column=name), f"not used: metadata {', '.join(other)}"))
     columns = [cells(arrow, table.column(k), place._replace(column=n)) for k, n in enumerate(header.names)]
     rows = np.arange(1, table.num_rows + 1, dtype=np.int64)
     return Sheet(header._replace(units=tuple(units)), place, rows, columns)
+
+
+OURS = (b"unit", b"PARQUET:field_id")
 
 
 def cells(arrow: Any, column: Any, place: Place) -> Sequence[str] | NDArray[np.float64]:
@@ -51,8 +61,8 @@ def cells(arrow: Any, column: Any, place: Place) -> Sequence[str] | NDArray[np.f
         return column.cast(arrow.float64()).to_numpy()
     if arrow.types.is_integer(kind) or arrow.types.is_decimal(kind):
         return [str(value) if value is not None else "" for value in column.to_pylist()]
-    if arrow.types.is_timestamp(kind):
-        return [(value or "").removesuffix("Z") for value in column.cast(arrow.string()).to_pylist()]
+    if arrow.types.is_timestamp(kind) or arrow.types.is_date(kind):
+        return [value or "" for value in column.cast(arrow.string()).to_pylist()]
     if arrow.types.is_string(kind) or arrow.types.is_large_string(kind) or arrow.types.is_dictionary(kind):
         return [value or "" for value in column.cast(arrow.string()).to_pylist()]
     place.refuse("numbers, texts or times", str(kind))

@@ -4,23 +4,25 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ahnn.contents import read_whole
 from ahnn.data.files.table import Place
 from ahnn.errors import UserError
+from ahnn.memory import available
 
 
 def content_of(path: Path) -> bytes:
     """Return the bytes of a file; raises UserError if it cannot be read."""
     try:
-        return path.read_bytes()
+        return read_whole(path, available())
     except OSError as error:
         message = f"system.path: expected a file; received {path}: {error.strerror}"
         raise UserError(message) from error
 
 
 def decoded(raw: bytes, path: Path) -> str:
-    """Return the text of a file; raises UserError if it is none."""
+    """Return the text of a file, its lines ended by newlines alone; raises UserError if it is none."""
     try:
-        return raw.decode("utf-8-sig")
+        return raw.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
-        row = raw[: error.start].count(b"\n") + 1
+        row = len(raw[: error.start + 1].splitlines())
         Place(str(path), row).refuse("text in UTF-8", repr(raw[error.start : error.start + 1]))

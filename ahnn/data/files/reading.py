@@ -5,15 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
-from ahnn.data.files import elements, ephemeris, frames, messages, parquet, sidecar
-from ahnn.data.files.content import Content
+from ahnn.data.files import elements, ephemeris, frames, kinds, messages, parquet, sidecar
+from ahnn.data.files.content import Content, joined
 from ahnn.data.files.raw import content_of, decoded
-from ahnn.data.files.table import Note, Place, read_csv, refuse
+from ahnn.data.files.table import Note, Place, Remark, read_csv, refuse
 from ahnn.data.files.tabular import of_sheet
-
-TEXTS = (".csv", ".tsv", ".txt")
-TABLES = (*TEXTS, parquet.SUFFIX)
-SUFFIXES = (*TABLES, elements.SUFFIX, *messages.SUFFIXES)
 
 
 class Reading(NamedTuple):
@@ -32,10 +28,9 @@ class Reading(NamedTuple):
 
 
 def bytes_of(path: Path) -> tuple[bytes, bytes | None]:
-    """Return what is in a file and, if it is a table that has one, in its sidecar; raises UserError."""
+    """Return what is in a file and, if there is one, in its sidecar; raises UserError."""
     raw, aside = content_of(path), sidecar.beside(path)
-    beside = path.suffix.lower() in TABLES and aside.is_file()
-    return raw, content_of(aside) if beside else None
+    return raw, content_of(aside) if aside != path and aside.is_file() else None
 
 
 def parsed(path: Path, raw: bytes, aside: bytes | None, reading: Reading, note: Note = refuse) -> Content:
@@ -46,26 +41,34 @@ def parsed(path: Path, raw: bytes, aside: bytes | None, reading: Reading, note: 
         raw: what is in it.
         aside: what is in its sidecar; None without.
         reading: how it is read.
-        note: of a fault that can be passed over.
+        note: of a fault that can be passed over, and of what is not used.
 
     Raises:
         UserError: the first fault that cannot.
     """
-    file, suffix = str(path), path.suffix.lower()
-    if suffix not in SUFFIXES:
-        Place(file).refuse(f"a file {', '.join(SUFFIXES)}", repr(path.suffix))
-    said = sidecar.Sidecar()
+    file = str(path)
+    kind = kinds.kind_of(raw, file)
+    weighed, beside = reading.weighed, sidecar.beside(path)
+    if kind in ("parquet", "table"):
+        if kind == "parquet":
+            sheet = parquet.read_parquet(raw, file, note)
+        else:
+            sheet = read_csv(decoded(raw, path), file, note)
+        said = sidecar.Sidecar() if aside is None else sidecar.parse(decoded(aside, beside), str(beside))
+        return turned([of_sheet(sheet, said, weighed=weighed, note=note)], [sheet.place], reading)
     if aside is not None:
-        beside = sidecar.beside(path)
-        said = sidecar.parse(decoded(aside, beside), str(beside))
-    if suffix == parquet.SUFFIX:
-        found = of_sheet(parquet.read_parquet(raw, file), said, weighed=reading.weighed, note=note)
-    elif suffix in messages.SUFFIXES:
-        blocks = messages.blocks_of(decoded(raw, path), file, note)
-        found = ephemeris.content(blocks, weighed=reading.weighed, note=note)
-    elif elements.are_elements(text := decoded(raw, path), suffix):
+        note(Remark(Place(str(beside)), f"not used: {path.name} says its units and frame itself"))
+    if kind == "elements":
         given = (reading.step, reading.duration)
-        found = elements.content(text, file, *given, weighed=reading.weighed, note=note)
-    else:
-        found = of_sheet(read_csv(text, file, note), said, weighed=reading.weighed, note=note)
-    return found if reading.frame is None else frames.turned(found, reading.frame, file)
+        found = elements.content(decoded(raw, path), file, *given, weighed=weighed, note=note)
+        return turned([found], [Place(file)], reading)
+    blocks = messages.blocks_of(decoded(raw, path), file, note)
+    parts = ephemeris.contents(blocks, weighed=weighed, note=note)
+    return turned(parts, [block.place for block in blocks], reading)
+
+
+def turned(parts: list[Content], places: list[Place], reading: Reading) -> Content:
+    """Return the parts of a file in one frame; raises UserError where that is not possible."""
+    if reading.frame is not None:
+        parts = [frames.turned(part, reading.frame, at.file) for part, at in zip(parts, places, strict=True)]
+    return joined(parts, places) if len(parts) > 1 else parts[0]

@@ -8,8 +8,12 @@ from typing import Any, NamedTuple
 import yaml
 
 from ahnn.arguments import nearest
+from ahnn.contents import plain_yaml
 from ahnn.data.files.table import Header, Place
+from ahnn.files import write_atomically
+from ahnn.manifest import require_own
 
+SUFFIXES = (".yaml", ".yml")
 KEYS = ("units", "columns", "frame")
 
 
@@ -29,7 +33,8 @@ class Sidecar(NamedTuple):
 
 def beside(path: Path) -> Path:
     """Return where the sidecar of a data file is, if it has one."""
-    return path.with_suffix(".yaml")
+    names = [path.with_suffix(suffix) for suffix in SUFFIXES]
+    return next((name for name in names if name.is_file()), names[0])
 
 
 def parse(text: str, file: str) -> Sidecar:
@@ -39,8 +44,8 @@ def parse(text: str, file: str) -> Sidecar:
         UserError: no YAML, or keys other than `units`, `columns` and `frame`.
     """
     try:
-        content = yaml.safe_load(text)
-    except yaml.YAMLError as error:
+        content = plain_yaml(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         Place(file).refuse("YAML", " ".join(str(error).split()))
     given: dict[Any, Any] = content if isinstance(content, dict) else {str(content): None}
     for key, value in given.items():
@@ -67,3 +72,19 @@ def with_units(header: Header, sidecar: Sidecar, place: Place) -> Header:
             place._replace(column=name).refuse(f"[{text}], as in the sidecar", f"[{units[name]}]", remedy)
         units[name] = text
     return Header(header.names, tuple(units.values()))
+
+
+def written(path: Path, said: Sidecar) -> bytes:
+    """Return the sidecar of a file that this program writes."""
+    about = f"# Units, columns and frame of {path.name}\n"
+    return f"{about}{yaml.safe_dump(said._asdict(), sort_keys=False)}".encode()
+
+
+def require_place(path: Path) -> None:
+    """Refuse a file whose sidecar would take the place of another's; raises UserError."""
+    require_own([beside(path)], "output")
+
+
+def write(path: Path, said: Sidecar) -> None:
+    """Write the sidecar of a file."""
+    write_atomically(path.with_suffix(SUFFIXES[0]), written(path, said))

@@ -10,8 +10,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from ahnn.arguments import Positive, Within, checked
+from ahnn.data.files import frame_names
 from ahnn.data.files.content import Content, since_first
-from ahnn.data.files.frames import ROTATING
+from ahnn.data.files.frame_names import ROTATING
 from ahnn.data.files.reading import Reading, bytes_of, parsed
 from ahnn.data.files.samples import Track, cut, filled, stacked, trimmed
 from ahnn.data.files.table import Place
@@ -71,7 +72,7 @@ class Files:
             contents.append(parsed(file, raw, aside, self.reading))
         contents = since_first(contents)
         first = together(self.paths, contents)
-        self.positions_only = not first.rates
+        self.positions_only, self.momenta = not first.rates, first.momenta
         if first.momenta and mass is None:
             message = (
                 f"system.mass: expected the mass of p = m dq/dt for the momenta {', '.join(first.rates)} of "
@@ -149,7 +150,9 @@ def together(paths: list[Path], contents: list[Content]) -> Content:
         first = getattr(contents[0], name)
         for path, content in zip(paths, contents, strict=True):
             if (received := getattr(content, name)) != first:
-                Place(str(path)).refuse(f"{name} {spelled(first)}, as in {paths[0]}", spelled(received))
+                remedy = frame_names.remedy(str(first), str(received)) if name == "frame" else ""
+                expected = f"{name} {spelled(first)}, as in {paths[0]}"
+                Place(str(path)).refuse(expected, spelled(received) or "none", remedy)
     return contents[0]
 
 
@@ -161,7 +164,9 @@ def spelled(value: Any) -> str:
 def space_of(name: str, content: Content, mass: float | None) -> Space:
     """Return what the numbers mean."""
     momenta = content.rates if content.momenta else tuple(f"p{q}" for q in content.positions)
-    return Space(name, (*content.positions, *momenta), content.units, mass or 1.0, content.frame)
+    turning = content.momenta and content.frame.upper().startswith(ROTATING)
+    parts = (*content.positions, *momenta), content.units, mass or 1.0, content.frame
+    return Space(name, *parts, mechanical=not turning)
 
 
 def widened(track: Track, dof: int) -> Any:

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import csv
-import io
+import logging
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple, NoReturn
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ahnn.errors import UserError
 
+log = logging.getLogger(__name__)
 HEADER = re.compile(r"\s*(?P<name>[^\[\]()]*?)\s*([\[(](?P<unit>[^\[\]()]*)[\])])?\s*")
 MISSING = {"", "nan", "na"}
+EMPTY = "An empty cell is a missing one"
 
 
 class Place(NamedTuple):
@@ -55,13 +57,32 @@ class Fault(UserError):
         self.place, self.expected, self.received, self.remedy = place, expected, received, remedy
 
 
-Note = Callable[[Fault], None]
-"""What a reader does with a fault that it could pass over: a training refuses, a doctor writes it down."""
+class Remark(NamedTuple):
+    """What a reader leaves out of a file, or takes in a way that a user should know.
+
+    Attributes:
+        place: where.
+        what: is left out or taken.
+        remedy: what to do, "" where nothing is to be done.
+        level: a warning where something may be wrong.
+    """
+
+    place: Place
+    what: str
+    remedy: str = ""
+    level: Literal["warning", "note"] = "note"
 
 
-def refuse(fault: Fault) -> None:
-    """Raise a fault."""
-    raise fault from None
+Note = Callable[[Fault | Remark], None]
+"""What a reader does with what it could pass over: a doctor writes it down, all others `refuse`."""
+
+
+def refuse(said: Fault | Remark) -> None:
+    """Raise a fault; a remark is logged."""
+    if isinstance(said, Fault):
+        raise said from None
+    level = logging.WARNING if said.level == "warning" else logging.INFO
+    log.log(level, "%s: %s%s", said.place, said.what, f". {said.remedy}" if said.remedy else "")
 
 
 class Header(NamedTuple):
@@ -93,37 +114,52 @@ def read_csv(text: str, file: str, note: Note = refuse) -> Sheet:
     Args:
         text: of the file.
         file: its name, for messages.
-        note: of a row of another length, which is then left out.
+        note: of a row of another length, which is then left out, and of lines that begin with #.
 
     Raises:
         UserError: no header, a name that occurs twice, or what `note` raises.
     """
-    lines = [
-        (row, line)
-        for row, line in enumerate(io.StringIO(text), 1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
+    there = [(row, line) for row, line in enumerate(text.split("\n"), 1) if line.strip()]
+    lines = [(row, line) for row, line in there if not line.lstrip().startswith("#")]
     if not lines:
         Place(file).refuse("a header and a row for each sample", "no line")
-    first = lines[0][1]
-    delimiter = max(",;\t", key=first.count)
-    place = Place(file, lines[0][0])
-    header = header_of(next(csv.reader([first], delimiter=delimiter)), place)
+    if (count := len(there) - len(lines)) > 0:
+        note(Remark(Place(file), f"{count} {'line' if count == 1 else 'lines'} left out, behind #"))
+    row, first = lines[0]
+    delimiter, place = delimiter_of(first), Place(file, row)
+    if delimiter not in first and len(first.split()) > 1 and "[" not in first:
+        place.refuse("columns separated by commas, semicolons or tabs", repr(first[:60]))
+    header = header_of(cells_of(first, delimiter, place), place)
     width, rows, whole = len(header.names), [], []
-    for (row, _), cells in zip(lines[1:], cells_of(lines[1:], delimiter), strict=True):
-        if len(cells) == width:
+    for row, line in lines[1:]:
+        try:
+            cells = cells_of(line, delimiter, Place(file, row))
+            if len(cells) != width:
+                Place(file, row).refuse(f"{width} cells, as in the header", f"{len(cells)}")
+        except Fault as fault:
+            note(fault)
+        else:
             rows.append(row)
             whole.append(cells)
-        else:
-            note(Fault(Place(file, row), f"{width} cells, as in the header", f"{len(cells)}"))
     columns: list[Any] = list(zip(*whole, strict=True)) if whole else [()] * width
     return Sheet(header, place, np.array(rows, dtype=np.int64), columns)
 
 
-def cells_of(lines: Sequence[tuple[int, str]], delimiter: str) -> Iterator[list[str]]:
-    """Yield the cells of each line; a quoted cell ends with its line."""
-    for _, line in lines:
-        yield [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter))]
+def delimiter_of(header: str) -> str:
+    """Return what separates the cells of a table: what occurs most often in its header, outside quotes."""
+    return max(",;\t", key=re.sub(r'"[^"]*"', "", header).count)
+
+
+def cells_of(line: str, delimiter: str, place: Place) -> list[str]:
+    """Return the cells of a line, without their quotes; raises Fault where a quote does not end."""
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(delimiter)]
+    line = re.sub(rf'"[^\S\t]+(?={delimiter}|$)', '"', line)
+    try:
+        rows = csv.reader([line], delimiter=delimiter, skipinitialspace=True, strict=True)
+        return [cell.strip() for cell in next(rows)]
+    except csv.Error as error:
+        place.refuse("quoted cells that end in their line", f"{line[:60]!r} ({error})")
 
 
 def header_of(cells: Sequence[str], place: Place) -> Header:
@@ -154,8 +190,13 @@ def is_number(text: str) -> bool:
     return True
 
 
-def number(cell: str, place: Place) -> float:
+def number(cell: str, place: Place, remedy: str = EMPTY) -> float:
     """Return the number in a cell, NaN where it is empty.
+
+    Args:
+        cell: text of the number.
+        place: of the cell.
+        remedy: what a message advises.
 
     Raises:
         UserError: text, or infinity.
@@ -165,7 +206,7 @@ def number(cell: str, place: Place) -> float:
     try:
         value = float(cell.replace("_", "?"))  # Python reads 1_000 as a number, nobody else does
     except ValueError:
-        place.refuse("a number", repr(cell), "An empty cell is a missing one")
+        place.refuse("a number", repr(cell), remedy)
     if math.isinf(value):
-        place.refuse("a finite number", repr(cell), "An empty cell is a missing one")
+        place.refuse("a finite number", repr(cell), remedy)
     return value

@@ -8,13 +8,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from ahnn.data.files import epochs
-from ahnn.data.files.columns import roles
-from ahnn.data.files.content import Content
+from ahnn.data.files.columns import Roles, is_deviation, roles
+from ahnn.data.files.content import Column, Content
+from ahnn.data.files.frame_names import canonical
 from ahnn.data.files.frames import TO_TT
 from ahnn.data.files.samples import Array, Track, by_id, ordered
 from ahnn.data.files.scales import scales
 from ahnn.data.files.sidecar import Sidecar, with_units
-from ahnn.data.files.table import MISSING, Fault, Header, Note, Place, Sheet, number, refuse
+from ahnn.data.files.table import MISSING, Fault, Header, Note, Place, Remark, Sheet, number, refuse
+
+NOTATION = "Write dates as year-month-day, which nobody takes for another day"
 
 
 def of_sheet(sheet: Sheet, sidecar: Sidecar, *, weighed: bool, note: Note = refuse) -> Content:
@@ -32,6 +35,7 @@ def of_sheet(sheet: Sheet, sidecar: Sidecar, *, weighed: bool, note: Note = refu
     place, file = sheet.place, sheet.place.file
     header = with_units(sheet.header, sidecar, place)
     found = roles(header, sidecar.columns, place)
+    say_unused(header, found, place, note)
     if not len(sheet.rows):
         place.refuse("a row for each sample", "a header alone")
     times, clock, epoch = None, "", None
@@ -43,15 +47,40 @@ def of_sheet(sheet: Sheet, sidecar: Sidecar, *, weighed: bool, note: Note = refu
         times = numbers(sheet, found.time, note)
     columns = [numbers(sheet, column, note) for column in (*found.positions, *found.rates)]
     values = np.stack(columns, axis=1) * (*by.positions, *by.rates)
-    ids = [""] * len(sheet.rows) if found.id is None else [str(name) for name in sheet.columns[found.id]]
     name = header.names[found.time]
     whole = Track("", file, sheet.rows, times * by.time, values)
-    tracks = tuple(ordered(track, name, note) for track in by_id(ids, whole))
+    tracks = tuple(ordered(track, name, note) for track in trajectories(sheet, found.id, whole, note))
     positions, rates = (tuple(header.names[i] for i in columns) for columns in (found.positions, found.rates))
-    momenta, head = found.kind == "momenta", place.row
-    return Content(
-        positions, rates, momenta, by.units, sidecar.frame, tracks, epoch, clock, time=name, head=head
+    momenta, head, frame = found.kind == "momenta", place.row, canonical(sidecar.frame)
+    units = [clock if i == found.time and clock else unit or "" for i, unit in enumerate(header.units)]
+    columns = tuple(
+        Column(name, found.of(i), unit)
+        for i, (name, unit) in enumerate(zip(header.names, units, strict=True))
     )
+    return Content(positions, rates, momenta, by.units, frame, tracks, epoch, clock, name, head, columns)
+
+
+def say_unused(header: Header, found: Roles, place: Place, note: Note) -> None:
+    """Remark on the columns that nothing is read of."""
+    unused = [name for i, name in enumerate(header.names) if found.of(i) == "not used"]
+    deviations = [name for name in unused if is_deviation(name)]
+    if others := [name for name in unused if name not in deviations]:
+        note(Remark(place, f"not used, since the sidecar does not name them: {', '.join(others)}"))
+    if deviations:
+        what = f"not used, one standard deviation counts for all samples: {', '.join(deviations)}"
+        note(Remark(place, what, "Say it: sensor=recorded data.noise=...", "warning"))
+
+
+def trajectories(sheet: Sheet, column: int | None, whole: Track, note: Note) -> list[Track]:
+    """Return a track for each id; rows without one are noted and left out."""
+    if column is None:
+        return [whole]
+    name, file = sheet.header.names[column], sheet.place.file
+    ids = [str(cell) for cell in sheet.columns[column]]
+    missing = np.array([one.lower() in MISSING for one in ids], dtype=bool)
+    for row in sheet.rows[missing]:
+        note(Fault(Place(file, int(row), name), "the name of a trajectory", "none", "Name it in each row"))
+    return by_id([one for one in ids if one.lower() not in MISSING], whole.part(np.flatnonzero(~missing)))
 
 
 def numbers(sheet: Sheet, column: int, note: Note) -> Array:
@@ -71,11 +100,11 @@ def numbers(sheet: Sheet, column: int, note: Note) -> Array:
 
 
 def are_epochs(cells: Sequence[str] | Array) -> bool:
-    """Return whether the first cell that holds something is a date, and no number."""
+    """Return whether the first cell that holds something is a date or a time of day, in any notation."""
     if isinstance(cells, np.ndarray):
         return False
     first = next((cell for cell in cells if cell.lower() not in MISSING), "")
-    return len(first) > 8 and first[:4].isdigit() and first[4] == "-"
+    return epochs.DATE.match(first) is not None
 
 
 def with_clock(header: Header, time: int, place: Place) -> tuple[Header, str]:
@@ -93,15 +122,20 @@ def with_clock(header: Header, time: int, place: Place) -> tuple[Header, str]:
 def elapsed(sheet: Sheet, column: int, clock: str, note: Note) -> tuple[Array, int]:
     """Return the seconds from the first of the epochs in a column, NaN where there is none, and that epoch.
 
-    A blank in place of the T is taken, and an offset of zero behind the time.
+    Raises:
+        UserError: the first of them is a date in another notation.
     """
     name, file = sheet.header.names[column], sheet.place.file
     moments: list[int | None] = []
+    known = False
     for row, cell in zip(sheet.rows.tolist(), sheet.columns[column], strict=True):
-        text = str(cell).removesuffix("+00:00").replace(" ", "T", 1)
+        text = str(cell)
         try:
             moments.append(None if text.lower() in MISSING else epochs.instant(text, utc=clock == "UTC"))
+            known |= moments[-1] is not None
         except ValueError as error:
+            if not known:
+                Place(file, row, name).refuse(str(error), f"{cell!r}, in another notation", NOTATION)
             note(Fault(Place(file, row, name), str(error), repr(cell)))
             moments.append(None)
     start = min((moment for moment in moments if moment is not None), default=0)

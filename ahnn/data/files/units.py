@@ -23,7 +23,7 @@ BASE = {
     **{"rad": (1.0, ANGLE), "deg": (math.pi / 180, ANGLE), "°": (math.pi / 180, ANGLE)},
 }
 """What each name stands for: its size in kg, m, s and rad, and its dimension."""
-POWER = re.compile(r"(?P<one>1)|(?P<name>[A-Za-z°]+)((\^|\*\*)?(?P<power>-?\d+))?")
+POWER = re.compile(r"(?P<one>1)|(?P<name>[A-Za-z°]+)((\^|\*\*)?(?P<power>-?\d))?")
 RAISED = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
 

@@ -7,15 +7,20 @@ Of version 2.0 the static fields are read.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
-from math import perm, sqrt
+from math import perm, pi, sqrt
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 
+from ahnn.contents import read_whole
 from ahnn.systems.gravity.field import GravityField, Tide
+from ahnn.systems.gravity.harmonics import Coefficients
 from ahnn.systems.gravity.rows import VARIES, Coefficient, Index, Line, coefficients
+
+log = logging.getLogger(__name__)
 
 MU, RADIUS, DEGREE = "earth_gravity_constant", "radius", "max_degree"
 KNOWN: dict[str, tuple[str, ...]] = {
@@ -25,8 +30,16 @@ KNOWN: dict[str, tuple[str, ...]] = {
     "format": ("icgem1.0", "icgem2.0"),
 }
 """Keywords of the header with the values that can be read; the first stands where there is none."""
+LARGEST = 500_000_000
+"""Bytes of a file; one to degree 2190 has 250 million."""
 PLAIN = 80
 """Beyond this degree factors of the normalisation are no floats."""
+NEWTON = 6.6743e-11
+"""Newton's constant, m^3/(kg s^2)."""
+DENSITIES, STONES, SMALL = (10.0, 1e5), 4500.0, 1e5
+"""Mean densities of bodies in kg/m^3, the highest of small ones, and the radius in m that these are below."""
+MASS, OFFSET = 1e-4, 1e-6
+"""What C of degree 0 may be off by, and coefficients of degree 1: on the Earth 11 m."""
 CONVENTION: dict[Index, Coefficient] = {(0, 0): (1.0, 0.0), (1, 0): (0.0, 0.0), (1, 1): (0.0, 0.0)}
 """What a file may leave out: the mass is that of mu, the origin the centre of mass."""
 
@@ -42,11 +55,8 @@ def read_gfc(path: Path | str, epoch: str | None = None) -> GravityField:
         UserError: no such file, or what is wrong with it, with the row.
     """
     file = Line(str(path), 0, [])
-    place = Path(path)
-    if not place.is_file():  # a device would never end
-        file.refuse("a file with a gravity field", "none")
     try:
-        text = place.read_bytes().decode("latin-1")
+        text = read_whole(Path(path), LARGEST).decode("latin-1")
     except OSError as error:
         file.refuse("a file with a gravity field", error.strerror)
     text = text.replace("\r\n", "\n").replace("\r", "\n")
@@ -113,6 +123,7 @@ def assembled(
     for name, value in ((MU, mu), (RADIUS, radius)):
         if value <= 0:
             head[name].refuse(f"{name} > 0, in m and s", value)
+    require_body(mu, radius, head)
     factor = inverse_normalisation if plain else one
     cosines, sines = np.zeros((2, degree + 1, degree + 1))
     for (n, m), pair in found.items():
@@ -120,9 +131,36 @@ def assembled(
             cosines[n, m], sines[n, m] = (value * factor(n, m) for value in pair)
     if not (np.isfinite(cosines).all() and np.isfinite(sines).all()):
         file.refuse("coefficients that are finite when normalised", "infinite ones")
+    require_centred(cosines, sines, file)
     name = head["modelname"].word(1) if "modelname" in head else Path(file.file).stem
     tide: Any = head["tide_system"].word(1) if "tide_system" in head else "unknown"
     return GravityField(name, mu / 1e9, radius / 1e3, cosines, sines, tide)
+
+
+def require_body(mu: float, radius: float, head: Mapping[str, Line]) -> None:
+    """Refuse a mass and a radius that no body has, as of numbers in km; raises UserError."""
+    density = mu / (4 / 3 * pi * NEWTON * radius**3)
+    low, high = DENSITIES
+    if not low <= density <= (STONES if radius < SMALL else high):
+        head[RADIUS].refuse(
+            f"{RADIUS} in m and {MU} in m^3/s^2, of a body of {low:g} to {high:g} kg/m^3, below "
+            f"{SMALL / 1e3:g} km to {STONES:g}",
+            f"{radius:g} and {mu:g}, which is {density:.3g} kg/m^3. Write both in metres",
+        )
+    if radius < SMALL:
+        log.warning("%s: a body of radius %g m; its numbers count as m and s", head[RADIUS].file, radius)
+
+
+def require_centred(cosines: Coefficients, sines: Coefficients, file: Line) -> None:
+    """Refuse coefficients that are no body's field about its own centre of mass; raises UserError."""
+    if abs(cosines[0, 0] - 1) > MASS:
+        file.refuse("C of n, m = (0, 0) = 1: the mass is that of the constant", f"{cosines[0, 0]:g}")
+    first = max(abs(cosines[1, :2]).max(), abs(sines[1, 1]))
+    if first > OFFSET:
+        said = f"coefficients of degree 1 up to {first:g}. Shift the origin, or leave these rows out"
+        file.refuse(f"the origin in the centre of mass, C10, C11, S11 within {OFFSET:g} of 0", said)
+    if (most := max(abs(cosines).max(), abs(sines).max())) > 1 + MASS:
+        file.refuse("normalised coefficients of at most 1", f"one of {most:g}")
 
 
 def one(n: int, m: int) -> float:

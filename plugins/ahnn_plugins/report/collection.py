@@ -9,6 +9,7 @@ from typing import NamedTuple
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
+from ahnn.contents import require_regular
 from ahnn.errors import UserError
 from ahnn.evaluation.results import FILE, Results, load_results
 
@@ -53,12 +54,13 @@ class Entry(NamedTuple):
             UserError: the file is damaged.
         """
         path = self.folder / PREDICTIONS
-        if not path.is_file():
+        if not path.exists():
             return None
         try:
+            require_regular(path)
             with safe_open(str(path), "pt") as arrays:
                 return arrays.get_tensor(key) if key in arrays.keys() else None  # noqa: SIM118 - no mapping
-        except SafetensorError as error:
+        except (SafetensorError, OSError) as error:
             message = f"{path}: expected the arrays of an evaluation; received a damaged file: {error}"
             raise UserError(message) from error
 

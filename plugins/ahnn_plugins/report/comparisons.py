@@ -6,7 +6,9 @@ import math
 from itertools import combinations, pairwise, product
 from typing import NamedTuple
 
+from ahnn import labels
 from ahnn.evaluation.case import Start
+from ahnn.labels import headed
 from ahnn_plugins.report.collection import Entry
 from ahnn_plugins.report.grid import NONE, Cell, Grid, Head, Line, interval, mean_and_spread
 from ahnn_plugins.report.paper import MODELS
@@ -75,7 +77,8 @@ def order_table(board: Board, confidence: float) -> Grid | None:
             Cell(" < ".join(sorted(said, key=lambda model: said[model])) or NONE, "words"),
             *(Cell(str(count) if said else NONE) for count in pairs),
         ]
-        name = f"{quantity}, {start} start" + (", filter" if with_filter else "")
+        called, _ = labels.quantity(board.entries[0].results.space, quantity)
+        name = f"{called}, {start} start" + (", filter" if with_filter else "")
         lines.append(Line(name, tuple(cells)))
     if not lines:
         return None
@@ -105,10 +108,9 @@ def ablation_table(board: Board, confidence: float) -> Grid | None:
             ]
     if not lines:
         return None
-    units = board.entries[0].results.space.units
+    space = board.entries[0].results.space
     names = [
-        f"{m.quantity} [{getattr(units, m.quantity)}], {m.start} start" + (", filter" if m.filtered else "")
-        for m in COLUMNS
+        f"{headed(space, m.quantity)}, {m.start} start" + (", filter" if m.filtered else "") for m in COLUMNS
     ]
     caption = (
         "Mean ± standard deviation over runs; in parentheses the factor to the smallest window with its "

@@ -123,7 +123,8 @@ def _system(
 
 def _method(confidence: float) -> Markup:
     texts = (
-        "RMSE of position and velocity: for each unseen trajectory the root mean square over "
+        "RMSE of positions, and of velocities or momenta: for each unseen trajectory the root "
+        "mean square over "
         "time of the length of "
         "the error vector, then the mean over trajectories. The paper does not say which it "
         "uses; this one fits its "

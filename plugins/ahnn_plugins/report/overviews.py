@@ -7,16 +7,16 @@ from typing import Any
 
 from ahnn.evaluation.case import Who
 from ahnn.evaluation.titles import MODEL, title
+from ahnn.labels import headed
 from ahnn_plugins.report.collection import Entry
 from ahnn_plugins.report.grid import NONE, Cell, Grid, Head, Line, mean_and_spread, shown
 from ahnn_plugins.report.samples import Sample
-from ahnn_plugins.report.scores import QUANTITIES, Board, floor_of, sample
+from ahnn_plugins.report.scores import QUANTITIES, Board, floor_of, measured, sample
 from ahnn_plugins.report.settings import loss_of, noise_of, values_of
 
 
 def score_table(board: Board) -> Grid:
     """Return every row of every model beside its floor."""
-    units = board.entries[0].results.space.units
     lines = []
     for model, entries in board.groups.items():
         lines.append(Line(model))
@@ -30,13 +30,13 @@ def score_table(board: Board) -> Grid:
                     Cell(shown(floor.mean if floor.values else None), "quiet"),
                 ]
             lines.append(Line(described(who, model), tuple(cells)))
-    names = [f"{q} [{getattr(units, q)}]" for q in QUANTITIES]
+    names = [headed(board.entries[0].results.space, q) for q in QUANTITIES]
     heads = (
         (Head(""), Head(""), *(Head(name, 2) for name in names)),
         (Head("Prediction"), Head("runs"), *((Head("model"), Head("floor")) * 3)),
     )
     caption = (
-        "Position and velocity: mean over trajectories of the rms vector norm; mean ± standard "
+        "States: mean over trajectories of the rms vector norm; mean ± standard "
         "deviation over "
         "runs. Floor: what perfect knowledge scores there. Settled: from the first update on."
     )
@@ -53,7 +53,7 @@ def floors(entries: Iterable[Entry], who: Who, quantity: str) -> Sample:
             row = floor_of(entry, who.start, who.estimator is not None, who.estimator)
         value = None if row is None else getattr(row.scores, quantity)
         found += [] if value is None else [value]
-    return Sample(tuple(found))
+    return measured(found)
 
 
 def described(who: Who, model: str) -> str:
@@ -77,7 +77,6 @@ def ladder_table(board: Board) -> Grid | None:
         steps.setdefault(key, []).append(entry)
     if len(steps) < 2:
         return None
-    units = board.entries[0].results.space.units
     lines = []
     for (assumes, loss, noise), entries in steps.items():
         start = "true" if any(e.results.row(Who(MODEL, "true")) for e in entries) else "fitted"
@@ -91,7 +90,7 @@ def ladder_table(board: Board) -> Grid | None:
         (
             Head("What is taken as known"),
             *map(Head, names),
-            *(Head(f"{q} [{getattr(units, q)}]") for q in QUANTITIES),
+            *(Head(headed(board.entries[0].results.space, q)) for q in QUANTITIES),
         ),
     )
     caption = "Without measurements; mean ± standard deviation over the runs that share the first columns."

@@ -10,7 +10,7 @@ from typing import Annotated, final
 from ahnn.arguments import Within, checked
 from ahnn.evaluation.sinks.figures import pictures_in
 from ahnn.files import claimed, require_writable, write_atomically
-from ahnn.manifest import own_folder, remove_own, require_folder
+from ahnn.manifest import remove_own, require_folder
 from ahnn_plugins.report import many, single
 from ahnn_plugins.report.collection import Collection, collect
 from ahnn_plugins.report.document import page
@@ -117,9 +117,7 @@ def named(grids: dict[str, list[Grid]]) -> dict[str, Grid]:
 
 
 def clear_earlier(output: Path) -> None:
-    """Make the folders of tables and pictures, and remove from them those of an earlier report."""
-    for name in FOLDERS:
-        own_folder(output / name)
+    """Remove tables and pictures of an earlier report."""
     for path in earlier(output):
         remove_own(path)
 

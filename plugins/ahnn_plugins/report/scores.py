@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
 from ahnn.evaluation.case import Row, Start, Who
 from ahnn.evaluation.titles import MODEL
+from ahnn.labels import quantity
 from ahnn_plugins.report.collection import Collection, Entry
 from ahnn_plugins.report.paper import MODELS, Place, Printed, printed
 from ahnn_plugins.report.samples import Sample
@@ -67,14 +69,14 @@ class Board(NamedTuple):
             return Sample(())
         found = (floor_of(e, measure.start, measure.filtered, self.estimator) for e in self.entries)
         values = (getattr(row.scores, measure.quantity) for row in found if row is not None)
-        return Sample(tuple(value for value in values if value is not None))
+        return measured(values)
 
     def printed(self, measure: Measure) -> Printed | None:
         """Return the paper's number in the place of a measure, where it is in the same unit."""
         found = printed().get(
             Place(self.system, measure.model, measure.filtered, measure.start, measure.quantity)
         )
-        units = {getattr(entry.results.space.units, measure.quantity) for entry in self.entries}
+        units = {quantity(entry.results.space, measure.quantity)[1] for entry in self.entries}
         return found if found is not None and units <= {found.unit} else None
 
 
@@ -100,8 +102,12 @@ def estimator(entries: Iterable[Entry]) -> str | None:
 def sample(entries: Iterable[Entry], who: Who, quantity: str) -> Sample:
     """Return a score of one row over the runs that have it."""
     rows = (entry.results.row(who) for entry in entries)
-    values = (getattr(row.scores, quantity) for row in rows if row is not None)
-    return Sample(tuple(value for value in values if value is not None))
+    return measured(getattr(row.scores, quantity) for row in rows if row is not None)
+
+
+def measured(values: Iterable[float | None]) -> Sample:
+    """Return a score without NaN, which is of runs that measured nothing; what is lost is infinite."""
+    return Sample(tuple(value for value in values if value is not None and not math.isnan(value)))
 
 
 def floor_of(entry: Entry, start: str, filtered: bool, estimator: str | None) -> Row | None:

@@ -2,34 +2,29 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from ahnn.files import plain_yaml
+from ahnn.contents import read_plain, read_whole
+from ahnn.errors import UserError
 from ahnn_plugins.report.collection import SETTINGS
-
-LARGEST = 2_000_000
-"""Characters of a configuration that is read; ours have a few thousand."""
 
 
 def text_of(folder: Path) -> str:
     """Return the configuration of a run, or of the run whose evaluation this is; "" where there is none."""
     for place in (folder, folder.parent.parent):
-        path = place / SETTINGS
-        if path.is_file() and path.stat().st_size <= LARGEST:
-            return path.read_text(encoding="utf-8", errors="replace")
+        with suppress(OSError):
+            return read_whole(place / SETTINGS).decode("utf-8", "replace")
     return ""
 
 
 def values_of(folder: Path) -> dict[str, Any]:
     """Return the configuration of a run as nested values; an empty one where it cannot be read."""
-    try:
-        content = plain_yaml(text_of(folder))
-    except (yaml.YAMLError, ValueError, RecursionError):
-        return {}
-    return content if isinstance(content, dict) else {}
+    for place in (folder, folder.parent.parent):
+        with suppress(UserError):
+            return read_plain(place / SETTINGS)
+    return {}
 
 
 def noise_of(content: dict[str, Any]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ahnn.evaluation.titles import described
+from ahnn.labels import quantity
 from ahnn_plugins.report.collection import Collection, Entry
 from ahnn_plugins.report.consistency import as_text, consistency_table
 from ahnn_plugins.report.document import Section
@@ -13,7 +14,7 @@ from ahnn_plugins.report.markup import Markup, escaped, tag
 from ahnn_plugins.report.overviews import number, score_table
 from ahnn_plugins.report.pictures import Picture, figures_html
 from ahnn_plugins.report.remarks import remarks
-from ahnn_plugins.report.scores import board
+from ahnn_plugins.report.scores import QUANTITIES, board
 from ahnn_plugins.report.settings import text_of
 
 
@@ -55,13 +56,12 @@ def sections(collection: Collection, grids: dict[str, list[Grid]], pictures: lis
 def _training(entry: Entry) -> Markup:
     training, space = entry.results.training, entry.results.space
     values = {key: number(training, key) for key in training}
-    units = space.units
     facts = {
         "model": entry.model,
         "takes as known": entry.results.assumes or "not said",
         "system": entry.system,
         "state": ", ".join(space.components) + (f" in {space.frame}" if space.frame else ""),
-        "units": f"{units.position}, {units.velocity}, {units.energy}; time in {units.time}",
+        "units": f"{', '.join(quantity(space, q)[1] for q in QUANTITIES)}; time in {space.units.time}",
         **{_named(key): _shown(value, training[key]) for key, value in values.items()},
     }
     return definitions(facts)

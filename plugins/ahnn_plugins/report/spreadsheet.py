@@ -6,6 +6,7 @@ import csv
 import io
 from collections.abc import Iterator
 
+from ahnn import labels
 from ahnn.evaluation.titles import MODEL
 from ahnn_plugins.report.collection import Collection
 from ahnn_plugins.report.overviews import floors
@@ -44,7 +45,7 @@ def scores_csv(collection: Collection) -> str:
 
 
 def _rows(scores: Board) -> Iterator[tuple[str | float | None, ...]]:
-    units = scores.entries[0].results.space.units
+    space = scores.entries[0].results.space
     for model, entries in scores.groups.items():
         for who in dict.fromkeys(r.who for e in entries for r in e.results.rows if not r.who.floor):
             for quantity in QUANTITIES:
@@ -57,7 +58,7 @@ def _rows(scores: Board) -> Iterator[tuple[str | float | None, ...]]:
                 said = scores.printed(Measure(model, quantity, who.start, filters)) if of_paper else None
                 yield (
                     *(scores.system, model, who.process, who.estimator, who.start, who.span),
-                    *(quantity, getattr(units, quantity), len(found.values), found.mean, found.spread),
+                    *(*labels.quantity(space, quantity), len(found.values), found.mean, found.spread),
                     *(min(found.values), max(found.values), floor.mean if floor.values else None),
                     *((said.value, said.doubt) if said else (None, "")),
                 )

@@ -10,6 +10,7 @@ from torch import Tensor
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.consistency import deviations
 from ahnn.jacobians import pointwise_jacobian
+from ahnn.measurements import residual
 from ahnn.types import Flow
 from ahnn_plugins.ukf.kernel import Sensor
 from ahnn_plugins.ukf.steps import Grid
@@ -89,15 +90,15 @@ def followed(arc: Arc, start: Tensor) -> Fit:
 
 def _row(arc: Arc, k: int, x: Tensor, moved: Tensor) -> tuple[Tensor, Tensor]:
     """Return the residuals (B, M) of the states at the end of step k, and their derivatives (B, M, D)."""
-    residual, slope = _residual(arc, k, x), pointwise_jacobian(lambda z: _residual(arc, k, z), x) @ moved
-    white = _whitened(arc, k, torch.cat((residual.unsqueeze(-1), slope), dim=-1))
+    off, slope = _residual(arc, k, x), pointwise_jacobian(lambda z: _residual(arc, k, z), x) @ moved
+    white = _whitened(arc, k, torch.cat((off.unsqueeze(-1), slope), dim=-1))
     return white[..., 0], white[..., 1:]
 
 
 def _residual(arc: Arc, k: int, x: Tensor) -> Tensor:
     """Return predicted - measured (B, M) of states at the end of step k, 0 where nothing was measured."""
     model, y = arc.sensor.measurement, arc.rows[:, k]
-    difference = -model.residual(y.nan_to_num(), model(x, float(arc.grid.times[k])))
+    difference = -residual(model, y.nan_to_num(), model(x, float(arc.grid.times[k])))
     return torch.where(y.isnan(), torch.zeros_like(difference), difference)
 
 

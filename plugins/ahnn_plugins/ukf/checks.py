@@ -59,15 +59,15 @@ def checked_sensor(
     Raises:
         ValueError: no measurement model, or no covariance.
     """
-    missing = [name for name in ("names", "residual", "__call__") if not hasattr(measurement, name)]
+    missing = [name for name in ("names", "__call__") if not hasattr(measurement, name)]
     if missing:
         message = (
-            f"measurement: expected a measurement model with names, residual and a call (x, t); received "
+            f"measurement: expected a measurement model with names and a call (x, t); received "
             f"{measurement!r} without {', '.join(missing)}; see Measurement"
         )
         raise ValueError(message)
     batch, width, device = len(belief.mean), len(measurement.names), belief.mean.device
-    chol_r = covariance_factor(noise, "R", batch=batch, size=width, definite=form.needs_definite_noise)
+    chol_r = covariance_factor(noise, "R", batch=batch, size=width, definite=form.squares)
     chol_r = chol_r.to(device).expand(batch, width, width)
     if gate is None:
         return Sensor(measurement, chol_r, None, torch.inf)

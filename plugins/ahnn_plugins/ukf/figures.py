@@ -67,7 +67,7 @@ def _averages(case: Case, chosen: Chosen, without: dict[Start, Tensor]) -> dict[
     predictions: dict[Start, dict[str, Tensor]] = {start: {"without": x} for start, x in without.items()}
     for (start, floor), outcome in chosen.items():
         predictions[start][names[floor]] = outcome.estimate
-    truth, inertia = case.test.states, case.space.inertia
+    truth, inertia = case.test.states, case.space.divisor
     return {
         start: {key: smoothed_rms(x - truth, inertia) for key, x in several.items()}
         for start, several in predictions.items()
@@ -124,8 +124,8 @@ def error_against_band(case: Case, chosen: Chosen, start: Start) -> Figure:
     for outcome, look in _with_looks(chosen, start):
         teeth, label = sawtooth(outcome), _label_of(outcome, case)
         time = axis.at(teeth.sample).time
-        error = rms_over_members(teeth.mean - case.test.states[:, teeth.sample], case.space.inertia)
-        believed = rms_over_members(teeth.deviation, case.space.inertia)
+        error = rms_over_members(teeth.mean - case.test.states[:, teeth.sample], case.space.divisor)
+        believed = rms_over_members(teeth.deviation, case.space.divisor)
         for i, axes in enumerate(panels):
             axes.plot(time, error[i], **(look | {"lw": 1.4}), label=f"{label}: error")
             axes.plot(time, believed[i], color=look["color"], lw=1.3, ls=":", label=f"{label}: believed σ")
@@ -229,7 +229,7 @@ def _label(case: Case, figure: Figure, grid: list[Any], axis: style.Axis, prefix
 
 def _columns(case: Case, *values: Tensor) -> list[Tensor]:
     """Return states, or errors, (T, D) with velocities in place of momenta."""
-    return [torch.cat(blocks(x, case.space.inertia), dim=-1) for x in values]
+    return [torch.cat(blocks(x, case.space.divisor), dim=-1) for x in values]
 
 
 def _member(outcome: Outcome) -> int:

@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from ahnn.estimation.belief import Belief
-from ahnn.measurements.base import Measurement, Time
+from ahnn.measurements import Measurement, Time, periods, residual
 from ahnn.types import Flow, TimeStep
 from ahnn_plugins.ukf.types import FilterResult, SmootherResult
 
@@ -108,6 +108,7 @@ class OfStates:
 
     def __init__(self, model: Measurement, states: Callable[[Tensor], Tensor]) -> None:
         self.model, self.names, self.units = model, model.names, model.units
+        self.periods = periods(model)
         self._states = states
 
     def __call__(self, x: Tensor, t: Time) -> Tensor:
@@ -116,7 +117,7 @@ class OfStates:
 
     def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
         """Return y - y_pred as the model has it."""
-        return self.model.residual(y, y_pred)
+        return residual(self.model, y, y_pred)
 
 
 def of_states(result: FilterResult, size: int) -> FilterResult:

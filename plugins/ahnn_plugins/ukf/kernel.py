@@ -5,6 +5,7 @@ What fails gives its member a status and freezes it, see `ahnn.estimation.state`
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -12,11 +13,10 @@ from torch import Tensor
 
 from ahnn.estimation.belief import Status, choose
 from ahnn.estimation.state import FilterState, add_repairs, fail, frozen
-from ahnn.measurements import Position, State
-from ahnn.measurements.base import Measurement
+from ahnn.measurements import Measurement, Position, State, nearest, residual
 from ahnn.numbers import described
 from ahnn.types import Flow
-from ahnn_plugins.ukf.rounding import images_lost_in_rounding, lost_in_rounding
+from ahnn_plugins.ukf.rounding import lost_in_prediction, lost_in_update
 from ahnn_plugins.ukf.sigma_points import draw
 from ahnn_plugins.ukf.types import Form, Updated, Weights
 
@@ -57,8 +57,9 @@ def predict(
     after = add_repairs(FilterState(predicted, time, state.steps + 1, *state[3:]), repaired)
     if not sound:
         after = _checked_prediction(after)
-    if weights.crowding is not None:
-        after = fail(after, lost_in_rounding(state.belief, predicted, weights), Status.IMPRECISE)
+    if weights.crowding is not None or form.squares:
+        lost = lost_in_prediction(state.belief, predicted, weights, squares=form.squares)
+        after = fail(after, _not_mended(lost, repaired, weights), Status.IMPRECISE)
     return frozen(after, state.belief), Propagated(points, repaired)
 
 
@@ -66,16 +67,17 @@ def update(
     state: FilterState, y: Tensor, sensor: Sensor, weights: Weights, form: Form
 ) -> tuple[FilterState, Updated, Tensor]:
     """Return the state given the row y (B, M), the update itself, and which rows the gate rejected."""
-    prior, images = state.belief, None
-    direct = form.read if type(sensor.measurement) in READINGS else None
-    updated = None if direct is None else direct(prior, y, weights, sensor.chol_r)
+    prior, updated, size = state.belief, None, y.shape[-1]
+    if form.read is not None and type(sensor.measurement) in READINGS and size <= prior.mean.shape[-1]:
+        turned = nearest(sensor.measurement, y, prior.mean[:, :size])
+        updated = form.read(prior, turned, weights, sensor.chol_r)
     if updated is None:
         images = _measured(sensor.measurement, draw(prior, weights), float(state.time))
-        updated = form.update(prior, images, y, _CheckedResidual(sensor.measurement), weights, sensor.chol_r)
+        updated = form.update(prior, images, y, partial(residual, sensor.measurement), weights, sensor.chol_r)
     nothing_refuses = sensor.thresholds is None and weights.crowding is None
     if updated.sound and nothing_refuses and not bool(state.status.any()):
         return taken(state, updated), updated, torch.zeros_like(updated.singular)
-    after, rejected = _decide(state, updated, ~torch.isnan(y), images, sensor, weights)
+    after, rejected = _decide(state, updated, y, sensor, weights, form)
     return after, updated, rejected
 
 
@@ -105,23 +107,6 @@ def _measured(measurement: Measurement, points: Tensor, t: float) -> Tensor:
     return images.to(points.dtype)
 
 
-class _CheckedResidual(NamedTuple):
-    """A model's difference of two measurements, which must not be broadcast to another shape."""
-
-    model: Measurement
-
-    def __call__(self, y: Tensor, y_pred: Tensor) -> Tensor:
-        """Return y - y_pred, (..., M)."""
-        difference = self.model.residual(y, y_pred)
-        if not _is_real(difference, y.shape):
-            message = (
-                f"measurement: expected residual(y, y_pred) to return a real tensor {tuple(y.shape)} for y "
-                f"of that shape and y_pred {tuple(y_pred.shape)}; received {described(difference)}"
-            )
-            raise ValueError(message)
-        return difference
-
-
 def _is_real(value: object, shape: torch.Size) -> bool:
     return isinstance(value, Tensor) and value.shape == shape and not value.is_complex()
 
@@ -139,6 +124,11 @@ def _checked_prediction(state: FilterState) -> FilterState:
     return fail(state, (variance == 0.0).any(-1), Status.COLLAPSED)
 
 
+def _not_mended(lost: Tensor, repairs: Tensor | None, weights: Weights) -> Tensor:
+    """Return who lost digits, and not by negative weights: their repairs are counted and are no loss."""
+    return lost if repairs is None or weights.downdate is None else lost & (repairs == 0)
+
+
 def taken(state: FilterState, updated: Updated) -> FilterState:
     """Return the state after an update that every member takes: what `_decide` would return."""
     return state._replace(
@@ -151,12 +141,13 @@ def taken(state: FilterState, updated: Updated) -> FilterState:
 def _decide(
     state: FilterState,
     updated: Updated,
-    present: Tensor,
-    images: Tensor | None,
+    y: Tensor,
     sensor: Sensor,
     weights: Weights,
+    form: Form,
 ) -> tuple[FilterState, Tensor]:
     """Take or refuse the update, member by member; return also which rows the gate rejected, (B,) bool."""
+    present = ~torch.isnan(y)
     has_row = present.any(-1)
     mean, chol = updated.belief
     # A sum of squares is finite where all of its terms are.
@@ -170,11 +161,9 @@ def _decide(
     if sensor.thresholds is not None:
         rejected = accepted & (updated.nis > sensor.thresholds[present.sum(-1)])
         accepted = accepted & ~rejected
-    if weights.crowding is not None and images is not None:
-        lost = lost_in_rounding(state.belief, updated.belief, weights)
-        lost = lost | images_lost_in_rounding(images, present, sensor.chol_r, weights)
-        state = fail(state, accepted & lost, Status.IMPRECISE)
-        accepted = accepted & state.alive
+    lost = lost_in_update(state.belief, updated, y, sensor.chol_r, weights, squares=form.squares)
+    state = fail(state, accepted & _not_mended(lost, updated.repairs, weights), Status.IMPRECISE)
+    accepted = accepted & state.alive
     repairs = None if updated.repairs is None else updated.repairs * accepted
     state = add_repairs(state, repairs)
     state = state._replace(

@@ -14,7 +14,7 @@ SIGNATURES = {
     "ahnn_draw": (N, N, P, P, N, P, N, P),
     "ahnn_predict": (N, N, P, P, P, N, P, N, P, P),
     "ahnn_joint": (N, N, N, P, P, N, P, N, P, P, N, P, N, P, P),
-    "ahnn_condition": (N, N, N, P, P, P, P, P, P, P, P, P, P),
+    "ahnn_condition": (N, N, N, P, P, P, P, N, P, P, P, P, P, P, P),
     "ahnn_read": (N, N, N, P, P, P, N, P, N, P, P, P, P, P, P, P),
 }
 """Arguments of its functions: addresses and numbers."""

@@ -6,6 +6,8 @@
 #include "vectors.h"
 
 static const double EPS = 2.220446049250313e-16;
+/* Fraction of a standard deviation that rounding may cost, as rounding.py has it. */
+static const double LIMIT = 1e-3;
 static const double LOG_TWO_PI = 1.8378770664093453;
 
 /* What the functions return. */
@@ -109,11 +111,13 @@ typedef struct {
 } told;
 
 /* Posterior of member b from its joint factor and the residuals of y, in place: those of what is missing become
-   zero. Sound if nothing is missing, nothing singular and everything finite. */
+   zero. Sound if nothing is missing, nothing singular, everything finite, and rounding is far below the limit:
+   `noise` is the factor of R, and `work` holds 2 width numbers. */
 INLINE long condition(long b, long size, long width, const double *factor, const double *y, const double *prior,
-                      const told *to, double *white) {
-    long columns = width + size;
+                      const double *noise, const told *to, double *work) {
+    long columns = width + size, precise = 1;
     double *residual = to->residuals + b * width, squares = 0.0, logs = 0.0, there = 0.0;
+    double *white = work, *off = work + width, lost = 0.0;
     to->singular[b] = 0;
     for (long i = 0; i < width; i++) {
         const double *row = factor + i * columns;
@@ -127,33 +131,43 @@ INLINE long condition(long b, long size, long width, const double *factor, const
         white[i] = rest / row[i];
         squares += white[i] * white[i];
         logs += log(row[i]);
-        to->singular[b] |= row[i] <= 4.0 * EPS * norm;
+        /* A deviation that the numbers it is the difference of do not resolve is none. */
+        off[i] = isnan(y[b * width + i]) ? norm : fabs(y[b * width + i]) + fabs(residual[i]) + norm;
+        to->singular[b] |= row[i] <= EPS / LIMIT * off[i];
+        off[i] *= EPS;
+        for (long k = 0; k < i; k++) off[i] += fabs(noise[i * width + k]) * off[k];
+        off[i] /= noise[i * width + i];
+        lost += off[i];
     }
+    precise &= lost <= LIMIT;
     double total = squares;
     for (long c = 0; c < size; c++) {
         const double *row = factor + (width + c) * columns;
         double moved = 0.0;
         for (long k = 0; k < width; k++) moved += row[k] * white[k];
         double after = to->mean[b * size + c] = prior[b * size + c] + moved;
-        total += after * after;
-        for (long k = 0; k < size; k++) total += row[width + k] * row[width + k];
+        double variance = 0.0;
+        for (long k = 0; k < size; k++) variance += row[width + k] * row[width + k];
+        precise &= EPS * fabs(after) <= LIMIT * sqrt(variance);
+        total += after * after + variance;
         memcpy(to->chol + (b * size + c) * size, row + width, sizeof(double) * (size_t)size);
     }
     to->nis[b] = squares;
     to->log_likelihood[b] = -0.5 * (squares + there * LOG_TWO_PI) - logs;
-    return !to->singular[b] && there == (double)width && total < INFINITY;
+    return precise && !to->singular[b] && there == (double)width && total < INFINITY;
 }
 
 KERNEL long ahnn_condition(long batch, long size, long width, const double *joint, const double *y,
-                           const double *prior, double *residuals, double *mean, double *chol,
-                           double *deviations, double *nis, double *log_likelihood, unsigned char *singular) {
+                           const double *prior, const double *chol_r, long r_step, double *residuals,
+                           double *mean, double *chol, double *deviations, double *nis,
+                           double *log_likelihood, unsigned char *singular) {
     const told to = {residuals, mean, chol, deviations, nis, log_likelihood, singular};
     long columns = width + size, sound = 1;
-    double *white = malloc(sizeof(double) * (size_t)width);
-    if (!white) return NO_MEMORY;
+    double *work = malloc(sizeof(double) * (size_t)(2 * width));
+    if (!work) return NO_MEMORY;
     for (long b = 0; b < batch; b++)
-        sound &= condition(b, size, width, joint + b * columns * columns, y, prior, &to, white);
-    free(white);
+        sound &= condition(b, size, width, joint + b * columns * columns, y, prior, chol_r + b * r_step, &to, work);
+    free(work);
     return sound ? SOUND : UNSOUND;
 }
 
@@ -165,9 +179,9 @@ KERNEL long ahnn_read(long batch, long size, long width, const double *y, const 
                       unsigned char *singular) {
     const told to = {residuals, mean, after, deviations, nis, log_likelihood, singular};
     long columns = width + size, rows = size + 2 * width, sound = 1;
-    lanes *a = workspace((rows + 1 + columns) * columns + width), *scale = a + rows * columns;
+    lanes *a = workspace((rows + 1 + columns) * columns + 2 * width), *scale = a + rows * columns;
     if (!a) return NO_MEMORY;
-    double *joint = (double *)(scale + columns), *white = joint + LANES * columns * columns;
+    double *joint = (double *)(scale + columns), *work = joint + LANES * columns * columns;
     for (long first = 0; first < batch; first += LANES) {
         block here = block_at(first, batch), own = block_at(0, here.count);
         lanes one = (lanes){} + 1.0;
@@ -188,7 +202,8 @@ KERNEL long ahnn_read(long batch, long size, long width, const double *y, const 
         triangularise(a, rows, columns);
         save_factor(joint, &own, a, scale, rows, columns);
         for (long l = 0; l < here.count; l++)
-            sound &= condition(first + l, size, width, joint + l * columns * columns, y, prior, &to, white);
+            sound &= condition(first + l, size, width, joint + l * columns * columns, y, prior,
+                               chol_r + (first + l) * r_step, &to, work);
     }
     free(a);
     return sound ? SOUND : UNSOUND;

@@ -64,7 +64,8 @@ def update(
     told = residual(y if complete else torch.where(present, y, y_pred), y_pred)
     innovation = torch.empty_like(y).copy_(told)
     results = _results(prior, innovation)
-    return _updated(_call("ahnn_condition", *shapes, joint, y, prior.mean.contiguous(), *results), results)
+    given = joint, y, prior.mean.contiguous(), noise, noise_step
+    return _updated(_call("ahnn_condition", *shapes, *given, *results), results)
 
 
 def read(prior: Belief, y: Tensor, chol_r: Tensor) -> Updated:

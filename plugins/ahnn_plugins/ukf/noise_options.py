@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from ahnn.arguments import Positive, Within, check_arguments, checked
+from ahnn.deviations import require_squares
 from ahnn.dynamics import Dynamics
 from ahnn.errors import UserError
 from ahnn.estimation.scenario import Problem, Setting
@@ -132,7 +133,8 @@ def online_parameters(
 def given_covariance(deviations: tuple[float, float], space: Space) -> Tensor:
     """Return Q, (D, D), of standard deviations of positions and velocities."""
     position, velocity = deviations
-    blocks = torch.tensor([position, velocity * space.inertia], dtype=torch.float64)
+    blocks = torch.tensor([position, velocity * space.divisor], dtype=torch.float64)
+    require_squares(blocks[blocks > 0], "process_noise")
     return torch.diag(blocks.repeat_interleave(space.dof) ** 2)
 
 

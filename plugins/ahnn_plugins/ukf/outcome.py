@@ -21,7 +21,9 @@ from ahnn.estimation.scenario import Problem, Setting
 from ahnn.estimation.state import initial_state
 from ahnn.evaluation import Case, Row, Who
 from ahnn.evaluation.titles import title
+from ahnn.labels import quantity
 from ahnn.metrics import Scores
+from ahnn.types import Space
 from ahnn_plugins.ukf.batch import BatchResult
 from ahnn_plugins.ukf.iterated import Iterated
 from ahnn_plugins.ukf.judged import Judged, judged_nees, judged_nis
@@ -134,7 +136,7 @@ def rows(outcome: Outcome, case: Case, without: Scores | None) -> list[Row]:
     whole, extra = case.score(outcome.estimate), {"lost": outcome.lost}
     settled = case.score(outcome.estimate, outcome.first)
     return [
-        Row(outcome.who, whole, _remark(outcome, whole, without), extra),
+        Row(outcome.who, whole, _remark(outcome, whole, without, case.space), extra),
         Row(outcome.who._replace(span="settled"), settled, _consistency_remark(outcome, case), extra),
     ]
 
@@ -144,7 +146,7 @@ def name(outcome: Outcome, case: Case) -> str:
     return title(outcome.who, case.label)
 
 
-def _remark(outcome: Outcome, whole: Scores, without: Scores | None) -> str:
+def _remark(outcome: Outcome, whole: Scores, without: Scores | None, space: Space) -> str:
     """Say which members were lost or saw nothing, and why the filter is worse than none where it is."""
     remarks = []
     if outcome.lost:
@@ -155,7 +157,7 @@ def _remark(outcome: Outcome, whole: Scores, without: Scores | None) -> str:
         remarks.append(f"{unmeasured} of {len(outcome.nees)} without any measurement")
     if outcome.more.get("unsettled"):
         remarks.append(f"{outcome.more['unsettled']} of {len(outcome.nees)} have not settled")
-    worse = [] if without is None else _worse(whole, without)
+    worse = [] if without is None else _worse(whole, without, space)
     if worse:
         mean, (low, high) = _nees(outcome)
         if outcome.lost:
@@ -169,9 +171,10 @@ def _remark(outcome: Outcome, whole: Scores, without: Scores | None) -> str:
     return "; ".join(remarks)
 
 
-def _worse(scores: Scores, without: Scores) -> list[str]:
+def _worse(scores: Scores, without: Scores, space: Space) -> list[str]:
     """Return which of position and velocity a filter makes worse."""
-    return [name for name in ("position", "velocity") if not getattr(scores, name) <= getattr(without, name)]
+    names = ("position", "velocity")
+    return [quantity(space, n)[0] for n in names if not getattr(scores, n) <= getattr(without, n)]
 
 
 def _consistency_remark(outcome: Outcome, case: Case) -> str:

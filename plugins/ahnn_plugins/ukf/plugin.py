@@ -40,6 +40,7 @@ from ahnn_plugins.ukf.noise_options import (
 )
 from ahnn_plugins.ukf.online import online_process, weights_hash
 from ahnn_plugins.ukf.outcome import Outcome, filtered, fitted, iterated, numbers, rows, smoothed
+from ahnn_plugins.ukf.probe import require_possible
 from ahnn_plugins.ukf.regression import regression_weights
 from ahnn_plugins.ukf.series import moving_averages
 from ahnn_plugins.ukf.setting import make_setting, near_system, require_measurement
@@ -144,15 +145,14 @@ class UKFEvaluation:
         system = near_system(truth, self.beside, space)
         setting = self._setting(system, steps)
         if self.tuning is not None and (self.tuning.steps or steps) < setting.first:
-            message = (
-                f"tuning.steps: expected at least {setting.first}, when the first measurement "
-                f"comes; received {self.tuning.steps}"
-            )
+            first = f"{setting.first}, when the first measurement comes"
+            message = f"tuning.steps: expected at least {first}; received {self.tuning.steps}"
             raise UserError(message)
         option, size = self.process_noise, 2 * system.dof
         added = option.added(system.dof) if isinstance(option, ForceOptions | ParameterOptions) else 0
         weights = regression_weights if self.smoother == "iterated" else unscented_weights
         weights(self.parameters, size + added)
+        require_possible(setting, system, option, self.parameters, self.form, self.gate)
 
     @torch.no_grad()
     def __call__(self, case: Case) -> Findings:

@@ -16,7 +16,7 @@ from torch import Tensor
 from ahnn.errors import UserError
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.linalg import tria
-from ahnn.measurements.base import Measurement, Time
+from ahnn.measurements import Measurement, Time, periods, residual
 from ahnn.types import Flow, TimeStep
 from ahnn_plugins.ukf.kernel import Sensor
 from ahnn_plugins.ukf.sigma_points import draw, unscented_weights
@@ -93,7 +93,7 @@ def linear_flow(
 def linear_sensor(sensor: Sensor, t: float, belief: Belief, weights: Weights) -> Sensor:
     """Return a sensor whose model is the regression of another's at a time, its noise added to R."""
     images = sensor.measurement(draw(belief, weights), t)
-    outer = sensor.measurement.residual(images[:, 1:], images[:, :1])
+    outer = residual(sensor.measurement, images[:, 1:], images[:, :1])
     affine = regression(belief, images[:, 0], outer, weights)
     chol_r = tria(torch.cat((affine.rest, sensor.chol_r.mT), dim=1))
     return sensor._replace(measurement=_Line(affine, sensor.measurement), chol_r=chol_r)
@@ -104,6 +104,7 @@ class _Line:
 
     def __init__(self, affine: Affine, model: Measurement) -> None:
         self.affine, self.model, self.names, self.units = affine, model, model.names, model.units
+        self.periods = periods(model)
 
     def __call__(self, x: Tensor, t: Time) -> Tensor:  # noqa: ARG002
         """Return the measurements (B, S, M) of the states x (B, S, D)."""
@@ -111,4 +112,4 @@ class _Line:
 
     def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
         """Return y - y_pred as the model has it."""
-        return self.model.residual(y, y_pred)
+        return residual(self.model, y, y_pred)

@@ -71,7 +71,7 @@ def smoothed_rms(error: Tensor, inertia: float) -> Tensor:
 
 def moving_averages(outcome: Outcome, case: Case) -> dict[str, dict[str, list[float]]]:
     """Return the moving averages of both errors at the measured samples, as plain values for metrics.json."""
-    position, velocity = smoothed_rms(outcome.estimate - case.test.states, case.space.inertia)
+    position, velocity = smoothed_rms(outcome.estimate - case.test.states, case.space.divisor)
     at = torch.nonzero((outcome.result.measured > 0).any(0)).flatten() + 1
     series = {"sample": at, "position": position[at], "velocity": velocity[at]}
     return {f"moving_average_{SMOOTHING}": {key: value.tolist() for key, value in series.items()}}

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from ahnn.arguments import Count, Positive, checked
+from ahnn.deviations import require_squares
 from ahnn.errors import UserError
 from ahnn.estimation.scenario import Setting
 from ahnn.measurements import Measurement, reading
@@ -77,15 +78,15 @@ def _deviations(model: Measurement, given: float | Sequence[float] | None) -> Te
     if len(values) != len(names) or 0.0 in values:
         message = f"measurement_sd: expected one number > 0 for each of {', '.join(names)}; received {given}"
         raise UserError(message)
-    return torch.tensor(values, dtype=torch.float64)
+    return require_squares(torch.tensor(values, dtype=torch.float64), "measurement_sd")
 
 
 def _start(system: System, given: Sequence[float] | None) -> Tensor:
     """Return the standard deviations of the initial error, (D,)."""
     if given is None:
         return system.deviations()
-    blocks = torch.tensor([given[0], given[1] * system.inertia], dtype=torch.float64)
-    return blocks.repeat_interleave(system.dof)
+    blocks = torch.tensor([given[0], given[1] * system.space.divisor], dtype=torch.float64)
+    return require_squares(blocks, "start_sd").repeat_interleave(system.dof)
 
 
 def _try(measurement: Any, system: System, time: float) -> None:
@@ -122,10 +123,10 @@ def require_measurement(measurement: Any) -> None:
             f"{', '.join(measurement)}"
         )
         raise UserError(message)
-    missing = [name for name in ("names", "units", "residual") if not hasattr(measurement, name)]
+    missing = [name for name in ("names", "units", "__call__") if not hasattr(measurement, name)]
     if missing:
         message = (
-            "measurement: expected a measurement model with names, units, residual; "
+            "measurement: expected a measurement model with names, units, __call__; "
             f"{type(measurement).__name__} has no {', '.join(missing)}"
         )
         raise UserError(message)

@@ -16,6 +16,7 @@ from torch import Tensor
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.linalg import EPS, downdate, tria
 from ahnn_plugins.ukf import members
+from ahnn_plugins.ukf.rounding import LIMIT
 from ahnn_plugins.ukf.types import Form, Predicted, Residual, Updated, Weights
 
 
@@ -73,7 +74,9 @@ def update(
     joint, repaired = joint_factor(outer, shift, prior.chol, weights, noise)
     chol_y, cross, chol = joint[:, :size, :size], joint[:, size:, :size], joint[:, size:, size:]
     diagonal = torch.diagonal(chol_y, dim1=-2, dim2=-1)
-    singular = (diagonal <= 4.0 * EPS * chol_y.norm(dim=-1)).any(-1)
+    # A deviation that the numbers it is the difference of do not resolve is none.
+    sizes = chol_y.norm(dim=-1) + y.nan_to_num().abs() + innovation.abs()
+    singular = (diagonal <= EPS / LIMIT * sizes.detach()).any(-1)
     white = torch.linalg.solve_triangular(chol_y, innovation.unsqueeze(-1), upper=False)
     mean = prior.mean + (cross * white.mT).sum(-1)
     nis = white.square().sum((-2, -1))
@@ -150,4 +153,4 @@ def _lowered(chol: Tensor, shift: Tensor, weights: Weights) -> tuple[Tensor, Ten
     return torch.where(lost[:, None, None], 0.0, chol), impossible & (variance > 0.0).all(-1)
 
 
-SQUARE_ROOT = Form("square-root", predict, update, needs_definite_noise=False, read=read)
+SQUARE_ROOT = Form("square-root", predict, update, squares=False, read=read)

@@ -87,4 +87,4 @@ def _symmetric(matrix: Tensor) -> Tensor:
     return 0.5 * (matrix + matrix.mT)
 
 
-STANDARD = Form("standard", predict, update, needs_definite_noise=True)
+STANDARD = Form("standard", predict, update, squares=True)

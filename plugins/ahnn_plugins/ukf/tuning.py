@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from ahnn.arguments import Count, Interval, Range, Seed, Within, check_arguments, checked
+from ahnn.contents import read_whole
 from ahnn.errors import UserError
 from ahnn.estimation.belief import Status
 from ahnn.estimation.scenario import Problem, Setting
@@ -184,8 +185,8 @@ def tuned_once(chosen: Filter, setting: Setting, problem: Problem, options: Tuni
 def _stored(path: Path) -> dict[str, Any]:
     """Return what a file of tuned values holds; nothing if it is missing or damaged."""
     try:
-        stored = json.loads(path.read_text())
-    except (OSError, ValueError):
+        stored = json.loads(read_whole(path))
+    except (OSError, ValueError, RecursionError):
         return {}
     return stored if isinstance(stored, dict) else {}
 

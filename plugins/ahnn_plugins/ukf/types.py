@@ -136,14 +136,14 @@ class Form(NamedTuple):
         name: for messages.
         predict: see `Predict`.
         update: see `Update`.
-        needs_definite_noise: whether a singular measurement noise is refused.
+        squares: whether covariances are formed, which loses digits and needs a definite measurement noise.
         read: see `Read`; None where there is none.
     """
 
     name: str
     predict: Predict
     update: Update
-    needs_definite_noise: bool
+    squares: bool
     read: Read | None = None
 
 

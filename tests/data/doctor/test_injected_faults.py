@@ -68,7 +68,7 @@ def test_each_of_ten_injected_faults_is_found_where_it_is(kind, tmp_path):
         path.write_text(text(rows))
         found = examine([path], Reading()).findings
         assert (str(path), row, column) in {(one.file, one.row, one.column) for one in found}, found
-        warned = kind in ("nan", "empty", "gap", "constant")
+        warned = kind in ("nan", "empty", "gap") or (kind == "constant" and column in NAMES[4:])
         levels = {one.level for one in found if (one.row, one.column) == (row, column)}
         assert ("warning" if warned else "fault") in levels
 
@@ -91,9 +91,11 @@ def test_what_is_no_data_at_all_is_a_fault(tmp_path, name, content):
     assert examine([tmp_path / name], Reading()).faults
 
 
-def test_a_single_sample_is_no_fault(tmp_path):
-    (tmp_path / "a.csv").write_text("t,x\n0,1\n")
-    assert examine([tmp_path / "a.csv"], Reading()).findings == []
+def test_single_samples_are_a_fault_and_a_single_trajectory_is_warned_of(tmp_path):
+    for samples, trajectories, expected in ((1, 3, ["fault"]), (2, 1, ["warning"]), (2, 2, [])):
+        rows = "".join(f"{b},{k},{b + k}\n" for b in range(trajectories) for k in range(samples))
+        (tmp_path / "a.csv").write_text(f"id,t,x\n{rows}")
+        assert [one.level for one in examine([tmp_path / "a.csv"], Reading()).findings] == expected
 
 
 def test_sound_files_have_no_findings(tmp_path):
@@ -141,7 +143,7 @@ def test_a_single_trajectory_in_other_units_is_named_by_its_first_row(tmp_path):
 
 def test_all_faults_of_a_message_are_found_in_one_pass(tmp_path):
     path, start = tmp_path / "a.oem", instant("2017-01-01T01:00:00", utc=True)
-    states = np.outer(np.ones(9), np.arange(6.0))
+    states = np.outer(np.arange(9.0) ** 2, np.arange(1.0, 7.0))
     write_oem(path, [Ephemeris("1", "S", "EARTH", "EME2000", "UTC", start, np.arange(9.0), states)])
     lines = path.read_text().splitlines()
     states = [k for k, line in enumerate(lines) if line.startswith("2017-01-01T01")][2:8:2]

@@ -53,7 +53,7 @@ def test_what_is_wrong_is_named(bench, tmp_path):
         assert {one.level for one in found} == {"fault"}
     found = bench.verdict(bench.ORBITS["m/s as km/s"](leo, draw), tmp_path)
     assert {one.what for one in found} == {f"v{x} is 1000 times the change of {x} per s" for x in "xyz"}
-    assert "Correct the unit: metres under a name in km" in found[0].remedy
+    assert "Correct the unit: metres given as km" in found[0].remedy
     heavy = leo._replace(v=2.5 * leo.v)
     assert "is 2.5 times the change" in bench.verdict(heavy, tmp_path)[0].what
     assert "A momentum?" in bench.verdict(heavy, tmp_path)[0].remedy
@@ -88,7 +88,12 @@ def angles(tmp_path, values, name="a.csv"):
     path = tmp_path / name
     rows = [f"{0.1 * k:.1f},{value!r}" for k, value in enumerate(values.tolist())]
     path.write_text("\n".join(["t [s],q [rad]", *rows]) + "\n")
-    return [(one.level, one.row, one.column, one.what) for one in examine([path], Reading()).findings]
+    return [(one.level, one.row, one.column, one.what) for one in of_columns([path], Reading())]
+
+
+def of_columns(*given, **options):
+    """What is found in columns, and not that one trajectory makes no splits."""
+    return [one for one in examine(*given, **options).findings if one.column]
 
 
 def test_angles_that_jump_or_swing_too_far(tmp_path):
@@ -109,16 +114,16 @@ def test_canonical_momenta_that_are_no_mass_times_velocity_are_only_warned_of(tm
     rows = zip(t.tolist(), np.cos(t).tolist(), (-3 * np.sin(t)).tolist(), strict=True)
     (tmp_path / "a.csv").write_text("t,q,p\n" + "\n".join(",".join(map(repr, row)) for row in rows) + "\n")
     path = [tmp_path / "a.csv"]
-    assert examine(path, Reading(weighed=True), mass=3.0).findings == []
-    (found,) = examine(path, Reading(weighed=True), mass=1.0).findings
+    assert of_columns(path, Reading(weighed=True), mass=3.0) == []
+    (found,) = of_columns(path, Reading(weighed=True), mass=1.0)
     assert (found.level, found.what) == ("warning", "p over the mass is 3 times the change of q per 1")
-    (found,) = examine(path, Reading()).findings
+    (found,) = of_columns(path, Reading())
     assert (found.level, found.what) == ("fault", "momenta of a mass that nobody states")
 
 
 @pytest.fixture
 def mislabelled(tmp_path):
-    """Springs whose velocities are in cm/s under a name in m/s."""
+    """Springs whose velocities are in cm/s given as m/s."""
     lines = (ROOT / "tests" / "fixtures" / "swings.csv").read_text().splitlines()
     head, rows = lines[0], [line.split(",") for line in lines[1:]]
     spoiled = [",".join((*row[:-1], repr(100 * float(row[-1])))) for row in rows]
@@ -134,9 +139,11 @@ def test_the_command_shows_draws_and_ends_with_2(mislabelled, tmp_path, capsys):
     assert "fault   swings.csv" in shown.out
     assert "1 file, 120 samples: 1 fault, 0 warnings, 0 notes" in shown.out
     assert shown.err == "ahnn: check: expected sound data; received 1 fault that would spoil a training\n"
-    assert {path.name for path in (tmp_path / "seen").iterdir()} == {"swings.csv.png", "swings.csv.svg"}
+    drawn = {path.name for path in (tmp_path / "seen").iterdir()}
+    assert drawn == {"swings.csv.png", "swings.csv.svg", ".ahnn-files"}
     assert call("ahnn.data.__main__", "check", str(ROOT / "tests" / "fixtures" / "swings.csv")) == 0
-    assert capsys.readouterr().out == "1 file, 120 samples: 0 faults, 0 warnings, 0 notes\n"
+    columns = "swings.csv: id id; time t [s]; position q [m]; velocity v [m/s]\n"
+    assert capsys.readouterr().out == f"{columns}1 file, 120 samples: 0 faults, 0 warnings, 0 notes\n"
 
 
 def test_the_document_shows_what_the_command_prints(capsys, monkeypatch):

@@ -37,12 +37,12 @@ def found(*tracks, momenta=False, mass=1.0):
 
 
 UNITS_TAKEN = [
-    (1000.0, "metres under a name in km"),
-    (60.0, "minutes under a name in s"),
-    (3600.0, "hours under a name in s"),
-    (180 / np.pi, "degrees under a name in rad"),
-    (100.0, "centimetres under a name in m"),
-    (86400.0, "days under a name in s"),
+    (1000.0, "metres given as km"),
+    (60.0, "minutes given as s"),
+    (3600.0, "hours given as s"),
+    (180 / np.pi, "degrees given as rad"),
+    (100.0, "centimetres given as m"),
+    (86400.0, "days given as s"),
 ]
 
 
@@ -142,7 +142,7 @@ def test_the_command_takes_ten_usual_steps_for_a_gap_unless_told(tmp_path, capsy
     (tmp_path / "a.csv").write_text(irregular(factor))
     assert call("ahnn.data.__main__", "check", str(tmp_path / "a.csv"), *option) == 0
     shown = capsys.readouterr().out
-    assert f"0 faults, {count} warning" in shown
+    assert f"0 faults, {1 + count} warning" in shown
     assert ("a gap: " in shown) == bool(count)
 
 

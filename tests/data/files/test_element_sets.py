@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from ahnn.data.files import elements
+from ahnn.data.files.kinds import kind_of
 from ahnn.data.files.table import Place
 
 ONE = "1 00005U 58002B   00179.78495062  .00000023  00000-0  28098-4 0  475"
@@ -80,7 +81,7 @@ def test_sets_of_other_epochs_begin_later():
 
 
 def test_what_decides_that_a_text_holds_element_sets():
-    assert elements.are_elements(f"# remark\n\nNAME\n{FIRST}\n{SECOND}", ".txt")
-    assert elements.are_elements(f"{FIRST}\n{SECOND}", ".csv")
-    assert not elements.are_elements(f"t,x\n0,1\n{FIRST}", ".csv")
-    assert elements.are_elements("t,x", ".tle")
+    assert kind_of(f"# remark\n\nNAME\n{FIRST}\n{SECOND}".encode(), "a.txt") == "elements"
+    assert kind_of(f"{FIRST}\n{SECOND}".encode(), "a.csv") == "elements"
+    assert kind_of(f"t,x\n0,1\n{FIRST}".encode(), "a.csv") == "table"
+    assert kind_of(b"t,x", "a.tle") == "elements"

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.func import jacrev, vmap
 
 from ahnn.estimation import Belief, Innovation
-from ahnn.measurements import Measurement
+from ahnn.measurements import Measurement, residual
 from ahnn.types import Flow
 
 
@@ -41,8 +41,8 @@ class ExtendedKalmanFilter:
         mean, covariance = state.belief.mean, state.belief.covariance
         predicted, h = linearised(lambda x: measurement(x, state.time), mean)
         present = ~y.isnan()
-        residual = measurement.residual(y, predicted)
-        error = torch.where(present, residual, 0.0).unsqueeze(-1)
+        off = residual(measurement, y, predicted)
+        error = torch.where(present, off, 0.0).unsqueeze(-1)
         h = torch.where(present.unsqueeze(-1), h, 0.0)
         both = present.unsqueeze(-1) & present.unsqueeze(-2)
         noise = torch.where(both, measurement_noise, torch.eye(y.shape[-1], dtype=y.dtype))
@@ -56,7 +56,7 @@ class ExtendedKalmanFilter:
         belief = Belief(mean + (gain @ error).squeeze(-1), torch.linalg.cholesky(after))
         deviation = s.diagonal(dim1=-2, dim2=-1).sqrt().where(present, torch.nan)
         nis = nis.masked_fill(measured == 0, torch.nan)
-        told = Innovation(residual, deviation, nis, measured, measured < 0, density)
+        told = Innovation(off, deviation, nis, measured, measured < 0, density)
         return state._replace(belief=belief), told
 
 

@@ -23,10 +23,6 @@ class Bearing:
         """Return the angles (..., 1) of the states x (..., 2)."""
         return torch.atan(x[..., :1] / self.distance)
 
-    def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
-        """Return y - y_pred; these angles never wrap."""
-        return y - y_pred
-
     def locate(self, y: Tensor, t: Time) -> Tensor:  # noqa: ARG002
         """Return the positions (..., 1); only training on measurements needs it."""
         return self.distance * torch.tan(y)

@@ -7,6 +7,7 @@ from entry import call
 from runs import reproduction, results, scores, write
 
 from ahnn.evaluation import Row, Who
+from ahnn.files import write_atomically
 from ahnn_plugins.report import pictures
 
 NONE = "report.figures=false"
@@ -22,11 +23,12 @@ def test_files_stand_beside_the_page_and_those_of_an_earlier_report_make_way(run
     assert call("ahnn.report", str(run)) == 0
     assert "1 run, 2 figures" in capsys.readouterr().out
     folder = run / "report"
-    (folder / "figures" / "old.png").write_bytes(b"old")
-    (folder / "tables" / "old.tex").write_text("old")
+    write_atomically(folder / "figures" / "old.png", b"old")
+    write_atomically(folder / "tables" / "old.tex", b"old")
     (folder / "notes.txt").write_text("mine")
     assert call("ahnn.report", f"run={run}") == 0
     names = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+    names -= {f"{place}.ahnn-files" for place in ("", "figures/", "tables/")}
     pictures_of = {f"figures/{n}{s}" for n in ("mass_spring_orbit", "_curve") for s in (".png", ".svg")}
     table = ("tables/scores_mass_spring.tex", "tables/scores_mass_spring.md")
     assert names == {"report.html", "tables.csv", *table, "notes.txt", *pictures_of}
@@ -40,7 +42,7 @@ def test_a_folder_of_others_is_refused_and_left_alone(run, tmp_path, capsys):
     (mine / "figures").mkdir(parents=True)
     (mine / "figures" / "mine.png").write_bytes(b"mine")
     assert call("ahnn.report", str(run), f"output={mine}", NONE) == 2
-    assert "expected a new folder, or one of an earlier report" in capsys.readouterr().err
+    assert "expected a new or empty folder" in capsys.readouterr().err
     assert [path.name for path in mine.rglob("*")] == ["figures", "mine.png"]
 
 

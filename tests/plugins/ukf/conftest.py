@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import torch
+from precise import LinearMeasurement
 from torch import Tensor
 
 
@@ -25,21 +26,6 @@ class Linear(NamedTuple):
 
     def flow(self, x: Tensor, dt: float) -> Tensor:  # noqa: ARG002
         return x @ self.a.mT
-
-
-class LinearMeasurement:
-    """y = H x."""
-
-    def __init__(self, h: Tensor) -> None:
-        self.h = h
-        self.names = tuple(f"y{i}" for i in range(len(h)))
-        self.units = ("1",) * len(h)
-
-    def __call__(self, x: Tensor, t: float) -> Tensor:  # noqa: ARG002
-        return x @ self.h.mT
-
-    def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
-        return y - y_pred
 
 
 def random_covariance(rng: np.random.Generator, size: int, scale: float) -> np.ndarray:

@@ -219,7 +219,7 @@ def test_the_consistency_is_judged_by_the_band_of_what_is_averaged(spring: Case)
         ("alpha=nan", r"alpha: expected float \(finite\); received nan"),
         ("patience=0", "patience: expected int >= 1; received 0"),
         ("measurement=velocity", "measurement: expected .* position, state"),
-        ("measurement={_target_:ahnn.estimation.Gate}", "Gate has no names, units, residual"),
+        ("measurement={_target_:ahnn.estimation.Gate}", "Gate has no names, units, __call__"),
         ("cadence=fast", "cadence: expected int >= 1; received 'fast'"),
         ("process_noise=[1.0]", "process_noise: expected .*fitted, force_error"),
         ("process_noise=guessed", "process_noise: expected .*fitted, force_error"),

@@ -105,7 +105,7 @@ MISTAKES = {
     "flow complex": ({"flow": lambda x, _: x + 0j}, "flow: .* real tensor .* Tensor of torch.complex128"),
     "model a function": (
         {"model": lambda x, _: x},
-        "expected a measurement model .* without names, residual",
+        "expected a measurement model .* without names",
     ),
     "model a class": (
         {"model": Position},

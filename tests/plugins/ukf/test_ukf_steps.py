@@ -279,14 +279,14 @@ def test_a_start_time_beside_a_state_is_refused():
 def test_what_is_no_stored_state_is_refused(tmp_path):
     path = tmp_path / "state"
     path.write_bytes(b"nothing of the kind")
-    with pytest.raises(ValueError, match="path: expected a file written by save_state; received"):
+    with pytest.raises(ValueError, match="path: expected a file written by save_state, of this"):
         load_state(path)
     with pytest.raises(FileNotFoundError):
         load_state(tmp_path / "missing")
     from safetensors.torch import save_file
 
     save_file({"mean": torch.zeros(1, 2)}, path)
-    with pytest.raises(ValueError, match="path: expected a file written by save_state; received"):
+    with pytest.raises(ValueError, match="path: expected a file written by save_state, of this"):
         load_state(path)
     save_state(START._replace(belief=Belief(*START.belief)), path)
     assert same(load_state(str(path)), START)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from torch import Tensor
 
 from ahnn.evaluation.figures import SMOOTHING
+from ahnn.labels import quantity
 from ahnn.metrics import moving_average
 from ahnn_plugins.report.drawing import Drawing, Panel, Series
 from ahnn_plugins.report.figures.curves import curve
@@ -103,8 +104,7 @@ def _floor(task: Task, key: str, column: int, smooth: Callable[[Tensor], Tensor]
 
 
 def _blocks(run: Kept) -> tuple[tuple[str, str], tuple[str, str]]:
-    units = run.space.units
-    return ("position", units.position), ("velocity", units.velocity)
+    return quantity(run.space, "position"), quantity(run.space, "velocity")
 
 
 def _title(task: Task, prefix: str, start: str, in_paper: bool) -> str:

@@ -6,9 +6,8 @@ import inspect
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from ahnn import systems
+from ahnn.contents import read_plain
 from ahnn.errors import UserError
 from ahnn.systems import System
 from ahnn_plugins.report.collection import Entry
@@ -19,8 +18,6 @@ KNOWN: dict[str, type[System]] = {
     for name, each in vars(systems).items()
     if inspect.isclass(each) and issubclass(each, System) and not inspect.isabstract(each)
 }
-LARGEST = 200_000
-"""Characters of a configuration; ours have a few thousand."""
 
 
 def system_of(entry: Entry) -> System | None:
@@ -45,14 +42,12 @@ def system_of(entry: Entry) -> System | None:
 def _options(path: Path) -> dict[str, Any]:
     """Return what a configuration says of the system, nothing where it is not there or no YAML."""
     try:
-        text = path.read_text()
-        content = yaml.safe_load(text) if len(text) <= LARGEST else None
-    except (OSError, ValueError, yaml.YAMLError, RecursionError):
+        node = read_plain(path).get("system")
+    except UserError:
         return {}
-    node = content.get("system") if isinstance(content, dict) else None
     if not isinstance(node, dict) or not all(_is_plain(value) for value in node.values()):
         return {}
-    return {str(key): value for key, value in node.items()}
+    return node
 
 
 def _is_plain(value: Any) -> bool:

@@ -50,7 +50,7 @@ def phase_portrait(task: Task) -> Drawing:
 
 
 def _flat(task: Task, name: str, title: str, columns: slice) -> Drawing:
-    lead, inertia = task.lead, task.lead.space.inertia
+    lead, inertia = task.lead, task.lead.space.divisor
     x, y = state_labels(lead)[columns]
     truth = velocities(lead.path, inertia)[:, columns]
     series = [path(lead.known, truth, role="truth", hover={_time(lead): lead.time})]

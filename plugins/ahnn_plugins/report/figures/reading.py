@@ -9,6 +9,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
+from ahnn.contents import require_regular
 from ahnn.errors import UserError
 from ahnn.metrics import errors
 from ahnn.systems import System
@@ -93,9 +94,10 @@ def kept(entry: Entry, slot: int) -> Kept | None:
         UserError: its file is damaged, or holds arrays of other shapes.
     """
     path = entry.folder / PREDICTIONS
-    if not path.is_file():
+    if not path.exists():
         return None
     try:
+        require_regular(path)
         with safe_open(str(path), "pt") as file:
             return _reduced(Arrays(path, file, set(file.keys())), entry, slot)
     except (SafetensorError, OSError) as error:
@@ -150,11 +152,11 @@ def _reduced(arrays: Arrays, entry: Entry, slot: int) -> Kept | None:
                 continue
             # What a filter has lost drops out, as in its own figures; a lost rollout is infinitely wrong.
             error = states - truth if name.startswith("ukf/") else errors(states, truth)
-            found.rms[name] = _rms(error, space.inertia)
+            found.rms[name] = _rms(error, space.divisor)
             found.first[name] = states[0].clone()  # a view would hold the whole array
         nees = arrays.get(f"ukf/{start}_nees", (batch, samples))
         average = arrays.get(f"ukf/{start}_sma_floor", (2, samples))
-        teeth = _teeth(arrays, start, truth, time, space.inertia)
+        teeth = _teeth(arrays, start, truth, time, space.divisor)
         found.nees.update({} if nees is None else {start: nees.nanmean(0)})
         found.averages.update({} if average is None else {f"ukf/floor_{start}": average.clone()})
         found.teeth.update({} if teeth is None else {start: teeth})
@@ -187,7 +189,7 @@ def _time(times: Tensor | None, samples: int, unit: str) -> tuple[Tensor, str]:
 
 
 def velocities(states: Tensor, inertia: float) -> Tensor:
-    """Return states (..., D) with velocities in place of momenta, NaN where they are not finite."""
+    """Return states (..., D) with p / m in place of momenta p, NaN where they are not finite."""
     position, momentum = states.chunk(2, dim=-1)
     both = torch.cat((position, momentum / inertia), dim=-1)
     return both.masked_fill(~both.isfinite(), torch.nan)

@@ -85,7 +85,7 @@ def _errors(task: Task, run: Kept, teeth: Teeth, start: str) -> Drawing:
 def _band(task: Task, run: Kept) -> Drawing:
     """Draw the error of a prediction in the band that the covariance of its parameters gives."""
     assert run.deviations is not None
-    inertia, panels = run.space.inertia, []
+    inertia, panels = run.space.divisor, []
     error = velocities(run.first["true"], inertia) - velocities(run.path, inertia)
     deviations = velocities(run.deviations, inertia)
     for i, label in enumerate(state_labels(run)):

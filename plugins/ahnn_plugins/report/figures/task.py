@@ -9,6 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.labels import components
 from ahnn_plugins.report.drawing import Drawing, Kind, Panel
 from ahnn_plugins.report.figures.curves import Band
 from ahnn_plugins.report.figures.models import ordered
@@ -99,16 +100,8 @@ def file_name(name: str) -> str:
 
 
 def state_labels(run: Kept) -> list[str]:
-    """Return the names of the state components with their units, momenta as velocities."""
-    space = run.space
-    names = space.components[: space.dof]
-    rates = names_of_velocities(space.components[space.dof :], space.inertia)
-    return [f"{n} [{space.units.position}]" for n in names] + [f"{n} [{space.units.velocity}]" for n in rates]
-
-
-def names_of_velocities(momenta: tuple[str, ...], inertia: float) -> list[str]:
-    """Return what p / m is called; of unit mass it is p itself."""
-    return [name if inertia == 1 else f"{name} / m" for name in momenta]
+    """Return the names of the state components with their units, momenta as velocities where they are."""
+    return components(run.space)
 
 
 def time_label(run: Kept) -> str:

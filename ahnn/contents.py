@@ -1,0 +1,114 @@
+"""The content of files, whoever wrote them: regular files alone, YAML and JSON as plain values."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import stat
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ahnn.errors import UserError
+
+LARGEST = 2_000_000
+"""Bytes of a configuration; ours have a few thousand."""
+RESULTS = 200_000_000
+"""Bytes of the results of an evaluation."""
+DEEPEST = 20
+"""Levels of nested values; ours have six."""
+
+
+def require_regular(path: Path) -> None:
+    """Refuse what has no end or waits for a writer: a pipe, a socket, a device.
+
+    Raises:
+        OSError: it is not there, or no regular file; `strerror` says which.
+    """
+    try:
+        mode = path.stat().st_mode
+    except ValueError as error:  # a NUL, say
+        raise OSError(errno.EINVAL, "no path of a file", str(path)) from error
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if not stat.S_ISREG(mode):
+        raise OSError(errno.EINVAL, "a pipe, a socket or a device in place of a file", str(path))
+
+
+def read_whole(path: Path, most: int = LARGEST) -> bytes:
+    """Return the bytes of a regular file.
+
+    Args:
+        path: of the file.
+        most: bytes that it may have.
+
+    Raises:
+        OSError: it cannot be read, is no regular file, or is larger; `strerror` says which.
+    """
+    require_regular(path)
+    with path.open("rb") as file:
+        # What /proc shows has no size.
+        size = min(most, max(os.fstat(file.fileno()).st_size, LARGEST))
+        content = file.read(size + 1)
+    if len(content) > size:
+        raise OSError(errno.EFBIG, f"more than {size:,} bytes", str(path))
+    return content
+
+
+def read_plain(path: Path) -> dict[str, Any]:
+    """Return a YAML file of plain values under keys.
+
+    Raises:
+        UserError: there is none, or it is something else.
+    """
+    return _keys(path, "the configuration of a run", plain_yaml, LARGEST)
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Return a JSON file of plain values under keys; raises as `read_plain`."""
+    return _keys(path, "the results of an evaluation", json.loads, RESULTS)
+
+
+def _keys(path: Path, expected: str, parse: Any, most: int) -> dict[str, Any]:
+    try:
+        content = parse(read_whole(path, most).decode("utf-8-sig"))
+    except OSError as error:
+        message = f"{path}: expected {expected}; received: {error.strerror}"
+        raise UserError(message) from error
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        message = f"{path}: expected {expected}; received a damaged file: {' '.join(str(error).split())}"
+        raise UserError(message) from error
+    if not isinstance(content, dict) or not _is_plain(content):
+        what = repr(content)[:40] if not isinstance(content, dict) else "keys that are no texts, or too deep"
+        message = f"{path}: expected {expected}, keys with plain values; received {what}"
+        raise UserError(message)
+    return content
+
+
+def plain_yaml(text: str) -> Any:
+    """Return the plain values of a YAML text, of whatever source; nothing that it names is built.
+
+    Raises:
+        yaml.YAMLError: damaged, a tag of an object, or an alias: that could make a small file a huge value.
+    """
+    return yaml.load(text, _Plain)
+
+
+class _Plain(yaml.SafeLoader):
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            message = "an alias"
+            raise yaml.YAMLError(message)
+        return super().compose_node(parent, index)
+
+
+def _is_plain(value: Any, depth: int = 0) -> bool:
+    """Return whether values are texts, numbers and truth values, in lists and under texts, not too deep."""
+    if isinstance(value, dict):
+        named = all(isinstance(key, str) for key in value)
+        return named and depth < DEEPEST and all(_is_plain(item, depth + 1) for item in value.values())
+    if isinstance(value, list):
+        return depth < DEEPEST and all(_is_plain(item, depth + 1) for item in value)
+    return value is None or isinstance(value, str | bool | int | float)

@@ -1,0 +1,128 @@
+"""Frame, centre, clock and time zero of numbers, and which of them fit each other."""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple
+
+from ahnn.data.files.epochs import SECOND, instant, spelled
+from ahnn.data.files.frame_names import INERTIAL, ROTATING, canonical, known
+from ahnn.data.files.frames import TO_TT
+from ahnn.errors import UserError
+
+SINCE = re.compile(r"from (?P<epoch>\S+)( (?P<clock>\S+))?")
+BODY = "EARTH"
+"""Centre of a model that names none, unless a user names another."""
+
+
+class Reference(NamedTuple):
+    """What positions and times refer to; "" or None where nobody said.
+
+    Attributes:
+        frame: axes of the positions, such as EME2000.
+        center: body at their origin, such as EARTH.
+        clock: time system of epochs, such as UTC.
+        epoch: of time zero on this clock (`ahnn.data.files.epochs`).
+    """
+
+    frame: str = ""
+    center: str = ""
+    clock: str = ""
+    epoch: int | None = None
+
+    @classmethod
+    def of(cls, text: str) -> Reference:
+        """Return what a text such as `EME2000, EARTH, UTC, from 2024-03-01T12:00:00.000` says."""
+        words = [word.removeprefix("?") for word in canonical(text).split(", ")]
+        since = SINCE.fullmatch(words[-1])
+        frame, center, clock = [*words[: len(words) - (since is not None)], "", "", ""][:3]
+        clock = clock.upper()
+        if since is None:
+            return cls(frame, center, clock)
+        clock = clock or since["clock"] or "UTC"
+        try:
+            return cls(frame, center, clock, instant(since["epoch"], utc=clock == "UTC"))
+        except ValueError:
+            return cls(frame, center, clock)
+
+    def __str__(self) -> str:
+        names = [name or "?" for name in self[:3]] if any(self[:3]) else []
+        if self.epoch is not None:
+            names.append(f"from {spelled(self.epoch, utc=self.clock == 'UTC')}")
+        return ", ".join(names)
+
+    def on(self, clock: str) -> Reference:
+        """Return the same epoch on another clock; raises UserError for one whose offset is not known."""
+        if self.epoch is None or "" in (clock, self.clock) or clock == self.clock:
+            return self._replace(clock=clock or self.clock)
+        if not {clock, self.clock} <= TO_TT.keys():
+            message = f"time system: expected {self.clock}, or two of {', '.join(TO_TT)}; received {clock}"
+            raise UserError(message)
+        shift = round((TO_TT[self.clock] - TO_TT[clock]) * SECOND)
+        return self._replace(clock=clock, epoch=self.epoch + shift)
+
+    def filled(self, other: Reference) -> Reference:
+        """Return this with what only the other one says; its epoch is turned to the clock of this."""
+        frame, center, clock = (mine or theirs for mine, theirs in zip(self[:3], other[:3], strict=True))
+        epoch = self.epoch if self.epoch is not None else other.on(clock).epoch
+        return Reference(frame, center, clock, epoch)
+
+    def chosen(self, keys: Reference) -> Reference:
+        """Return the reference of a run with what a user names besides.
+
+        Raises:
+            UserError: another frame or centre than the run has.
+        """
+        for name in ("frame", "center"):
+            ours, theirs = getattr(self, name), getattr(keys, name)
+            if ours and theirs and alias(ours) != alias(theirs):
+                message = f"{name}: expected {ours}, that of the model; received {theirs}"
+                raise UserError(message)
+        return keys.filled(self)
+
+    def since(self, text: str | None) -> Reference:
+        """Return the same with an epoch that a user names; None leaves it as it is.
+
+        Raises:
+            UserError: no epoch.
+        """
+        if text is None:
+            return self
+        clock = self.clock or "UTC"
+        try:
+            return self._replace(clock=clock, epoch=instant(text, utc=clock == "UTC"))
+        except ValueError as error:
+            message = f"epoch: expected {error}; received {text!r}"
+            raise UserError(message) from error
+
+    def turn(self, ours: Reference, who: str) -> str | None:
+        """Return the frame that numbers given in this one are turned into for a model; None keeps them.
+
+        Args:
+            ours: of the model.
+            who: what the numbers are, for messages.
+
+        Raises:
+            UserError: another centre, or a frame that cannot be turned into that of the model.
+        """
+        body = ours.center or BODY
+        if self.center and alias(self.center) != alias(body):
+            remedy = "Convert it" if ours.center else f"frame= or center= names {self.center} if it is right"
+            message = f"{who}: expected centre {body}, that of the model; received {self.center}. {remedy}"
+            raise UserError(message)
+        wanted, given = alias(ours.frame), alias(self.frame)
+        if not given or wanted == given:
+            return None
+        if wanted in INERTIAL and known(self.frame):
+            return wanted
+        if wanted or given.startswith(ROTATING):
+            expected = f"frame {ours.frame}, that of the model" if wanted else "an inertial frame"
+            remedy = "Convert it" if wanted else "frame= names the frame of the model: GCRF, EME2000"
+            message = f"{who}: expected {expected}; received {self.frame}. {remedy}"
+            raise UserError(message)
+        return None
+
+
+def alias(name: str) -> str:
+    """Return one name for all those of a frame or a body."""
+    return known(name) or canonical(name).upper()

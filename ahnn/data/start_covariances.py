@@ -1,0 +1,100 @@
+"""Covariances that an orbit ephemeris message has of the states at which something begins."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ahnn.data.files import Ephemeris, read_oem
+from ahnn.data.files.ephemeris import of_orbits
+from ahnn.data.files.epochs import SECOND
+from ahnn.data.files.frames import turned
+from ahnn.data.files.samples import Array, Track
+from ahnn.data.reference import alias
+from ahnn.errors import UserError
+
+log = logging.getLogger("ahnn")
+
+ALONG = ("RTN", "RSW", "RIC")
+"""Names of the axes along position, in the plane of the orbit, and along its angular momentum."""
+MILLISECOND = SECOND // 1000
+"""Within which two epochs are one."""
+
+
+class Known(NamedTuple):
+    """Covariances of states.
+
+    Attributes:
+        matrices: (B, 6, 6), in km and km/s.
+        moments: epochs at which they hold.
+    """
+
+    matrices: Tensor
+    moments: list[int]
+
+
+def covariances_of(path: Path, moments: list[int], frame: str | None, *, earlier: bool) -> Known | None:
+    """Return the covariance of a state of each segment; None, and a warning, where a segment has none of it.
+
+    Args:
+        path: of the message.
+        moments: epochs of the states.
+        frame: into which states are turned; None leaves them in that of the message.
+        earlier: whether one of an earlier state may stand for it, to be carried on.
+
+    Raises:
+        UserError: axes that cannot be turned into those of the states.
+    """
+    segments = read_oem(path)
+    if not any(one.covariances for one in segments):
+        return None
+    found = [latest(one, moment, frame, path, earlier) for one, moment in zip(segments, moments, strict=True)]
+    if None in found:
+        log.warning("start %s: its covariances are of other epochs than its states, and not used", path)
+        return None
+    matrices, at = zip(*(one for one in found if one is not None), strict=True)
+    return Known(torch.from_numpy(np.stack(matrices)), list(at))
+
+
+def latest(
+    one: Ephemeris, moment: int, frame: str | None, path: Path, earlier: bool
+) -> tuple[Array, int] | None:
+    """Return the last covariance of a segment that is of a state up to an epoch, and when it holds."""
+    for covariance in sorted(one.covariances, key=lambda each: -each.time):
+        here = one.start + round(covariance.time * SECOND)
+        k = int(np.abs(one.times - covariance.time).argmin())
+        fits = here <= moment + MILLISECOND if earlier else abs(here - moment) <= MILLISECOND
+        if fits and abs(one.times[k] - covariance.time) * SECOND <= MILLISECOND:
+            axes = axes_of(one.states[k], covariance.frame, one, path)
+            if frame is not None:
+                axes = turning(one, covariance.time, frame, path) @ axes
+            return axes @ covariance.matrix @ axes.T, here
+    return None
+
+
+def axes_of(state: Array, frame: str, one: Ephemeris, path: Path) -> Array:
+    """Return the matrix (6, 6) from the axes of a covariance to those of its state; raises UserError."""
+    if not frame or alias(frame) == alias(one.frame):
+        return np.eye(6)
+    if frame.upper() not in ALONG:
+        expected = f"a covariance in {one.frame} or {ALONG[0]}"
+        message = f"start {path}: expected {expected}; received one in {frame}. start_sd= takes its place"
+        raise UserError(message)
+    radial, normal = state[:3], np.cross(state[:3], state[3:])
+    axes = np.stack((radial, np.cross(normal, radial), normal))
+    axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    return np.kron(np.eye(2), axes.T)
+
+
+def turning(one: Ephemeris, time: float, frame: str, path: Path) -> Array:
+    """Return the matrix (6, 6) that turns states of a segment into another frame: it turns unit vectors."""
+    rows = np.zeros(6, dtype=np.int64)
+    units = Track("", str(path), rows, np.full(6, time), np.eye(6))
+    name = f"{one.frame}, {one.center}, {one.time_system}"
+    (track,) = turned(of_orbits([units], name, one.start, weighed=False), frame, str(path)).tracks
+    return track.values.T

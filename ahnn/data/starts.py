@@ -1,0 +1,259 @@
+"""Where a prediction or an assimilation begins: numbers in brackets, or states in files of many kinds.
+
+One rule for all commands: what a file says of frame, centre, epoch and covariance is used or refused.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+import yaml
+from torch import Tensor
+
+from ahnn.contents import plain_yaml
+from ahnn.data.files import Files, instant, units
+from ahnn.data.files.epochs import SECOND
+from ahnn.data.files.kinds import kind_of
+from ahnn.data.files.raw import content_of, decoded
+from ahnn.data.reference import Reference
+from ahnn.data.start_covariances import covariances_of
+from ahnn.data.tracks import is_track, last_estimate
+from ahnn.deviations import require_finite, state_deviations
+from ahnn.errors import UserError
+from ahnn.labels import momentum_unit, require_velocities
+from ahnn.numbers import as_float64
+from ahnn.types import Space
+
+log = logging.getLogger("ahnn")
+
+PLAIN = (".yaml", ".yml", ".json")
+RATES = ("position", "velocity")
+KEYS = {"mean", "sd", "covariance", "frame", "epoch"}
+
+
+class Starts(NamedTuple):
+    """States at which predictions or assimilations begin.
+
+    Attributes:
+        names: of the trajectories.
+        states: (B, D), in the units of the space.
+        times: (B,) of the states, in its unit of time.
+        reference: of positions and times, as far as the file says it.
+        covariances: (B, D, D), or None where none is known.
+        since: (B,) times at which the covariances hold, and (B, D) states of then, where they are of earlier
+            states; None where they are of these.
+    """
+
+    names: tuple[str, ...]
+    states: Tensor
+    times: Tensor
+    reference: Reference = Reference()
+    covariances: Tensor | None = None
+    since: tuple[Tensor, Tensor] | None = None
+
+
+def starts(
+    given: str | list[Any] | None,
+    space: Space,
+    ours: Reference = Reference(),  # noqa: B008 - a tuple
+    *,
+    sd: Any = None,
+    last: bool = False,
+) -> Starts:
+    """Return the starts that a user names.
+
+    Args:
+        given: the path of a file, or numbers: one state or several.
+        space: what the numbers of the model mean.
+        ours: frame, centre and clock of the model; states of a file in another frame are turned into it.
+        sd: standard deviations (`state_deviations`) in place of what a file says; None without.
+        last: of each trajectory in a file the last state, in place of the first.
+
+    Raises:
+        UserError: they are no states of this space, or their frame or centre does not fit.
+    """
+    path = Path(given).expanduser() if isinstance(given, str) else None
+    if path is not None and not path.is_file():
+        reason = "no regular file" if path.exists() else "No such file"
+        message = f"start: expected numbers in brackets or a file; received {path}: {reason}"
+        raise UserError(message)
+    if path is None:
+        found = of_numbers(given, space)
+    elif is_track(path) or path.suffix.lower() in PLAIN:
+        found = of_track(path, space) if is_track(path) else of_plain(path, space)
+        if frame := found.reference.turn(ours, f"start {path}"):
+            message = f"start {path}: expected frame {frame}, that of the model; received {found.reference}"
+            raise UserError(message)
+    else:
+        found = of_files(path, space, ours, last=last, weighed=sd is None)
+    if sd is None:
+        return found
+    if found.covariances is not None:
+        log.warning("start_sd: in place of the covariance of %s", path)
+    covariance = state_deviations(sd, space, "start_sd").square().diag()
+    return found._replace(covariances=covariance.expand(len(found.states), -1, -1))
+
+
+def referred(found: Starts, ours: Reference) -> Starts:
+    """Return starts whose reference is that of the model, completed by what their file says.
+
+    Their times count from the epoch of the file, where it has one.
+    """
+    own, clock = found.reference, ours.clock or found.reference.clock
+    since = own if own.epoch is not None else ours
+    whole = ours.filled(own)._replace(clock=clock, epoch=since.on(clock).epoch)
+    return found._replace(reference=whole)
+
+
+def of_numbers(given: Any, space: Space) -> Starts:
+    """Return starts at time zero; raises UserError."""
+    size = len(space.components)
+    try:
+        states = as_float64(given, "start")
+    except ValueError as error:
+        raise UserError(str(error)) from error
+    if states.ndim not in (1, 2) or states.shape[-1] != size or not states.numel():
+        known = ", ".join(_with_units(space))
+        message = f"start: expected one state or several of [{known}]; received shape {tuple(states.shape)}"
+        raise UserError(message)
+    states = torch.atleast_2d(states)
+    require_finite(states)
+    return Starts(numbered(len(states)), states, states.new_zeros(len(states)))
+
+
+def of_plain(path: Path, space: Space) -> Starts:
+    """Return the state of a YAML or JSON file: mean, sd or covariance, frame, epoch; raises UserError."""
+    try:
+        content = plain_yaml(decoded(content_of(path), path))
+    except (yaml.YAMLError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        message = f"start: expected a file with mean and sd or covariance; received {path} ({reason})"
+        raise UserError(message) from error
+    unknown = {str(key) for key in content} - KEYS if isinstance(content, dict) else {"no keys"}
+    if unknown or "mean" not in content or {"sd", "covariance"} <= content.keys():
+        received = ", ".join(sorted(unknown)) or ("both" if "mean" in content else "no mean")
+        message = f"start: expected mean, sd or covariance, frame and epoch in {path}; received {received}"
+        raise UserError(message)
+    found = of_numbers(content["mean"], space)
+    reference = Reference.of(str(content.get("frame", "")))
+    if (epoch := content.get("epoch")) is not None:
+        clock = reference.clock or "UTC"
+        try:
+            reference = reference._replace(clock=clock, epoch=instant(str(epoch), utc=clock == "UTC"))
+        except ValueError as error:
+            message = f"start {path}: expected {error}; received epoch {epoch}"
+            raise UserError(message) from error
+    covariance = content.get("covariance")
+    if (sd := content.get("sd")) is not None:
+        covariance = state_deviations(sd, space, f"start {path}: sd").square().diag()
+    size = len(space.components)
+    try:
+        matrix = None if covariance is None else as_float64(covariance, "covariance").reshape(1, size, size)
+    except (ValueError, RuntimeError) as error:
+        message = f"start {path}: expected covariance of {size} x {size} numbers; received another shape"
+        raise UserError(message) from error
+    return found._replace(reference=reference, covariances=matrix)
+
+
+def of_track(path: Path, space: Space) -> Starts:
+    """Return the last estimate of an assimilation's output; raises UserError."""
+    found = last_estimate(path, space)
+    time = torch.tensor([found.time], dtype=torch.float64)
+    start = Starts(numbered(1), found.mean[None], time, found.reference, found.covariance[None])
+    require_finite(start.states)
+    return start
+
+
+def of_files(path: Path, space: Space, ours: Reference, *, last: bool, weighed: bool) -> Starts:
+    """Return the first or the last state of each trajectory in a data file; raises UserError."""
+    kind = kind_of(content_of(path), str(path))
+    second = 1.0 if kind == "elements" else None  # between the two samples that SGP4 gives
+
+    def read(frame: Any = None) -> Files:
+        return Files("start", str(path), mass=space.inertia, frame=frame, step=second, duration=second)
+
+    last, files = last and second is None, read()
+    if not files.momenta:
+        require_velocities(space, f"start {path}")
+    reference = Reference.of(files.space.frame)
+    if files.epoch is not None:
+        reference = reference._replace(epoch=files.epoch)
+    frame = reference.turn(ours, f"start {path}")
+    if frame is not None:
+        files, reference = read(frame), reference._replace(frame=frame)
+    elif reference.frame and not ours.frame:
+        log.warning(
+            "start %s: in %s; the model says no frame and is taken to be in it", path, reference.frame
+        )
+    order, factors = columns_of(files, space, path)
+    clock = factor(files.space.units.time, space.units.time, path)
+    times, states = clock * files.trajectories.times, files.trajectories.states[..., order] * factors
+    rows = torch.arange(len(states))
+    columns = times.isfinite().sum(1) - 1 if last else torch.zeros_like(rows)
+    chosen, moments = states[rows, columns], times[rows, columns]
+    require_finite(chosen)
+    names = files.names if all(files.names) else numbered(len(states))
+    found = Starts(names, chosen, moments, reference)
+    if not weighed or files.epoch is None or kind not in ("oem", "xml"):
+        return found
+    size = units.unit(space.units.time).size
+    since = [files.epoch + round(float(time) * size * SECOND) for time in moments]
+    known = covariances_of(path, since, frame, earlier=last)
+    if known is None:
+        return found
+    weights = factors * torch.tensor([1.0] * 3 + [space.inertia] * 3, dtype=torch.float64)
+    covariances = known.matrices[:, order][:, :, order] * torch.outer(weights, weights)
+    at = torch.tensor(
+        [(moment - files.epoch) / SECOND / size for moment in known.moments], dtype=torch.float64
+    )
+    nearest = (times - at.unsqueeze(1)).abs().nan_to_num(torch.inf).argmin(1)
+    if torch.equal(nearest, columns):
+        return found._replace(covariances=covariances)
+    return found._replace(covariances=covariances, since=(times[rows, nearest], states[rows, nearest]))
+
+
+def columns_of(files: Files, space: Space, path: Path) -> tuple[list[int], Tensor]:
+    """Return the places of a space's components in a file, and what they are multiplied with, (D,).
+
+    Raises:
+        UserError: other columns, positions alone, or units that do not fit.
+    """
+    found, names, n = files.space, space.components[: space.dof], space.dof
+    theirs = found.components[: found.dof]
+    if sorted(theirs) != sorted(names) or files.positions_only:
+        alone, remedy = "", "Name the columns in a sidecar, docs/data.md"
+        if files.positions_only:
+            alone, remedy = " alone", "The output of ahnn.assimilate on these positions is a start"
+        message = (
+            f"start {path}: expected positions {', '.join(names)} and their velocities or momenta; received "
+            f"{', '.join(theirs)}{alone}. {remedy}"
+        )
+        raise UserError(message)
+    order = [theirs.index(name) for name in names]
+    parts = [factor(getattr(found.units, name), getattr(space.units, name), path) for name in RATES]
+    return [*order, *(n + k for k in order)], torch.tensor(parts, dtype=torch.float64).repeat_interleave(n)
+
+
+def factor(theirs: str, ours: str, path: Path) -> float:
+    """Return what numbers in a unit of a file are multiplied with; a file without units has ours."""
+    try:
+        return 1.0 if theirs == "1" else units.factor(theirs, ours)
+    except ValueError as error:
+        message = f"start {path}: expected numbers in {ours}, or a unit that fits it; received {theirs}"
+        raise UserError(message) from error
+
+
+def numbered(count: int) -> tuple[str, ...]:
+    """Return the numbers from 1 as names."""
+    return tuple(str(k + 1) for k in range(count))
+
+
+def _with_units(space: Space) -> list[str]:
+    """Return the components with their units, those of momenta as of velocities times the inertia."""
+    scale = "" if space.inertia == 1 else f" x {space.inertia:g}"
+    momentum = f"{space.units.velocity}{scale}" if space.mechanical else momentum_unit(space)
+    parts = (space.units.position, momentum)
+    return [f"{name} [{parts[k >= space.dof]}]" for k, name in enumerate(space.components)]

@@ -1,0 +1,93 @@
+"""What an assimilation writes: names of its columns, its rows, and its last estimate."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from ahnn.contents import require_regular
+from ahnn.data.files import sidecar
+from ahnn.data.files.raw import content_of, decoded
+from ahnn.data.reference import Reference
+from ahnn.errors import UserError
+from ahnn.types import Space
+
+COVARIANCE, INNOVATION, DEVIATION = "cov_", "innovation_", "sd_"
+FIRST = ("line", "time", "sensor", "outcome", "replayed", "nis", "dof")
+
+
+class Last(NamedTuple):
+    """The last estimate: time, mean (D,), covariance (D, D), and what they refer to."""
+
+    time: float
+    mean: Tensor
+    covariance: Tensor
+    reference: Reference
+
+
+def is_track(path: Path) -> bool:
+    """Return whether a file is the output of an assimilation: a table, or JSON lines."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        first = file.read(200).decode("utf-8", errors="replace")
+    return first.startswith((",".join(FIRST[:4]), f'{{"{FIRST[0]}": '))
+
+
+def rows_of(path: Path) -> Iterator[dict[str, Any]]:
+    """Yield the rows of an output."""
+    require_regular(path)
+    with path.open(newline="") as file:
+        table = file.read(1) != "{"
+        file.seek(0)
+        yield from csv.DictReader(file) if table else map(json.loads, file)
+
+
+def last_estimate(path: Path, space: Space) -> Last:
+    """Return the last estimate in an output, in the units of a space.
+
+    Raises:
+        UserError: there is none, or it is of another space.
+    """
+    names, row = space.components, {}
+    lower = [(i, j) for i in range(len(names)) for j in range(i + 1)]
+    covariance = torch.zeros(len(names), len(names), dtype=torch.float64)
+    try:
+        for row in rows_of(path):  # noqa: B007 - the last one counts
+            pass
+        time, mean = float(row["time"]), [float(row[name]) for name in names]
+        for i, j in lower:
+            covariance[i, j] = covariance[j, i] = float(row[f"{COVARIANCE}{names[i]}_{names[j]}"])
+    except (KeyError, TypeError, ValueError, csv.Error) as error:
+        received = f"none of it ({error})" if row else "no row"
+        message = f"start {path}: expected estimates of {', '.join(names)}; received {received}"
+        raise UserError(message) from error
+    said = sidecar.Sidecar()
+    if (aside := sidecar.beside(path)).is_file():
+        said = sidecar.parse(decoded(content_of(aside), aside), str(aside))
+    for name, unit in said.units.items():
+        if name in (units := units_of(space)) and unit != units[name]:
+            message = f"start {path}: expected {name} in {units[name]}, that of the model; received {unit}"
+            raise UserError(message)
+    return Last(time, torch.tensor(mean, dtype=torch.float64), covariance, Reference.of(said.frame))
+
+
+def units_of(space: Space) -> dict[str, str]:
+    """Return the units of time and components as a sidecar has them."""
+    names, units = space.components, space.units
+    momentum = {"1": "1", "rad": f"kg m^2/{units.time}"}.get(units.position, f"kg {units.velocity}")
+    parts = [units.position] * space.dof + [momentum] * space.dof
+    return {"time": units.time, **dict(zip(names, parts, strict=True))}
+
+
+def described(space: Space, reference: Reference) -> sidecar.Sidecar:
+    """Return the sidecar of an output: with it a reader of data takes the estimates as states."""
+    names, dof = list(space.components), space.dof
+    columns = {"time": "time", "positions": names[:dof], "momenta": names[dof:]}
+    return sidecar.Sidecar(units_of(space), columns, str(reference))

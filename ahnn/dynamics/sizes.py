@@ -1,0 +1,53 @@
+"""Modules that are no larger than the tensors that are to fill them, refused while they are being built."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from torch import Tensor
+from torch.nn.modules.module import (
+    register_module_buffer_registration_hook,
+    register_module_parameter_registration_hook,
+)
+
+from ahnn.errors import UserError
+
+
+@contextmanager
+def fillable(state: Mapping[str, Tensor]) -> Iterator[None]:
+    """Refuse modules that are built inside with more than twice the tensors, or numbers, that there are.
+
+    Sizes that stand beside weights may be anything; a module tells each tensor before it is filled. Twice:
+    some modules register a tensor again.
+
+    Raises:
+        UserError: as soon as there is one too many.
+    """
+    tensors, numbers = 2 * len(state), 2 * sum(tensor.numel() for tensor in state.values())
+
+    def count(module: Any, name: str, tensor: Tensor | None) -> None:
+        nonlocal tensors, numbers
+        del module, name
+        if tensor is None:
+            return
+        tensors, numbers = tensors - 1, numbers - tensor.numel()
+        if tensors < 0 or numbers < 0:
+            message = (
+                f"dynamics: expected sizes that the {len(state)} tensors beside them fill; received larger"
+            )
+            raise UserError(message)
+
+    hooks = [
+        register(count)
+        for register in (
+            register_module_parameter_registration_hook,
+            register_module_buffer_registration_hook,
+        )
+    ]
+    try:
+        yield
+    finally:
+        for hook in hooks:
+            hook.remove()

@@ -1,0 +1,54 @@
+"""What the numbers of a space are called where people read them: velocities only where p = m dq/dt."""
+
+from __future__ import annotations
+
+from ahnn.errors import UserError
+from ahnn.types import Space
+
+KILOGRAMS = {"m": "kg m/s", "rad": "kg m²/s"}
+"""Unit of a momentum by that of its position, with energies in J and times in s."""
+
+
+def quantity(space: Space, name: str) -> tuple[str, str]:
+    """Return what `position`, `velocity` or `energy` is called, and its unit.
+
+    In the place of velocities stand the momenta themselves where they are not mass times velocity.
+    """
+    if name == "velocity" and not space.mechanical:
+        return "momentum", momentum_unit(space)
+    return name, getattr(space.units, name)
+
+
+def headed(space: Space, name: str) -> str:
+    """Return the name of a quantity with its unit."""
+    return "{} [{}]".format(*quantity(space, name))
+
+
+def components(space: Space) -> list[str]:
+    """Return the names of the components with their units, as `Space.divisor` has them."""
+    scale = "" if space.divisor == 1 else " / m"
+    units = [quantity(space, name)[1] for name in ("position", "velocity")]
+    names = [*space.components[: space.dof], *(name + scale for name in space.components[space.dof :])]
+    return [f"{name} [{units[k >= space.dof]}]" for k, name in enumerate(names)]
+
+
+def momentum_unit(space: Space) -> str:
+    """Return the unit of the momenta p of a state."""
+    time, position, velocity, energy = space.units
+    if not space.mechanical and {time, position, energy} == {"1"}:
+        return "1"
+    if space.mechanical or energy.replace("²", "") == velocity:  # energies per unit mass
+        return velocity if space.inertia == 1 else f"{velocity} · mass"
+    if (energy, time) == ("J", "s") and position in KILOGRAMS:
+        return KILOGRAMS[position]
+    return f"{energy} {time}/{position}"
+
+
+def require_velocities(space: Space, who: str) -> None:
+    """Refuse to read or write velocities where momenta are not mass times velocity; raises UserError."""
+    if not space.mechanical:
+        message = (
+            f"{who}: expected momenta that are mass times velocity; received {space.name}, whose are not. "
+            "Use a table"
+        )
+        raise UserError(message)

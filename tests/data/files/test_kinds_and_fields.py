@@ -1,0 +1,369 @@
+"""What files are told by, and every field of them: used, refused, or said to be not used."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+from made_files import ORBIT, csv_of, orbit
+
+from ahnn.data import Files
+from ahnn.data.files import Ephemeris, instant, kinds, read_oem, write_oem
+from ahnn.data.files.reading import Reading, bytes_of, parsed
+from ahnn.data.files.table import Fault
+from ahnn.errors import UserError
+
+START = instant("2024-03-01T12:00:00", utc=True)
+
+
+@pytest.fixture
+def message(tmp_path):
+    """An ephemeris of ten states, one a minute, as a text of keywords."""
+    t, states = orbit(10)
+    write_oem(tmp_path / "made.oem", [Ephemeris("1", "SAT", "EARTH", "EME2000", "UTC", START, t, states)])
+    return (tmp_path / "made.oem").read_text()
+
+
+def said(path, frame=None):
+    """The content of a file, and all that is remarked on or noted."""
+    notes = []
+    return parsed(path, *bytes_of(path), Reading(frame=frame), notes.append), notes
+
+
+def refused(path):
+    with pytest.raises(UserError) as caught:
+        parsed(path, *bytes_of(path), Reading())
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("ends", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("name", ["a.txt", "a.dat", "a", "a.csv"])
+def test_a_message_is_one_whatever_its_name_and_the_ends_of_its_lines(tmp_path, message, name, ends):
+    (tmp_path / name).write_bytes(message.replace("\n", ends).encode())
+    found, notes = said(tmp_path / name)
+    assert np.allclose(found.tracks[0].values, orbit(10)[1], rtol=1e-14, atol=0)
+    assert [one.what for one in notes] == []
+
+
+def test_a_table_is_one_whatever_the_ends_of_its_lines(tmp_path):
+    text = "id,t [s],q [m]\na,0,1\na,1,2\nb,0,x\n"
+    for ends in ("\n", "\r\n", "\r"):
+        (tmp_path / "a.csv").write_bytes(text.replace("\n", ends).encode())
+        assert "row 4, column q: expected a number; received 'x'" in refused(tmp_path / "a.csv")
+
+
+FOREIGN = {
+    "CCSDS_OPM_VERS = 2.0\n": "orbit parameter message (OPM)",
+    "CCSDS_OMM_VERS = 2.0\n": "orbit mean-elements message (OMM)",
+    "CCSDS_TDM_VERS = 1.0\n": "tracking data message (TDM)",
+    "CCSDS_OCM_VERS = 3.0\n": "orbit comprehensive message (OCM)",
+    "CCSDS_CDM_VERS = 1.0\n": "conjunction data message (CDM)",
+    "CCSDS_AEM_VERS = 1.0\n": "attitude ephemeris message (AEM)",
+    "CCSDS_XYZ_VERS = 1.0\n": "a CCSDS message XYZ",
+    '<?xml version="1.0"?>\n<opm version="2.0"><body/></opm>': "orbit parameter message (OPM)",
+    "<ndm><oem><body/></oem><tdm/></ndm>": "tracking data message (TDM)",
+    "<html><body/></html>": "<html> in it",
+    "#dP2024  3  1 12  0  0.00000000      96 ORBIT IGb20 HLM  IGS\n": "SP3",
+    "H1 CPF  2  SGF 2016 02 13 01  544 lageos2\n": "CPF",
+    "h1 crd  1 2016 02 14 00\n": "CRD",
+    f"{'     3.04           OBSERVATION DATA':60}RINEX VERSION / TYPE\n": "RINEX",
+    "%=SNX 2.01 IGN\n": "SINEX",
+    "stk.v.11.0\nBEGIN Ephemeris\n": "STK",
+    '[{"OBJECT_NAME": "ISS"}]': "JSON",
+    "OBJECT_NAME,OBJECT_ID,EPOCH,MEAN_MOTION,ECCENTRICITY\nISS,1,2,3,4\n": "(OMM)",
+    "PK\x03\x04 rest": "a zip archive",
+    "\x1f": None,
+    "t x v\n0 1 2\n": "expected columns separated by commas, semicolons or tabs",
+}
+
+
+@pytest.mark.parametrize("text", FOREIGN)
+@pytest.mark.parametrize("name", ["a.txt", "a.oem", "a.csv"])
+def test_other_formats_are_called_by_their_names(tmp_path, text, name):
+    (tmp_path / name).write_text(text)
+    if FOREIGN[text] is not None and not (name == "a.oem" and text.startswith("t x")):
+        assert FOREIGN[text] in refused(tmp_path / name)
+    else:
+        assert "expected" in refused(tmp_path / name)
+
+
+def test_every_message_of_ccsds_has_a_name(tmp_path):
+    for name, about in kinds.MESSAGES.items():
+        (tmp_path / "a.txt").write_text(f"CCSDS_{name}_VERS = 2.0\n")
+        assert about in refused(tmp_path / "a.txt")
+        with pytest.raises(UserError, match=name):
+            read_oem(tmp_path / "a.txt")
+
+
+def changed(folder, text, *pairs):
+    for old, new in pairs:
+        assert old in text
+        text = text.replace(old, new, 1)
+    (folder / "a.oem").write_text(text)
+    return folder / "a.oem"
+
+
+def test_states_outside_the_useable_span_are_no_data(tmp_path, message):
+    span = (
+        "META_STOP",
+        "USEABLE_START_TIME = 2024-03-01T12:02:00\nUSEABLE_STOP_TIME = 2024-03-01T12:07:00\nMETA_STOP",
+    )
+    path = changed(tmp_path, message, span)
+    found, notes = said(path)
+    assert np.allclose(found.tracks[0].values, orbit(10)[1][2:8], rtol=1e-14, atol=0)
+    assert (found.epoch, found.tracks[0].times[-1]) == (START + 120 * 10**12, 300.0)
+    assert "4 of 10 states left out, outside USEABLE_START_TIME to USEABLE_STOP_TIME" in notes[0].what
+    (read,) = read_oem(path)
+    assert np.allclose(read.states, orbit(10)[1][2:8], rtol=1e-14, atol=0)
+    late = (span[0], span[1].replace("T12:07", "T11:00"))
+    assert "a state from USEABLE_START_TIME" in refused(changed(tmp_path, message, late))
+
+
+def test_what_is_not_used_is_said_once_and_logged(tmp_path, message, caplog):
+    more = "INTERPOLATION = HERMITE\nINTERPOLATION_DEGREE = 7\nUSABLE_START_TIME = 2024-03-01\nMETA_STOP"
+    first = next(line for line in message.splitlines() if line.startswith("2024"))
+    path = changed(tmp_path, message, ("META_STOP", more), (first, f"COMMENT thrust\n{first} 0 0 0"))
+    _, notes = said(path)
+    assert [(one.level, one.what) for one in notes] == [
+        ("warning", notes[0].what),
+        ("note", "not used: X_DDOT, Y_DDOT, Z_DDOT, COMMENT, INTERPOLATION, INTERPOLATION_DEGREE"),
+    ]
+    assert "USABLE_START_TIME is no keyword of an OEM" in notes[0].what
+    assert "did you mean 'USEABLE_START_TIME'?" in notes[0].what
+    with caplog.at_level(logging.INFO):
+        Files("orbit", str(path))
+        assert caplog.text.count("not used: X_DDOT") == 1
+        read_oem(path)
+        assert caplog.text.count("not used: X_DDOT") == 2
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("= 2.0", "= 7.0", "expected version 1.0, 2.0, 3.0 of an OEM; received '7.0'"),
+        ("ORIGINATOR", "SEMI_MAJOR_AXIS", "received 'SEMI_MAJOR_AXIS'. Give the ephemeris alone"),
+        ("META_STOP\n", "META_STOP\nX = 7000 [km]\n", "expected a state, a covariance or META_START"),
+        ("REF_FRAME", "REF_FRAME = GCRF\nREF_FRAME", "REF_FRAME: expected each keyword once"),
+        ("META_STOP\n", "META_STOP\nCCSDS_OPM_VERS = 2.0\n", "Give the ephemeris alone"),
+    ],
+)
+def test_what_belongs_to_no_ephemeris_is_refused(tmp_path, message, old, new, expected):
+    assert expected in refused(changed(tmp_path, message, (old, new)))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("</data>", "<keplerianElements/></data>", "<keplerianElements> in it. Give the ephemeris alone"),
+        ("<X>", "<X>1</X><X>", "column X: expected each element once"),
+        ("<X_DOT>", '<X_DOT units="m/s">', "column X_DOT: expected units km/s; received 'm/s'"),
+        ('version="2.0"', 'version="9"', "expected version 1.0, 2.0, 3.0 of an OEM"),
+    ],
+)
+def test_what_belongs_to_no_ephemeris_in_xml_is_refused(tmp_path, old, new, expected):
+    t, states = orbit(3)
+    write_oem(tmp_path / "a.xml", [Ephemeris("1", "S", "EARTH", "EME2000", "UTC", START, t, states)])
+    (tmp_path / "a.xml").write_text((tmp_path / "a.xml").read_text().replace(old, new, 1))
+    assert expected in refused(tmp_path / "a.xml")
+
+
+def test_a_covariance_has_an_epoch_and_a_frame_of_its_own_each_time(tmp_path, message):
+    triangle = "\n".join(" ".join(["0"] * k + ["1"]) for k in range(6))
+    blocks = "".join(
+        f"EPOCH = 2024-03-01T12:0{k}:00\n{frame}{triangle}\n"
+        for k, frame in enumerate(("COV_REF_FRAME = RTN\n", "", "COV_REF_FRAME = j2000\n"))
+    )
+    (tmp_path / "a.oem").write_text(f"{message}COVARIANCE_START\n{blocks}COVARIANCE_STOP\n")
+    (read,) = read_oem(tmp_path / "a.oem")
+    assert [(one.time, one.frame) for one in read.covariances] == [(0.0, "RTN"), (60.0, ""), (120.0, "")]
+
+
+SPELLED = [
+    (("J2000", "EARTH", "UTC"), ("EME2000", "Earth", "utc")),
+    (("ITRF-97", "EARTH", "UTC"), ("itrf97", "earth", "UTC")),
+    (("TEMEOFDATE", "EARTH", "UTC"), ("TEME", "EARTH", "UTC")),
+    (("GCRF", "Ceres", "TDB"), ("gcrf", "CERES", "Tdb")),
+]
+
+
+@pytest.mark.parametrize(("one", "other"), SPELLED)
+def test_one_frame_in_two_spellings_is_one(tmp_path, one, other):
+    t, states = orbit(5)
+    given = [
+        Ephemeris("1", "S", center, frame, system, START + 10**12 * shift, t, states)
+        for shift, (frame, center, system) in ((0, one), (900, other))
+    ]
+    write_oem(tmp_path / "both.oem", given)
+    found, _ = said(tmp_path / "both.oem")
+    assert [track.times[0] for track in found.tracks] == [0.0, 900.0]
+    for k in (0, 1):
+        write_oem(tmp_path / f"{k}.oem", [given[k]])
+    assert len(Files("both", [str(tmp_path / f"{k}.oem") for k in (0, 1)]).names) == 2
+
+
+def test_segments_of_two_frames_are_refused_unless_they_are_turned(tmp_path):
+    pytest.importorskip("erfa")
+    t, states = orbit(5)
+    given = [Ephemeris("1", "S", "EARTH", f, "UTC", START, t, states) for f in ("GCRF", "EME2000")]
+    write_oem(tmp_path / "a.oem", given)
+    assert "expected frame GCRF in each segment; received EME2000. system.frame=GCRF" in refused(
+        tmp_path / "a.oem"
+    )
+    found, _ = said(tmp_path / "a.oem", "GCRF")
+    off = np.linalg.norm(found.tracks[0].values[:, :3] - found.tracks[1].values[:, :3], axis=1)
+    assert np.allclose(found.tracks[0].values, states, rtol=1e-14, atol=0)
+    assert bool(((off > 1e-5) & (off < 1e-3)).all())  # 23 thousandths of a second of arc, 0.8 m
+
+
+def test_a_frame_of_a_date_is_not_that_of_another(tmp_path, message):
+    dated = message.replace("REF_FRAME = EME2000", "REF_FRAME = TEME\nREF_FRAME_EPOCH = 2024-03-01T00:00:00")
+    (tmp_path / "a.oem").write_text(dated)
+    assert said(tmp_path / "a.oem")[0].frame == "TEME of 2024-03-01T00:00:00, EARTH, UTC"
+    with pytest.raises(Fault, match="expected a frame that can be turned into GCRF"):
+        said(tmp_path / "a.oem", "GCRF")
+
+
+def test_a_sidecar_beside_a_message_is_said_to_be_not_used(tmp_path, message):
+    (tmp_path / "a.oem").write_text(message)
+    (tmp_path / "a.yaml").write_text("frame: TEME\n")
+    (only,) = said(tmp_path / "a.oem")[1]
+    assert (only.place.file, only.what[:8]) == (str(tmp_path / "a.yaml"), "not used")
+
+
+def test_columns_that_nothing_is_read_of_are_said(tmp_path):
+    (tmp_path / "a.csv").write_text("# by hand\nt,x,sd_x\n0,1,9\n1,2,9\n")
+    found, notes = said(tmp_path / "a.csv")
+    assert (found.positions, found.rates) == (("x",), ())
+    assert [(one.name, one.role) for one in found.columns] == [
+        ("t", "time"),
+        ("x", "position"),
+        ("sd_x", "not used"),
+    ]
+    assert [one.what for one in notes] == [
+        "1 line left out, behind #",
+        "not used, one standard deviation counts for all samples: sd_x",
+    ]
+    (tmp_path / "a.yaml").write_text("columns: {time: t, positions: x}")
+    (tmp_path / "a.csv").write_text("t,x,note\n0,1,9\n1,2,9\n")
+    assert [one.what for one in said(tmp_path / "a.csv")[1]] == [
+        "not used, since the sidecar does not name them: note"
+    ]
+
+
+def test_an_index_of_pandas_and_other_metadata_are_no_columns(tmp_path):
+    pa, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    table = pa.table({"t": [0.0, 1.0], "x": [1.0, 2.0], "__index_level_0__": [5, 6]})
+    table = table.cast(table.schema.set(1, pa.field("x", pa.float64(), metadata={"units": "km"})))
+    pq.write_table(table, tmp_path / "a")
+    found, notes = said(tmp_path / "a")
+    assert found.positions == ("x",)
+    assert [one.what for one in notes] == [
+        "not used: the index __index_level_0__ of pandas",
+        "not used: metadata units",
+    ]
+
+
+def test_rows_without_the_name_of_their_trajectory_are_faults(tmp_path):
+    (tmp_path / "a.csv").write_text("id,t,x\na,0,1\n,1,2\na,2,3\nnan,0,1\n")
+    found, notes = said(tmp_path / "a.csv")
+    assert [one.place.row for one in notes] == [3, 5]
+    assert [track.name for track in found.tracks] == ["a"]
+    assert "row 3, column id: expected the name of a trajectory; received none" in refused(tmp_path / "a.csv")
+
+
+def test_quoted_cells_are_read_and_an_open_quote_is_a_fault(tmp_path):
+    text = 'id;"t [s]"; "x, east [m]" ;"v [m/s]"\n"a"; "0"; "1.5";2\n'
+    (tmp_path / "a.csv").write_text(text)
+    (tmp_path / "a.yaml").write_text('columns: {time: t, id: id, positions: "x, east", velocities: v}')
+    assert said(tmp_path / "a.csv")[0].tracks[0].values.tolist() == [[1.5, 2.0]]
+    (tmp_path / "a.csv").write_text(text.replace('"1.5"', '"1.5'))
+    assert "row 2: expected quoted cells that end in their line" in refused(tmp_path / "a.csv")
+    (tmp_path / "b.csv").write_text(f't,x\n0,"{"1" * 200000}"\n')
+    assert "row 2: expected quoted cells" in refused(tmp_path / "b.csv")
+
+
+SAME = [
+    "2026-01-01T12:00:00+02:00",
+    "2026-01-01 12:00:00 +0200",
+    "2026-01-01T04:30:00-05:30",
+    "2026-01-01T10:00Z",
+    "2026/01/01 10:00:00",
+]
+
+
+@pytest.mark.parametrize("text", SAME)
+def test_epochs_of_one_instant(text):
+    assert instant(text, utc=True) == instant("2026-01-01T10:00:00", utc=True)
+
+
+def test_a_leap_second_of_another_time_zone_and_offsets_of_clocks_that_have_none():
+    assert instant("2017-01-01T01:59:60+02:00", utc=True) == instant("2016-12-31T23:59:60", utc=True)
+    with pytest.raises(ValueError, match="without an offset"):
+        instant("2026-01-01T12:00:00+02:00", utc=False)
+    with pytest.raises(ValueError, match="an offset from UTC"):
+        instant("2026-01-01T12:00:00+77:00", utc=True)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["01/03/2024 12:00:00", "1 Mar 2024 12:00", "Mar 1, 2024", "12:00:00", "2024.03.01", "20240301T120000"],
+)
+def test_a_date_in_another_notation_is_called_one(tmp_path, text):
+    rows = "".join(f'"{text}",{k}\n' for k in range(3))
+    (tmp_path / "a.csv").write_text(f"t,x [m]\n{rows}")
+    message = refused(tmp_path / "a.csv")
+    assert "row 2, column t: expected an epoch such as 2024-03-01T12:00:00.125" in message
+    assert f"received {text!r}, in another notation" in message
+
+
+MOVING = {
+    "T,X,Y,Z,VX,VY,VZ": "X Y Z|VX VY VZ",
+    "t,theta,theta_dot": "theta|theta_dot",
+    "t,x,y,xdot,ydot": "x y|xdot ydot",
+    "t,q,dq": "q|dq",
+    "t,x,dx": "x|dx",
+    "t,x,dx/dt": "x|dx/dt",
+    "t,theta1,theta2,omega1,omega2": "theta1 theta2|omega1 omega2",
+    "t,Position_X,Velocity_X": "Position_X|Velocity_X",
+    "t,rx,ry,vx,vy": "rx ry|vx vy",
+    "t,x,v": "x|v",
+    "t,X,x,vx,VX": "X x|VX vx",
+    "t,angle,angular_velocity": "angle|angular_velocity",
+    "t,qx,qy,px,py": "qx qy|px py",
+    "t,x,\u1e8b": "x|\u1e8b",
+}
+
+
+@pytest.mark.parametrize("header", MOVING)
+def test_velocities_are_known_by_their_usual_names(tmp_path, header):
+    names = header.split(",")
+    (tmp_path / "a.csv").write_text(f"{header}\n{','.join('1' * len(names))}\n")
+    found = said(tmp_path / "a.csv")[0]
+    assert f"{' '.join(found.positions)}|{' '.join(found.rates)}" == MOVING[header]
+    assert found.momenta == ("px" in names)
+
+
+LONELY = ("t,vx,vy", "t,v", "t,omega", "t,y,x_dot", "t,x,vx,ax", "t,x,x_dot,x_dot_dot", "t,ax,ay", "t,dq")
+OTHERS = ("t,x,speed", "t,x,x_sd", "t,index,x", "t,x,energy", "t,momentum", "t,x,VY")
+
+
+@pytest.mark.parametrize("header", [*LONELY, *OTHERS])
+def test_a_name_that_is_none_of_a_position_is_no_position_in_silence(tmp_path, header):
+    (tmp_path / "a.csv").write_text(f"{header}\n{','.join('1' * len(header.split(',')))}\n")
+    assert "sidecar" in refused(tmp_path / "a.csv")
+
+
+def test_a_column_has_one_role_in_a_sidecar(tmp_path):
+    (tmp_path / "a.csv").write_text("t,x\n0,1\n")
+    (tmp_path / "a.yml").write_text("columns: {time: t, positions: [x, x]}")
+    assert "column x: expected one role in the sidecar" in refused(tmp_path / "a.csv")
+
+
+def test_centres_other_than_the_earth_have_no_frames_of_it(tmp_path):
+    pytest.importorskip("erfa")
+    rows = [("2024-01-01T00:00:00", 7000, 0, 0, 0, 7.5, 0)]
+    (tmp_path / "a.csv").write_text(csv_of(["t [UTC]", *ORBIT], rows))
+    (tmp_path / "a.yaml").write_text("frame: TEME, Mars")
+    with pytest.raises(Fault, match="expected the Earth as the centre of TEME; received MARS"):
+        said(tmp_path / "a.csv", "GCRF")

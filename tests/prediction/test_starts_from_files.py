@@ -1,0 +1,184 @@
+"""`predict start=FILE`: epoch, frame, centre and covariance of a file are used or refused."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from entry import call
+from helpers import close, framed
+
+import ahnn
+from ahnn.data.files import Covariance, Ephemeris, Files, instant, read_oem, write_oem
+from ahnn.data.reference import Reference
+from ahnn.errors import UserError
+
+MOLNIYA = "pretrained=molniya_mechanical"
+STATE = np.array([0.0, -3145.0, -6173.0, 10.0, 0.0, 0.0])
+NOON = instant("2024-03-01T12:00:00", utc=True)
+P = np.diag([4.0, 1.0, 9.0, 4e-6, 1e-6, 9e-6])
+SHORT = ["duration=2min", "step=1min"]
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def message(frame="EME2000", center="EARTH", state=STATE, clock="UTC", axes=None):
+    """An ephemeris of one state, its covariance in some axes."""
+    known = () if axes is None else (Covariance(0.0, P, axes),)
+    write_oem("start.oem", [Ephemeris("A", "A", center, frame, clock, NOON, np.zeros(1), state[None], known)])
+    return "start=start.oem"
+
+
+def first(path="out.csv"):
+    return next(csv.DictReader(Path(path).read_text().splitlines()))
+
+
+def deviations(row):
+    return [float(row[f"sd_{name}"]) for name in ("x [km]", "y [km]", "z [km]", "vx [km/s]")]
+
+
+@pytest.mark.parametrize(
+    ("given", "more", "said"),
+    [
+        ({"frame": "ITRF2014"}, [], "expected an inertial frame; received ITRF2014. frame= names"),
+        ({"center": "MARS"}, [], "expected centre EARTH, that of the model; received MARS"),
+        ({"center": "MARS"}, ["frame=[GCRF,EARTH]"], "expected centre EARTH, that of the model"),
+        ({}, ["frame=[TEME,EARTH]"], "expected frame TEME, that of the model; received EME2000"),
+        ({"frame": "TNW"}, ["frame=[GCRF]"], "expected frame GCRF, that of the model; received TNW"),
+        ({"clock": "UT1"}, ["frame=[EME2000,EARTH,UTC]"], "time system: expected UT1, or two of UTC"),
+        ({}, ["epoch=2024-03-01T12:00:00"], "epoch: expected none, since the file of the start has its own"),
+        ({"axes": "TNW"}, [], "expected a covariance in EME2000 or RTN; received one in TNW"),
+    ],
+)
+def test_what_does_not_fit_the_model_is_one_message(given, more, said, capsys):
+    message(**given)
+    assert call("ahnn.predict", MOLNIYA, "start=start.oem", *SHORT, "output=out.csv", *more) == 2
+    assert said in capsys.readouterr().err
+    assert not Path("out.csv").exists()
+
+
+def test_a_start_is_turned_into_the_frame_of_the_model_with_its_covariance():
+    run = framed(Path("run"), "GCRF, EARTH, UTC, from 2026-01-01T00:00:00.000")
+    start = message("ITRF2014", axes="ITRF2014")
+    assert call("ahnn.predict", f"run={run}", start, *SHORT, "output=out.oem") == 0
+    (found,) = read_oem("out.oem")
+    assert (found.frame, found.center, found.time_system, found.start) == ("GCRF", "EARTH", "UTC", NOON)
+    turned = Files("turned", "start.oem", frame="GCRF").read().states[0, 0]
+    close(torch.from_numpy(found.states[0]), turned, 1e-14)
+
+    def moved(k):
+        """A state that is off by a unit, turned."""
+        message("ITRF2014", state=STATE + np.eye(6)[k])
+        return Files("turned", "start.oem", frame="GCRF").read().states[0, 0] - turned
+
+    m = torch.stack([moved(k) for k in range(6)], dim=1)
+    expected = m @ torch.from_numpy(P) @ m.mT
+    scale = expected.diagonal().sqrt()
+    difference = torch.from_numpy(found.covariances[0].matrix) - expected
+    assert float((difference / torch.outer(scale, scale)).abs().max()) < 1e-6
+
+
+def test_the_covariance_of_the_first_state_goes_along_and_start_sd_takes_its_place(caplog):
+    start = message(axes="EME2000")
+    assert call("ahnn.predict", MOLNIYA, start, *SHORT, "output=out.csv") == 0
+    assert deviations(first()) == pytest.approx([2, 1, 3, 2e-3], rel=1e-12)
+    run = ahnn.load("molniya_mechanical")
+    found = run.predict(STATE, [0.0, 60.0, 120.0], start_covariance=P).deviations
+    last = list(csv.DictReader(Path("out.csv").read_text().splitlines()))[-1]
+    assert deviations(last) == pytest.approx(found[0, -1, :4].tolist(), rel=1e-12)
+    assert call("ahnn.predict", MOLNIYA, start, *SHORT, "output=out.csv", "start_sd=[5,0.1]") == 0
+    assert deviations(first()) == pytest.approx([5, 5, 5, 0.1], rel=1e-12)
+    Path("a.yaml").write_text(
+        "mean: [0, -3145, -6173, 10, 0, 0]\nsd: [1, 0.01]\nepoch: 2024-03-01T12:00:00\n"
+    )
+    assert call("ahnn.predict", MOLNIYA, "start=a.yaml", *SHORT, "output=b.csv", "start_sd=[5,0.1]") == 0
+    assert deviations(first("b.csv"))[0] == pytest.approx(5)
+    assert "start_sd: in place of the covariance of a.yaml" in caplog.text
+    assert first("b.csv")["epoch"] == "2024-03-01T12:00:00.000"
+
+
+def test_axes_along_the_orbit_are_turned_into_those_of_the_state():
+    along = np.array([0.0, 7000.0, 0.0, -7.5, 0.0, 0.0])  # radial y, transverse -x
+    start = message(state=along, axes="RTN")
+    assert call("ahnn.predict", MOLNIYA, start, *SHORT, "output=out.csv") == 0
+    assert deviations(first()) == pytest.approx([1, 2, 3, 1e-3], rel=1e-12)
+
+
+def test_a_covariance_of_another_epoch_is_not_that_of_the_start(caplog):
+    two = Ephemeris("A", "A", "EARTH", "EME2000", "UTC", NOON, np.array([0.0, 60.0]), np.stack([STATE] * 2))
+    write_oem("start.oem", [two._replace(covariances=(Covariance(60.0, P),))])
+    assert call("ahnn.predict", MOLNIYA, "start=start.oem", *SHORT, "output=out.csv") == 0
+    assert "its covariances are of other epochs than its states" in caplog.text
+    assert "sd_x [km]" not in first()
+
+
+def test_element_sets_begin_where_sgp4_has_them():
+    api = pytest.importorskip("sgp4.api", reason="the extra `orbit` is needed")
+    lines = [
+        "1 00005U 58002B   00179.78495062  .00000023  00000-0  28098-4 0  4753",
+        "2 00005  34.2682 348.7242 1859667 331.7664  19.3264 10.82419157413667",
+    ]
+    Path("start.tle").write_text("\n".join(lines) + "\n")
+    assert call("ahnn.predict", MOLNIYA, "start=start.tle", *SHORT, "output=out.oem") == 0
+    (found,) = read_oem("out.oem")
+    satellite = api.Satrec.twoline2rv(*lines)
+    _, position, velocity = satellite.sgp4(satellite.jdsatepoch, satellite.jdsatepochF)
+    assert (found.frame, found.object_id) == ("TEME", "00005")
+    assert np.allclose(found.states[0], [*position, *velocity], rtol=1e-12, atol=0)
+
+
+def test_what_a_prediction_wrote_is_a_start_with_its_frame_and_its_epoch():
+    assert call("ahnn.predict", MOLNIYA, message(), *SHORT, "output=orbit.csv") == 0
+    assert call("ahnn.predict", MOLNIYA, "start=orbit.csv", *SHORT, "output=again.oem") == 0
+    (found,) = read_oem("again.oem")
+    assert (found.frame, found.center, found.time_system, found.start) == ("EME2000", "EARTH", "UTC", NOON)
+    files = Files("orbit", "orbit.csv")
+    assert files.epoch == NOON
+    close(files.read().states[0, 0], torch.from_numpy(STATE), 1e-15)
+    Path("mine.yaml").write_text("columns: {}\n")
+    assert call("ahnn.predict", MOLNIYA, "start=orbit.csv", *SHORT, "output=mine.csv") == 2
+    assert Path("mine.yaml").read_text() == "columns: {}\n"
+
+
+def test_a_message_has_frame_and_epoch_of_the_data_that_were_learned(capsys):
+    run = framed(Path("run"), "GCRF, EARTH, TAI, from 2026-01-01T00:00:00.000")
+    numbers = f"start={STATE.tolist()}".replace(" ", "")
+    assert call("ahnn.predict", f"run={run}", numbers, *SHORT, "output=out.oem") == 0
+    (found,) = read_oem("out.oem")
+    assert (found.frame, found.time_system, found.epoch(0.0)) == ("GCRF", "TAI", "2026-01-01T00:00:00.000")
+    assert call("ahnn.predict", f"run={run}", numbers, *SHORT, "output=out.oem", "frame=[EME2000]") == 2
+    assert "frame: expected GCRF, that of the model; received EME2000" in capsys.readouterr().err
+
+
+def test_what_is_not_finite_ends_with_code_3_and_writes_nothing(capsys):
+    near = "start=[1e-300,0,0,0,0,0]"
+    assert call("ahnn.predict", MOLNIYA, near, *SHORT, "output=out.csv", "figure=out.png") == 3
+    assert "received NaN or infinity 60 s after start 1" in capsys.readouterr().err
+    assert [*Path().iterdir()] == []
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.yaml", "a.oem", "a.tle", "a.json", "a.jsonl", "a.xml"])
+def test_an_empty_file_is_no_start(name, capsys):
+    Path(name).touch()
+    assert call("ahnn.predict", MOLNIYA, f"start={name}", *SHORT) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_references_say_what_they_are_of_and_clocks_are_turned():
+    text = "EME2000, EARTH, UTC, from 2024-03-01T12:00:00.000"
+    noon = Reference.of(text)
+    assert (noon.epoch, str(noon)) == (NOON, text)
+    assert str(Reference.of("?, ?, UTC")) == "?, ?, UTC"
+    assert Reference.of("j2000, Earth").turn(noon, "start") is None
+    tai = noon.on("TAI")  # 37 s ahead of UTC since 2017
+    assert str(tai).endswith("12:00:37.000")
+    assert tai.on("UTC") == noon
+    assert Reference.of("GCRF").filled(tai) == ("GCRF", "EARTH", "TAI", tai.epoch)
+    with pytest.raises(UserError, match="center: expected EARTH, that of the model; received MOON"):
+        noon.chosen(Reference.of("EME2000, MOON"))
