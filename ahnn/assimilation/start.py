@@ -9,6 +9,7 @@ import torch
 import yaml
 
 from ahnn.data.files import read_oem
+from ahnn.data.files.plain import loaded
 from ahnn.deviations import state_deviations
 from ahnn.errors import UserError
 from ahnn.estimation import Belief, initial_belief
@@ -53,7 +54,7 @@ def _read(path: Path, space: Space) -> dict[str, Any]:
             known["covariance"] = torch.from_numpy(last.covariances[-1].matrix) * torch.outer(scale, scale)
         return known
     try:
-        content = yaml.safe_load(path.read_text())
+        content = loaded(path.read_text())
     except (OSError, yaml.YAMLError, ValueError) as error:
         message = f"start: expected a file with mean and sd or covariance; received {path} ({error})"
         raise UserError(message) from error

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from ahnn.arguments import nearest
+from ahnn.data.files.plain import loaded
 from ahnn.data.files.table import Header, Place
 
 SUFFIXES = (".yaml", ".yml")
@@ -41,7 +42,7 @@ def parse(text: str, file: str) -> Sidecar:
         UserError: no YAML, or keys other than `units`, `columns` and `frame`.
     """
     try:
-        content = yaml.safe_load(text)
+        content = loaded(text)
     except yaml.YAMLError as error:
         Place(file).refuse("YAML", " ".join(str(error).split()))
     given: dict[Any, Any] = content if isinstance(content, dict) else {str(content): None}
