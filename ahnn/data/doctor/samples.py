@@ -83,7 +83,7 @@ def constant(content: Content, names: tuple[str, ...]) -> Iterator[Finding]:
     for c, name in enumerate(names):
         known = values[np.isfinite(values[:, c]), c]
         if len(known) and known.min() == known.max():
-            what, remedy = f"always {known[0]:g}", "Name the other columns in a sidecar: nothing moves there"
+            what, remedy = f"always {known[0]:g}", "Leave it out: nothing moves there"
             level: Level = "fault" if c < len(content.positions) else "warning"
             yield Finding(level, content.tracks[0].file, content.head, name, what, remedy)
 
