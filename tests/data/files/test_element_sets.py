@@ -106,9 +106,7 @@ def test_what_decides_that_a_text_holds_element_sets():
         (1, 52, "-5.72125391", "row 2, column mean motion"),
     ],
 )
-def test_a_field_that_is_no_number_of_its_kind_is_refused_though_its_checksum_is_right(
-    line, column, text, said
-):
+def test_a_field_that_is_no_number_of_its_kind_is_refused(line, column, text, said):
     """The library reads the like as zero, as infinite, or as another orbit."""
     pytest.importorskip("sgp4")
     lines = [FIRST, SECOND]
