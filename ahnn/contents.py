@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import stat
 from pathlib import Path
 from typing import Any
@@ -102,6 +103,11 @@ class _Plain(yaml.SafeLoader):
             message = "an alias"
             raise yaml.YAMLError(message)
         return super().compose_node(parent, index)
+
+
+_Plain.add_implicit_resolver(  # YAML 1.1 takes 1e5 for a text, JSON and YAML 1.2 for a number
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
+)
 
 
 def _is_plain(value: Any, depth: int = 0) -> bool:

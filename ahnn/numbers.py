@@ -46,3 +46,8 @@ def chi_square_quantile(probability: float, degrees: float) -> float:
     from scipy.special import gammaincinv
 
     return 2 * float(gammaincinv(degrees / 2, probability))
+
+
+def in_percent(fraction: float) -> str:
+    """Return a fraction in per cent with two digits that count and no exponent, such as 100 %."""
+    return f"{float(f'{100 * fraction:.2g}'):g} %"

@@ -61,10 +61,11 @@ def request(arguments: list[str]) -> tuple[list[Path], dict[str, Any]]:
     from ahnn.errors import UserError
 
     known = [argument for argument in arguments[1:] if is_option(argument)]
-    options = dict(pair(argument) for argument in known)
-    if unknown := [key for key in options if key not in (*KEYS, "figures")]:
+    keys = [argument.partition("=")[0] for argument in known]
+    if unknown := [key for key in keys if key not in (*KEYS, "figures")]:
         message = f"check: unknown key {unknown[0]!r}{nearest(unknown[0], (*KEYS, 'figures'))}"
         raise UserError(message)
+    options = dict(pair(argument) for argument in known)
     paths = [Path(argument).expanduser() for argument in arguments[1:] if argument not in known]
     if arguments[:1] != ["check"] or not paths:
         message = f"{USAGE}; received: {' '.join(arguments) or 'nothing'}"

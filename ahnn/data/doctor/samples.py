@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -82,7 +83,7 @@ def constant(content: Content, names: tuple[str, ...]) -> Iterator[Finding]:
     for c, name in enumerate(names):
         known = values[np.isfinite(values[:, c]), c]
         if len(known) and known.min() == known.max():
-            what, remedy = f"always {known[0]:g}", "Name the other columns in a sidecar: nothing moves there"
+            what, remedy = f"always {known[0]:g}", "Leave it out: nothing moves there"
             level: Level = "fault" if c < len(content.positions) else "warning"
             yield Finding(level, content.tracks[0].file, content.head, name, what, remedy)
 
@@ -110,11 +111,14 @@ def outliers(track: Track, names: tuple[str, ...]) -> Iterator[Finding]:
     near = [through_neighbours(track.times, track.values, at, k) for k in (4, 3, 2)]
     left = track.values[at] - near[0]
     off = np.abs(left)
-    doubt = np.abs(near[0] - near[1]) + 0.1 * np.abs(near[1] - near[2]) + np.nanmedian(off, axis=0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of columns without a number
+        typical, size = np.nanmedian(off, axis=0), np.nanmax(np.abs(track.values), axis=0)
+    doubt = np.abs(near[0] - near[1]) + 0.1 * np.abs(near[1] - near[2]) + typical
     before, behind = np.roll(left, 1, axis=0), np.roll(left, -1, axis=0)
     alone = np.abs(before - behind) < EVEN * off  # a jump, behind which samples go on, is none
     highest = (off > np.abs(before)) & (off > np.abs(behind))
-    far = alone & highest & (off > FAR * doubt) & (off > LEAST * np.nanmax(np.abs(track.values), axis=0))
+    far = alone & highest & (off > FAR * doubt) & (off > LEAST * size)
     for k, c in zip(*np.nonzero(far), strict=True):
         what = f"an outlier: {off[k, c]:.2g} from the curve through its neighbours"
         remedy = "Correct it, or empty the cell: a missing number"

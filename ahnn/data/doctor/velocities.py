@@ -133,5 +133,5 @@ def finding(content: Content, c: int, file: str, row: int, ratio: float) -> Find
     for factor, hint in FACTORS.items():
         if abs(size / factor - 1) < EXACT and ratio > 0:
             return Finding(level, file, row, name, what, f"Correct the unit: {hint}")
-    remedy = "A momentum? Name it so and give its mass. Else correct its unit or its frame"
+    remedy = "A momentum? Give it as one, with its mass. Else correct its unit or its frame"
     return Finding(level, file, row, name, what, remedy)

@@ -87,7 +87,7 @@ def roles(header: Header, named: dict[str, Any], place: Place) -> Roles:
     moving = {i: found for i in rest if (found := partner(names, i, rest)) is not None}
     positions = tuple(i for i in rest if i not in moving)
     rates = {position: i for i, (position, _) in moving.items()}
-    kinds = list({kind for _, kind in moving.values()})
+    kinds: list[Kind] = list({kind for _, kind in moving.values()})
     if not positions:
         place.refuse("columns of positions", ", ".join(names), SIDECAR)
     if len(kinds) > 1 or len(rates) < len(moving) or not rates.keys() <= {*positions}:

@@ -16,6 +16,7 @@ from ahnn.types import Trajectories
 Array = NDArray[np.float64]
 ON_GRID = 0.01
 """Share of a step by which samples may be off a grid whose missing points are known to be missing."""
+APART = "an id (a column of tables) or a segment (of messages) of its own"
 FILL = 20
 """Absent samples for each that is there, beyond which a gap separates two trajectories."""
 
@@ -72,7 +73,7 @@ def ordered(track: Track, column: str, note: Note = refuse) -> Track:
         before, here, known = late[k - 1], track.times[k], track.rows[last[k]]
         row = place._replace(row=int(track.rows[k]))
         if before == here:
-            remedy = "Name trajectories in a column id"
+            remedy = f"Give each trajectory {APART}"
             note(Fault(row, f"each time{whose} once", f"{here} again, as in row {known}", remedy))
         else:
             note(
@@ -101,7 +102,7 @@ def filled(track: Track, gap: float) -> Track:
         Place(track.file, int(track.rows[k + 1])).refuse(
             f"gaps with at most {FILL} absent samples for each that is there",
             f"one of {counts[k]} steps",
-            "Name what lies on either side as two trajectories in a column id",
+            f"Give what lies on either side {APART}",
         )
     ends = np.concatenate(([0], counts.cumsum()))
     times = np.interp(np.arange(ends[-1] + 1), ends, track.times)

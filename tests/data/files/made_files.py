@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
+
+from ahnn.data.files.reading import Reading, bytes_of, parsed
+from ahnn.errors import UserError
 
 ORBIT = ["x [km]", "y [km]", "z [km]", "vx [km/s]", "vy [km/s]", "vz [km/s]"]
 
@@ -17,3 +21,15 @@ def orbit(count=40, radius=7000.0, step=60.0):
 
 def csv_of(header, rows):
     return "\n".join([",".join(header), *(",".join(map(str, row)) for row in rows)]) + "\n"
+
+
+def said(path, frame=None):
+    """The content of a file, and all that is remarked on or noted."""
+    notes = []
+    return parsed(path, *bytes_of(path), Reading(frame=frame), notes.append), notes
+
+
+def refused(path):
+    with pytest.raises(UserError) as caught:
+        parsed(path, *bytes_of(path), Reading())
+    return str(caught.value)

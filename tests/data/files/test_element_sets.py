@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from ahnn.data.doctor import examine
 from ahnn.data.files import elements
 from ahnn.data.files.kinds import kind_of
+from ahnn.data.files.reading import Reading
 from ahnn.data.files.table import Place
+from ahnn.errors import UserError
 
 ONE = "1 00005U 58002B   00179.78495062  .00000023  00000-0  28098-4 0  475"
 TWO = "2 00005  34.2682 348.7242 1859667 331.7664  19.3264 10.8241915741366"
@@ -85,3 +88,46 @@ def test_what_decides_that_a_text_holds_element_sets():
     assert kind_of(f"{FIRST}\n{SECOND}".encode(), "a.csv") == "elements"
     assert kind_of(f"t,x\n0,1\n{FIRST}".encode(), "a.csv") == "table"
     assert kind_of(b"t,x", "a.tle") == "elements"
+
+
+@pytest.mark.parametrize(
+    ("line", "column", "text", "said"),
+    [
+        (0, 53, " 1o270-3", "row 1, column drag term: expected a number; received ' 1o270-3'"),
+        (0, 62, "4", "row 1, column ephemeris type: expected a number up to 3; received '4'"),
+        (0, 18, "24461.50000000", "row 1, column epoch: expected a day of the year"),
+        (1, 8, "190.6416", "row 2, column inclination: expected a number up to 180"),
+        (1, 8, " 5x.6416", "row 2, column inclination"),
+        (1, 17, "247,4627", "row 2, column node"),
+        (1, 26, "       ", "row 2, column eccentricity"),
+        (1, 26, "00a6703", "row 2, column eccentricity"),
+        (1, 34, "400.0000", "row 2, column perigee: expected a number up to 360"),
+        (1, 43, "        ", "row 2, column mean anomaly"),
+        (1, 52, "-5.72125391", "row 2, column mean motion"),
+    ],
+)
+def test_a_field_that_is_no_number_of_its_kind_is_refused(line, column, text, said):
+    """The library reads the like as zero, as infinite, or as another orbit."""
+    pytest.importorskip("sgp4")
+    lines = [FIRST, SECOND]
+    lines[line] = signed(f"{lines[line][:column]}{text}{lines[line][column + len(text) : 68]}")
+    with pytest.raises(UserError) as caught:
+        elements.content("\n".join(lines), "a.tle", 60.0, 600.0, weighed=False)
+    assert f"a.tle, {said}" in str(caught.value)
+
+
+def test_what_sgp4_does_not_use_is_said():
+    pytest.importorskip("sgp4")
+    notes = []
+    elements.content(f"{FIRST}\n{SECOND}", "a.tle", 60.0, 600.0, weighed=False, note=notes.append)
+    assert [one.what for one in notes] == [elements.UNUSED]
+
+
+@pytest.mark.parametrize(("inclination", "eccentricity"), [("  0.0010", "0003000"), (" 63.4000", "8500000")])
+def test_sgp4s_own_velocities_are_no_fault(tmp_path, inclination, eccentricity):
+    pytest.importorskip("sgp4")
+    motion = " 1.00270000" if eccentricity == "0003000" else " 0.50000000"
+    second = f"{SECOND[:8]}{inclination}{SECOND[16:26]}{eccentricity}{SECOND[33:52]}{motion}{SECOND[63:68]}"
+    (tmp_path / "a.txt").write_text(f"{FIRST}\n{signed(second)}\n")
+    found = examine([tmp_path / "a.txt"], Reading(step=300.0, duration=259200.0))
+    assert [one for one in found.findings if one.level == "fault"] == []
