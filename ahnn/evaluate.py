@@ -38,11 +38,12 @@ def evaluate(arguments: list[str]) -> None:
         from ahnn.cli.again import Request, run_config
         from ahnn.cli.parts import build_plugins, build_sensor, build_source, report_options, robust_of
         from ahnn.data import SplitData
+        from ahnn.data.splits import SAME
         from ahnn.evaluation import evaluation_folder, load_results, report
         from ahnn.evaluation.prepare import make_case
         from ahnn.evaluation.sinks import TensorBoardSink
         from ahnn.evaluation.sinks.board import Board
-        from ahnn.runs import load
+        from ahnn.runs import load, weights_path
 
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
     log.setLevel(logging.INFO)
@@ -53,15 +54,18 @@ def evaluate(arguments: list[str]) -> None:
     source = build_source(cfg)
     splits = SplitData(source, list(cfg.data.split), build_sensor(cfg, source))  # it needs no windows
     plugins = build_plugins(cfg, splits)
-    note = splits.beside(run.about.get("data"))
+    note = splits.beside(run.about.get("data"), run.about.get("seen") or ())
+    remark = "" if note == SAME else f"test data: {note}"
     training = load_results(run.folder).training if (run.folder / "metrics.json").exists() else {}
     options = report_options(cfg)
     folder = evaluation_folder(request.folder, request.name)
     learned = {"uncertainty": run.uncertainty, "domain": run.domain, "robust": robust_of(run)}
-    case = make_case(
-        run.dynamics, splits, label=cfg.label, seed=cfg.evaluation.seed, folder=folder, **learned
-    )
-    about = {"ckpt": request.ckpt, "data": note}
+    named = {"label": cfg.label, "seed": cfg.evaluation.seed, "remark": remark}
+    case = make_case(run.dynamics, splits, folder=folder, **named, **learned)
+    if remark:
+        log.warning(remark)
+    last = request.ckpt == "best" and weights_path(run.folder).stem == "last"
+    about = {"ckpt": "last" if last else request.ckpt, "data": note}
     board = TensorBoardSink(Board(folder), about)
     known: dict[str, Any] = {**training, "val_loss": run.about["val_loss"], **about}
     report(case, plugins, known, more=[board] if cfg.evaluation.figures else [], **options)

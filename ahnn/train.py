@@ -42,12 +42,32 @@ def train(cfg: DictConfig) -> float:
     Several `seeds` train in folders of their own, seed_7 and so on, inside the run folder.
     """
     from ahnn.cli.before import begin, require_new
+    from ahnn.cli.parts import is_multirun
 
     begin(cfg)
     parts = [of_seed(cfg, seed) for seed in cfg.seeds] if cfg.seeds else [cfg]
     for part in parts:
         require_new(Path(part.folder), part.ckpt)
-    return sum(train_once(part) for part in parts) / len(parts)
+    losses = [train_once(part) for part in parts]
+    if not is_multirun():  # there each job has its scores, and a search goes by the losses
+        require_converged([Path(part.folder) for part in parts])
+    return sum(losses) / len(losses)
+
+
+def require_converged(folders: list[Path]) -> None:
+    """Raise TrainingError where no prediction of a trained model stays finite; its results are kept."""
+    from ahnn.errors import TrainingError
+    from ahnn.evaluation import load_results
+    from ahnn.evaluation.results import FILE
+
+    for folder in folders:
+        rows = load_results(folder).rows[:1] if (folder / FILE).exists() else ()
+        if any(row.extra["lost"] == 1 for row in rows):
+            message = (
+                f"training diverged: no prediction of unseen trajectories stays finite; weights and results "
+                f"are kept in {folder}. Try a smaller optimizer.lr, or more epochs"
+            )
+            raise TrainingError(message)
 
 
 def of_seed(cfg: DictConfig, seed: int) -> DictConfig:
@@ -164,6 +184,7 @@ def fit(
     if cfg.weights is not None and checkpoint is None:
         begin_at(model, cfg.weights)
     model.about["domain"] = find_domain(model.dynamics.frozen(), data.examples()).about()
+    model.about["seen"] = data.splits.seen()
     data.trainer = trainer  # steps are tried, and their time told, where they will be taken
     model.to(trainer.strategy.root_device)
     choose_steps(cfg, trainer, data, model, checkpoint)
