@@ -64,8 +64,8 @@ def require_converged(folders: list[Path]) -> None:
         rows = load_results(folder).rows[:1] if (folder / FILE).exists() else ()
         if any(row.extra["lost"] == 1 for row in rows):
             message = (
-                f"training diverged: no prediction of unseen trajectories stays finite; weights and results "
-                f"are kept in {folder}. Try a smaller optimizer.lr, or more epochs"
+                "training diverged: all predictions of unseen trajectories run to infinity; weights, results "
+                f"and figures are kept in {folder}. Try a smaller optimizer.lr, or more epochs"
             )
             raise TrainingError(message)
 

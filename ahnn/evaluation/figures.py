@@ -20,8 +20,6 @@ from ahnn.evaluation.open_loop import floors
 from ahnn.evaluation.titles import title
 from ahnn.metrics import errors, moving_average
 
-LOST = 1e30
-"""Size from which on a prediction is lost: no axis shows it beside others."""
 SMOOTHING = 240
 """Width of the moving average in samples (paper, appendix)."""
 
@@ -59,7 +57,7 @@ def _curves(case: Case, arrays: dict[str, Tensor]) -> Iterator[Curve]:
         name = f"floor: {title(floor.who, case.label)}"
         yield Curve(arrays["floor_true_start"], name, style.FLOOR)
     states = arrays[f"{case.start}_start"]
-    yield Curve(states.where(states.abs() < LOST, torch.nan), case.label, style.MODEL)
+    yield Curve(states.where(states.abs() < style.LOST, torch.nan), case.label, style.MODEL)
 
 
 def error(case: Case, curves: list[Curve]) -> Figure:

@@ -69,7 +69,7 @@ def open_loop(case: Case) -> Findings:
         who = Who(MODEL, start)
         findings.arrays[f"{start}_start"] = prediction
         lost = _lost(case, prediction)
-        note = f"diverged: {lost} of {len(prediction)} predictions do not stay finite" if lost else ""
+        note = f"diverged: {lost} of {len(prediction)} predictions run to infinity" if lost else ""
         extra = _drift(case.energy, prediction) | {"lost": lost / len(prediction)}
         findings.rows.append(Row(who, case.score(prediction), note, extra))
     for start, floor in there.items():
@@ -80,8 +80,8 @@ def open_loop(case: Case) -> Findings:
 
 
 def _lost(case: Case, prediction: Tensor) -> int:
-    """Return how many predictions (B, T, D) from known starts do not stay finite to the end of their data."""
-    wrong = ~prediction.isfinite().all(-1) & case.test.times.isfinite()
+    """Return how many predictions (B, T, D) from known starts have an error that is no number."""
+    wrong = ~prediction.square().sum(-1).isfinite() & case.test.times.isfinite()
     return int((wrong.any(1) & ~wrong[:, 0]).sum())
 
 
