@@ -37,6 +37,7 @@ def evaluate(arguments: list[str]) -> None:
     with importing():
         from ahnn.cli.again import Request, run_config
         from ahnn.cli.parts import build_plugins, build_sensor, build_source, report_options, robust_of
+        from ahnn.cli.unread import refuse, unread_of_data
         from ahnn.data import SplitData
         from ahnn.data.splits import SAME
         from ahnn.evaluation import evaluation_folder, load_results, report
@@ -52,7 +53,9 @@ def evaluate(arguments: list[str]) -> None:
     cfg = run_config(run.folder, request)
     set_threads(cfg.threads)
     source = build_source(cfg)
-    splits = SplitData(source, list(cfg.data.split), build_sensor(cfg, source))  # it needs no windows
+    sensor = build_sensor(cfg, source)
+    refuse(unread_of_data(cfg, source, sensor), request.overrides)
+    splits = SplitData(source, list(cfg.data.split), sensor)  # it needs no windows
     plugins = build_plugins(cfg, splits)
     note = splits.beside(run.about.get("data"), run.about.get("seen") or ())
     remark = "" if note == SAME else f"test data: {note}"

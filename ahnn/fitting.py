@@ -46,5 +46,5 @@ def fit(
     cfg.system = {"name": space.name, "given": about_space(space)}
     check_settings(cfg)
     require_new(Path(folder), cfg.ckpt)
-    train_once(cfg, source)
+    train_once(cfg, source, overrides)
     return load(folder)

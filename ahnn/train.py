@@ -15,6 +15,7 @@ import logging
 import math
 import os
 import time
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -42,6 +43,7 @@ def train(cfg: DictConfig) -> float:
     Several `seeds` train in folders of their own, seed_7 and so on, inside the run folder.
     """
     from ahnn.cli.before import begin, require_new
+    from ahnn.cli.closing import require_converged
     from ahnn.cli.parts import is_multirun
 
     begin(cfg)
@@ -52,22 +54,6 @@ def train(cfg: DictConfig) -> float:
     if not is_multirun():  # there each job has its scores, and a search goes by the losses
         require_converged([Path(part.folder) for part in parts])
     return sum(losses) / len(losses)
-
-
-def require_converged(folders: list[Path]) -> None:
-    """Raise TrainingError where no prediction of a trained model stays finite; its results are kept."""
-    from ahnn.errors import TrainingError
-    from ahnn.evaluation import load_results
-    from ahnn.evaluation.results import FILE
-
-    for folder in folders:
-        rows = load_results(folder).rows[:1] if (folder / FILE).exists() else ()
-        if any(row.extra["lost"] == 1 for row in rows):
-            message = (
-                "training diverged: all predictions of unseen trajectories run to infinity; weights, results "
-                f"and figures are kept in {folder}. Try a smaller optimizer.lr, or more epochs"
-            )
-            raise TrainingError(message)
 
 
 def of_seed(cfg: DictConfig, seed: int) -> DictConfig:
@@ -104,7 +90,7 @@ class Parts(NamedTuple):
     checkpoint: Path | None
 
 
-def prepare(cfg: DictConfig, source: Source | None = None) -> Parts:
+def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] | None = None) -> Parts:
     """Build the parts of a training and let them refuse each other; nothing is generated or written."""
     import torch
     from lightning import seed_everything
@@ -117,6 +103,7 @@ def prepare(cfg: DictConfig, source: Source | None = None) -> Parts:
         build_trainer,
         check_together,
     )
+    from ahnn.cli.unread import require_read
     from ahnn.training.restore import resume_point
 
     torch.set_num_threads(cfg.threads)
@@ -127,10 +114,12 @@ def prepare(cfg: DictConfig, source: Source | None = None) -> Parts:
     trainer = build_trainer(cfg)
     check_together(cfg, trainer, model)
     checkpoint = resume_point(cfg.ckpt, model, trainer, Path(cfg.folder) / "checkpoints")
-    return Parts(data, model, plugins, trainer, checkpoint)
+    parts = Parts(data, model, plugins, trainer, checkpoint)
+    require_read(cfg, parts, asked)
+    return parts
 
 
-def train_once(cfg: DictConfig, source: Source | None = None) -> float:
+def train_once(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] | None = None) -> float:
     """Run one training and its evaluation; return the best validation loss, the objective of a search.
 
     Of several devices the first evaluates and writes; the other processes return NaN, which nobody reads.
@@ -138,6 +127,7 @@ def train_once(cfg: DictConfig, source: Source | None = None) -> float:
     Args:
         cfg: one job.
         source: of the trajectories; None takes the system of the configuration.
+        asked: overrides behind it; None takes those of the command line.
     """
     from ahnn.cli.closing import concluded
     from ahnn.cli.stops import held, interruptible
@@ -145,7 +135,7 @@ def train_once(cfg: DictConfig, source: Source | None = None) -> float:
 
     folder = Path(cfg.folder)
     with held():
-        data, model, plugins, trainer, checkpoint = prepare(cfg, source)
+        data, model, plugins, trainer, checkpoint = prepare(cfg, source, asked)
     data.train_dataloader()  # the last that may be refused: from here on files are written
 
     require_writable(folder)
@@ -279,6 +269,7 @@ def go_on(cfg: DictConfig) -> str:
         return "there is no checkpoint yet: the same command starts from the beginning"
     one_of_several = HydraConfig.initialized() and cfg.folder != HydraConfig.get().runtime.output_dir
     seed = f" seed={cfg.seed} seeds=null" if one_of_several else ""
+    seed += "" if cfg.weights is None else " weights=null"
     command = "keys of this job" if is_multirun() else "command"
     return f"resume with the same {command} and run={cfg.folder}{seed} ckpt=last"
 

@@ -25,6 +25,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import flatten, nearest
+from ahnn.cli.referenced import require_referenced
 from ahnn.errors import UserError
 from ahnn.paths import conf_dir
 
@@ -121,8 +122,8 @@ def check(args: Namespace, config_name: str) -> None:
         raise UserError(message)
     first = [options[0] for options in values]
     others = ((place, option) for place, options in enumerate(values) for option in options[1:])
-    for job in (first, *([*first[:place], option, *first[place + 1 :]] for place, option in others)):
-        compose(loader, name, job)
+    jobs = (first, *([*first[:place], option, *first[place + 1 :]] for place, option in others))
+    require_referenced([compose(loader, name, job) for job in jobs], args.overrides)
 
 
 def alternatives(override: Override, loader: ConfigLoaderImpl) -> list[str]:

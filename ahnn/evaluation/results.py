@@ -64,7 +64,7 @@ def load_results(folder: Path | str) -> Results:
     except OSError as error:
         message = f"{path}: expected the results of an evaluation; received: {error.strerror}"
         raise UserError(message) from error
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         reason = f"no {error}" if isinstance(error, KeyError) else error
         message = f"{path}: expected the results of an evaluation; received a damaged file: {reason}"
         raise UserError(message) from error
