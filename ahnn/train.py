@@ -112,7 +112,7 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
     model = build_model(cfg, data)
     plugins = build_plugins(cfg, data.splits)
     trainer = build_trainer(cfg)
-    check_together(cfg, trainer, model)
+    check_together(cfg, trainer, model, data)
     checkpoint = resume_point(cfg.ckpt, model, trainer, Path(cfg.folder) / "checkpoints")
     parts = Parts(data, model, plugins, trainer, checkpoint)
     require_read(cfg, parts, asked)
