@@ -15,7 +15,7 @@ CGROUPS = {
     "": ("sys/fs/cgroup", "memory.max", "anon"),
     "memory": ("sys/fs/cgroup/memory", "memory.limit_in_bytes", "total_rss"),
 }
-"""Where control groups of version 2, and of version 1, say how much memory they may take, and what is taken."""
+"""Where control groups of version 2, and of version 1, say what memory they may take, and what is taken."""
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 """Names of glibc's malloc.h."""
 

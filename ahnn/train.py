@@ -163,6 +163,7 @@ def fit(
     from ahnn.checkpoints import read_checkpoint
     from ahnn.cli.compiling import choose_steps
     from ahnn.cli.stops import interruptible
+    from ahnn.dynamics.scaling import remark_on_scale
     from ahnn.files import write_atomically
     from ahnn.uncertainty import find_domain
 
@@ -180,7 +181,9 @@ def fit(
     choose_steps(cfg, trainer, data, model, checkpoint)
     if trainer.is_global_zero:
         done = 0 if checkpoint is None else read_checkpoint(checkpoint)["global_step"]
-        if remark := data.remark():
+        known, names = model.about["settings"]["model"], data.source.space.components
+        scaled = remark_on_scale(known.get("scaling"), statistics.minimum, statistics.maximum, names)
+        for remark in filter(None, (data.remark(), scaled)):
             log.warning(remark)
         announce(cfg.label, trainer, data, model, done)
         write_atomically(folder / "config.yaml", stored(cfg))  # what cannot take a step has been refused

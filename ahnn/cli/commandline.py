@@ -26,6 +26,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import flatten, nearest
 from ahnn.cli.referenced import require_referenced
+from ahnn.cli.twins import warn_of_twins
 from ahnn.errors import UserError
 from ahnn.paths import conf_dir
 
@@ -123,7 +124,9 @@ def check(args: Namespace, config_name: str) -> None:
     first = [options[0] for options in values]
     others = ((place, option) for place, options in enumerate(values) for option in options[1:])
     jobs = (first, *([*first[:place], option, *first[place + 1 :]] for place, option in others))
-    require_referenced([compose(loader, name, job) for job in jobs], args.overrides)
+    composed = [compose(loader, name, job) for job in jobs]
+    require_referenced(composed, args.overrides)
+    warn_of_twins(composed, [" ".join(job) for job in jobs])
 
 
 def alternatives(override: Override, loader: ConfigLoaderImpl) -> list[str]:

@@ -91,6 +91,12 @@ class Windows:
 
 def require_span(steps: int, longest: int) -> None:
     """Raise UserError for windows of no step, or of more than the longest stretch of samples has."""
+    if longest < 1:
+        message = (
+            "trajectories: expected samples in a row to learn from; received single ones, each before a gap. "
+            "Take longer trajectories, or set data.noise where they are measurements at odd times"
+        )
+        raise UserError(message)
     if not 1 <= steps <= longest:
         message = (
             f"window, loss.order: expected windows of 1 to {longest} steps, the longest stretch of samples "

@@ -14,6 +14,7 @@ from ahnn.estimation.consistency import band
 from ahnn.jacobians import step_jacobians
 from ahnn.measurements import Segment
 from ahnn.measurements.smoothing import guess
+from ahnn.numbers import in_percent
 from ahnn.shooting.paths import Steps, steps_between
 from ahnn.shooting.robust import ROBUST, RobustName
 from ahnn.shooting.starts import FOLLOWING, LOST, SURE, Fitted, Trial, fit_starts, refine
@@ -63,7 +64,7 @@ class Explained(NamedTuple):
             f"(1 to within {low - 1:+.1g} and {high - 1:+.1g}), "
             f"residuals in a row correlate by {self.correlation:+.1g}"
         )
-        text += f"; {100 * self.outliers:.2g} % left out as outliers" if self.outliers else ""
+        text += f"; {in_percent(self.outliers)} % left out as outliers" if self.outliers else ""
         if self.halved_steps is not None and abs(self.halved_steps - self.chi_square) > (high - low) / 2:
             text += (
                 f"; in steps of half the length it leaves {self.halved_steps:#.4g}: the integrator's own "

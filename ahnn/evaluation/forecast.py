@@ -16,6 +16,7 @@ from ahnn.dynamics import Dynamics, HasField
 from ahnn.evaluation.bands import DRAWS, NORMAL, SIGMAS, held, imagined, middle, percent, right_bands
 from ahnn.evaluation.explained import OUTLYING, fit_to, trial_of, without_outliers
 from ahnn.measurements import Segment
+from ahnn.numbers import in_percent
 from ahnn.shooting.paths import path, steps_between
 from ahnn.shooting.quadrature import coarse
 from ahnn.shooting.robust import RobustName
@@ -56,8 +57,8 @@ class Forecast(NamedTuple):
         )
         if self.states is not None:
             text += f" and {percent(self.states)} % of the true states ({right_bands(self.right)})"
-        text += f"; the parameters have {100 * self.parameters:.2g} % of the variance of a state"
-        text += f"; {100 * self.outliers:.2g} % left out as outliers" if self.outliers else ""
+        text += f"; the parameters have {in_percent(self.parameters)} % of the variance of a state"
+        text += f"; {in_percent(self.outliers)} % left out as outliers" if self.outliers else ""
         return text + (f"; first halves not fitted: {self.lost}" if self.lost else "")
 
     def numbers(self) -> dict[str, Any]:

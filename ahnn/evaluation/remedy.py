@@ -8,6 +8,7 @@ from torch import Tensor, nn
 from ahnn.data.noise_floor import NORMAL, TWICE
 from ahnn.evaluation.explained import OUTLYING, fit_to, serial
 from ahnn.measurements import Segment
+from ahnn.numbers import in_percent
 from ahnn.shooting.robust import RobustName
 
 WHITE, APART = 0.3, (1, 2, 3, 4)
@@ -40,7 +41,9 @@ def remedy(dynamics: nn.Module, segment: Segment, robust: RobustName) -> str:
     said = _noise(segment.instrument.measurement.names, scales if white else scales.clamp(max=1))
     share = int(far.sum()) / max(int(segment.measured.sum()), 1)
     if white and robust == "none" and share > FEW:
-        said.append(f"{100 * share:.2g} % of the numbers are outliers, which loss.robust=student weighs down")
+        said.append(
+            f"{in_percent(share)} % of the numbers are outliers, which loss.robust=student weighs down"
+        )
     return "; ".join(said)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ahnn.numbers import in_percent
 from ahnn.prediction.kernel import Prediction
 from ahnn.prediction.starts import Starts
 from ahnn.prediction.table import labels
@@ -42,9 +43,9 @@ def warning(prediction: Prediction, starts: Starts, space: Space) -> str | None:
     row, sample = (int(k) for k in beyond.nonzero()[0])
     first = float(starts.times[row] + prediction.times[sample])
     whose = f" of {starts.names[row]}" if len(beyond) > 1 else ""
-    share = 100 * float(beyond.double().mean())
+    share = in_percent(float(beyond.double().mean()))
     return (
-        f"novelty: {share:.2g} % of the predicted states lie beyond the training data, up to "
+        f"novelty: {share} % of the predicted states lie beyond the training data, up to "
         f"{float(prediction.novelty.max()):.3g} times as far as its edge, first{whose} at t = {first:g} "
         f"{space.units.time}. There a learned model may be wrong by far more than it knows"
     )
