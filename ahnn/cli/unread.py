@@ -38,7 +38,8 @@ def require_read(cfg: DictConfig, parts: Parts, texts: Iterable[str] | None = No
     """
     if texts is None:
         texts = HydraConfig.get().overrides.task if HydraConfig.initialized() else ()
-    several = dict(text.partition("=")[::2] for text in texts).get("seeds", "null") != "null"
+    values = {key: value for key, _, value in (text.partition("=") for text in texts)}
+    several = values.get("seeds", "null") != "null"
     data = unread_of_data(cfg, parts.data.source, parts.data.sensor)
     refuse((*data, *unread_of_training(cfg, parts, several=several)), texts)
 

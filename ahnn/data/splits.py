@@ -75,10 +75,10 @@ class SplitData:
             return SAME
         count = len(self.source.read().states)
         then, now = (split_sizes(count, fractions) for fractions in (known["split"], self.fractions))
-        if (seen := then[0] + then[1] - now[0] - now[1]) > 0:
+        if (part := then[0] + then[1] - now[0] - now[1]) > 0:
             message = (
                 f"split: expected test trajectories that the training has not seen; received "
-                f"{self.fractions}: {seen} of {now[2]} are part of it. Keep the training's "
+                f"{self.fractions}: {part} of {now[2]} are part of it. Keep the training's "
                 f"{known['split']}, or draw others with another seed"
             )
             raise UserError(message)
