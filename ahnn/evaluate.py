@@ -37,12 +37,14 @@ def evaluate(arguments: list[str]) -> None:
     with importing():
         from ahnn.cli.again import Request, run_config
         from ahnn.cli.parts import build_plugins, build_sensor, build_source, report_options, robust_of
+        from ahnn.cli.unread import refuse, unread_of_data
         from ahnn.data import SplitData
+        from ahnn.data.splits import SAME
         from ahnn.evaluation import evaluation_folder, load_results, report
         from ahnn.evaluation.prepare import make_case
         from ahnn.evaluation.sinks import TensorBoardSink
         from ahnn.evaluation.sinks.board import Board
-        from ahnn.runs import load
+        from ahnn.runs import load, weights_path
 
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
     log.setLevel(logging.INFO)
@@ -51,18 +53,23 @@ def evaluate(arguments: list[str]) -> None:
     cfg = run_config(run.folder, request)
     set_threads(cfg.threads)
     source = build_source(cfg)
-    splits = SplitData(source, list(cfg.data.split), build_sensor(cfg, source))  # it needs no windows
+    sensor = build_sensor(cfg, source)
+    refuse(unread_of_data(cfg, source, sensor), request.overrides)
+    splits = SplitData(source, list(cfg.data.split), sensor)  # it needs no windows
     plugins = build_plugins(cfg, splits)
-    note = splits.beside(run.about.get("data"))
+    note = splits.beside(run.about.get("data"), run.about.get("seen") or ())
+    remark = "" if note == SAME else f"test data: {note}"
     training = load_results(run.folder).training if (run.folder / "metrics.json").exists() else {}
     options = report_options(cfg)
     learned = {"uncertainty": run.uncertainty, "domain": run.domain, "robust": robust_of(run)}
-    about = {"ckpt": request.ckpt, "data": note}
+    named = {"label": cfg.label, "seed": cfg.evaluation.seed, "remark": remark}
+    if remark:
+        log.warning(remark)
+    last = request.ckpt == "best" and weights_path(run.folder).stem == "last"
+    about = {"ckpt": "last" if last else request.ckpt, "data": note}
     known: dict[str, Any] = {**training, "val_loss": run.about.get("val_loss"), **about}
     with evaluation_folder(request.folder, request.name) as folder:
-        case = make_case(
-            run.dynamics, splits, label=cfg.label, seed=cfg.evaluation.seed, folder=folder, **learned
-        )
+        case = make_case(run.dynamics, splits, folder=folder, **named, **learned)
         board = TensorBoardSink(Board(folder), about)
         report(case, plugins, known, more=[board] if cfg.evaluation.figures else [], **options)
 

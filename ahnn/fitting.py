@@ -45,5 +45,5 @@ def fit(
     cfg = compose_job(overrides, Path(folder))
     cfg.system = {"name": space.name, "given": about_space(space)}
     check_settings(cfg)
-    train_once(cfg, source)
+    train_once(cfg, source, overrides)
     return load(folder)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 import shutil
@@ -10,6 +11,11 @@ from pathlib import Path
 
 from ahnn.errors import UserError
 
+CGROUPS = {
+    "": ("sys/fs/cgroup", "memory.max", "anon"),
+    "memory": ("sys/fs/cgroup/memory", "memory.limit_in_bytes", "total_rss"),
+}
+"""Where control groups of version 2, and of version 1, say what memory they may take, and what is taken."""
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 """Names of glibc's malloc.h."""
 
@@ -28,26 +34,58 @@ def keep_freed() -> None:
         mallopt(M_TRIM_THRESHOLD, 2**31 - 1)
 
 
-def available() -> int:
-    """Return the bytes of memory of this machine."""
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+def available(root: Path = Path("/")) -> int:
+    """Return the bytes of memory that this process may still take: of the machine, and of its control groups.
+
+    Args:
+        root: of the file system; where it lacks Linux's accounts, all memory of the machine counts.
+    """
+    limits = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
+    with contextlib.suppress(OSError, KeyError, ValueError):
+        limits = [1024 * _numbers(root / "proc/meminfo")["MemAvailable"]]
+    with contextlib.suppress(OSError):
+        for line in (root / "proc/self/cgroup").read_text().splitlines():
+            _, kinds, place = line.split(":", 2)
+            for kind, (base, name, taken) in CGROUPS.items():
+                if kind in kinds.split(","):
+                    group = root / base / place.lstrip("/")
+                    limits += _left(group, root / base, name, taken)
+    return max(0, min(limits))
 
 
-def require_memory(who: str, what: str, size: float) -> None:
-    """Check an estimate of bytes against the memory of the machine.
+def _left(group: Path, base: Path, name: str, taken: str) -> list[int]:
+    """Return what a control group and each one around it have left; those without a limit have no entry."""
+    found = []
+    for folder in (group, *group.parents):
+        with contextlib.suppress(OSError, KeyError, ValueError):  # such as `max`
+            found.append(int((folder / name).read_text()) - _numbers(folder / "memory.stat")[taken])
+        if folder == base:
+            break
+    return found
+
+
+def _numbers(path: Path) -> dict[str, int]:
+    """Return the first number of each line of a file, by its name."""
+    rows = (line.replace(":", " ").split() for line in path.read_text().splitlines())
+    return {name: int(value) for name, value, *_ in rows}
+
+
+def require_memory(who: str, what: str, size: float, remedy: str = "Ask for less") -> None:
+    """Check an estimate of bytes against the memory that is left.
 
     Args:
         who: the parameters that determine the size, for the message.
         what: of what size, for the message.
         size: bytes.
+        remedy: for the message.
 
     Raises:
         UserError: it does not fit.
     """
-    if size > available():
+    if size > (left := available()):
         message = (
-            f"{who}: expected {what} that fit into {available() / 1e9:.0f} GB; received {size / 1e9:.3g} GB. "
-            "Ask for less"
+            f"{who}: expected {what} that fit into the {left / 1e9:.3g} GB of memory that are left; received "
+            f"{size / 1e9:.3g} GB. {remedy}"
         )
         raise UserError(message)
 

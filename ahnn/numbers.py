@@ -14,6 +14,14 @@ Numbers = Tensor | NDArray[Any] | Sequence[Any] | float
 """Numbers as users have them: a tensor, an array, nested sequences or one number."""
 
 
+def in_percent(fraction: float) -> str:
+    """Return a fraction in percent, in two digits or as a whole number, and never with an exponent."""
+    value = 100 * fraction
+    if 0 < value < 0.01:
+        return "less than 0.01 %"
+    return f"{value:.2g} %" if value < 9.95 else f"{value:.0f} %"
+
+
 def as_float64(value: Numbers, who: str, device: torch.device | None = None) -> Tensor:
     """Return real numbers of any shape as a float64 tensor; gradients flow through it.
 
@@ -46,8 +54,3 @@ def chi_square_quantile(probability: float, degrees: float) -> float:
     from scipy.special import gammaincinv
 
     return 2 * float(gammaincinv(degrees / 2, probability))
-
-
-def in_percent(fraction: float) -> str:
-    """Return a fraction in per cent with two digits that count and no exponent, such as 100 %."""
-    return f"{float(f'{100 * fraction:.2g}'):g} %"

@@ -6,6 +6,7 @@ states = run.rollout(start, steps=1440)
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any, cast
 import torch
 from torch import Tensor
 
+from ahnn.arguments import flatten
 from ahnn.checkpoints import Weights, read_weights
 from ahnn.contents import read_plain
 from ahnn.deviations import covariance_factor, state_deviations
@@ -31,6 +33,9 @@ from ahnn.uncertainty.posterior import FILE
 
 if TYPE_CHECKING:
     from ahnn.evaluation.results import Results
+
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -197,7 +202,11 @@ def load(run: str | Path, ckpt: str = "best") -> Run:
     if not folder.is_dir():
         message = f"run: expected a run folder or one of {', '.join(names())}; received {str(run)!r}"
         raise UserError(message)
-    trained = made(read_weights(weights_path(folder, ckpt)), folder)
+    path = weights_path(folder, ckpt)
+    weights = read_weights(path)
+    if ckpt == "best" and path.stem == "last":
+        require_last(folder, weights.about)
+    trained = made(weights, folder)
     known = load_uncertainty(folder, trained.dynamics.state_dict())
     if known is None:
         return trained
@@ -224,6 +233,22 @@ def weights_path(folder: Path, ckpt: str = "best") -> Path:
     if ckpt == "best":
         candidates.append(here / "last.ckpt")
     return next((path for path in candidates if path.exists()), candidates[0])
+
+
+def require_last(folder: Path, about: dict[str, Any]) -> None:
+    """Say that the last weights are taken for the best, where no validation has chosen any.
+
+    Raises:
+        UserError: some were chosen, and are missing.
+    """
+    monitor = flatten(about).get("settings.callbacks.best.monitor")
+    if monitor is not None and about.get("val_loss") is not None:
+        message = (
+            f"run {folder}: expected checkpoints/best.ckpt, the weights of the smallest {monitor}; received "
+            "none. ckpt=last takes the last weights"
+        )
+        raise UserError(message)
+    log.warning("run %s: no validation chose the best weights; the last ones are taken", folder)
 
 
 def made(weights: Weights, folder: Path) -> Run:

@@ -15,6 +15,7 @@ import logging
 import math
 import os
 import time
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -42,12 +43,17 @@ def train(cfg: DictConfig) -> float:
     Several `seeds` train in folders of their own, seed_7 and so on, inside the run folder.
     """
     from ahnn.cli.before import begin, require_new
+    from ahnn.cli.closing import require_converged
+    from ahnn.cli.parts import is_multirun
 
     begin(cfg)
     parts = [of_seed(cfg, seed) for seed in cfg.seeds] if cfg.seeds else [cfg]
     for part in parts:
         require_new(Path(part.folder), part.ckpt)
-    return sum(train_once(part) for part in parts) / len(parts)
+    losses = [train_once(part) for part in parts]
+    if not is_multirun():  # there each job has its scores, and a search goes by the losses
+        require_converged([Path(part.folder) for part in parts])
+    return sum(losses) / len(losses)
 
 
 def of_seed(cfg: DictConfig, seed: int) -> DictConfig:
@@ -84,7 +90,7 @@ class Parts(NamedTuple):
     checkpoint: Path | None
 
 
-def prepare(cfg: DictConfig, source: Source | None = None) -> Parts:
+def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] | None = None) -> Parts:
     """Build the parts of a training and let them refuse each other; nothing is generated or written."""
     import torch
     from lightning import seed_everything
@@ -97,6 +103,7 @@ def prepare(cfg: DictConfig, source: Source | None = None) -> Parts:
         build_trainer,
         check_together,
     )
+    from ahnn.cli.unread import require_read
     from ahnn.training.restore import resume_point
 
     torch.set_num_threads(cfg.threads)
@@ -105,12 +112,14 @@ def prepare(cfg: DictConfig, source: Source | None = None) -> Parts:
     model = build_model(cfg, data)
     plugins = build_plugins(cfg, data.splits)
     trainer = build_trainer(cfg)
-    check_together(trainer, model)
+    check_together(trainer, model, data)
     checkpoint = resume_point(cfg.ckpt, model, trainer, Path(cfg.folder) / "checkpoints")
-    return Parts(data, model, plugins, trainer, checkpoint)
+    parts = Parts(data, model, plugins, trainer, checkpoint)
+    require_read(cfg, parts, asked)
+    return parts
 
 
-def train_once(cfg: DictConfig, source: Source | None = None) -> float:
+def train_once(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] | None = None) -> float:
     """Run one training and its evaluation; return the best validation loss, the objective of a search.
 
     Of several devices the first evaluates and writes; the other processes return NaN, which nobody reads.
@@ -118,6 +127,7 @@ def train_once(cfg: DictConfig, source: Source | None = None) -> float:
     Args:
         cfg: one job.
         source: of the trajectories; None takes the system of the configuration.
+        asked: overrides behind it; None takes those of the command line.
     """
     from ahnn.cli.before import require_new
     from ahnn.cli.closing import concluded
@@ -127,7 +137,7 @@ def train_once(cfg: DictConfig, source: Source | None = None) -> float:
     folder = Path(cfg.folder)
     require_new(folder, cfg.ckpt)
     with held():
-        data, model, plugins, trainer, checkpoint = prepare(cfg, source)
+        data, model, plugins, trainer, checkpoint = prepare(cfg, source, asked)
     data.train_dataloader()  # the last that may be refused: from here on files are written
 
     require_writable(folder)
@@ -154,6 +164,7 @@ def fit(
     """Train and return the seconds that it took."""
     from ahnn.checkpoints import read_checkpoint
     from ahnn.cli.stops import interruptible
+    from ahnn.dynamics.scaling import remark_on_scale
     from ahnn.files import write_atomically
     from ahnn.training.cuda_graph import Recorded, can_record
     from ahnn.uncertainty import find_domain
@@ -166,13 +177,16 @@ def fit(
     if cfg.weights is not None and checkpoint is None:
         begin_at(model, cfg.weights)
     model.about["domain"] = find_domain(model.dynamics.frozen(), data.examples()).about()
+    model.about["seen"] = data.splits.seen()
     data.trainer = trainer  # steps are tried, and their time told, where they will be taken
     model.to(trainer.strategy.root_device)
     if cfg.cuda_graphs and can_record(trainer, model):
         model.recorded = Recorded(len(data.train_dataloader().batches()[0]))
     if trainer.is_global_zero:
         done = 0 if checkpoint is None else read_checkpoint(checkpoint)["global_step"]
-        if remark := data.remark():
+        known, names = model.about["settings"]["model"], data.source.space.components
+        scaled = remark_on_scale(known.get("scaling"), statistics.minimum, statistics.maximum, names)
+        for remark in filter(None, (data.remark(), scaled)):
             log.warning(remark)
         announce(cfg.label, trainer, data, model, done)
         write_atomically(folder / "config.yaml", stored(cfg))  # what cannot take a step has been refused
@@ -261,6 +275,7 @@ def go_on(cfg: DictConfig) -> str:
         return "there is no checkpoint yet: the same command starts from the beginning"
     one_of_several = HydraConfig.initialized() and cfg.folder != HydraConfig.get().runtime.output_dir
     seed = f" seed={cfg.seed} seeds=null" if one_of_several else ""
+    seed += "" if cfg.weights is None else " weights=null"
     command = "keys of this job" if is_multirun() else "command"
     return f"resume with the same {command} and run={cfg.folder}{seed} ckpt=last"
 

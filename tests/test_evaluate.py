@@ -156,21 +156,33 @@ def test_an_evaluation_never_touches_the_results_of_the_training(run):
     assert call(EVALUATE, f"run={run}", "name=again") == 2  # its name is taken
 
 
-def test_what_is_given_acts(run):
+def test_what_is_given_acts(run, caplog):
     before = load_results(run)
     changed = again(run, "system.stiffness=9", "label=nine: again")
     assert changed.label == "nine: again"
     assert changed.rows != before.rows
-    assert changed.training["data"] == "other trajectories than those of the training"
+    said = "other trajectories than those of the training, none of whose test trajectories it saw"
+    assert changed.training["data"] == said
+    assert changed.rows[0].note == f"test data: {said}"
+    assert said in caplog.text
     assert "system.stiffness=9" in changed.about["command"] or changed.about["command"]
 
 
-def test_ckpt_last_judges_the_last_weights(run):
-    best, last = (read_checkpoint(run / "checkpoints" / f"{n}.ckpt") for n in ("best", "last"))
-    (run / "checkpoints" / "best.ckpt").unlink()
-    fallback = again(run)  # where nothing chose the best weights, the last ones are judged
-    assert again(run, "ckpt=last", name="last").rows == fallback.rows
-    assert last["global_step"] >= best["global_step"]
+@pytest.mark.parametrize("chosen", [True, False])
+def test_the_last_weights_are_the_best_only_where_nothing_chose_better_ones(run, capfd, caplog, chosen):
+    best, last = (run / "checkpoints" / f"{n}.ckpt" for n in ("best", "last"))
+    best.unlink()
+    if chosen:
+        for asked in ([], ["ckpt=best"]):
+            said = refused(run, capfd, f"run={run}", *asked)
+            assert "expected checkpoints/best.ckpt, the weights of the smallest val/rollout" in said
+        assert again(run, "ckpt=last").training["ckpt"] == "last"
+        return
+    content = read_checkpoint(last)
+    content["ahnn"]["settings"]["callbacks.best.monitor"] = None
+    torch.save(content, last)
+    assert again(run).training["ckpt"] == "last"
+    assert "no validation chose the best weights; the last ones are taken" in caplog.text
 
 
 def test_an_evaluation_weighs_residuals_as_the_training_did(run, capfd, monkeypatch):

@@ -7,7 +7,6 @@ import json
 import pytest
 
 from ahnn.contents import plain_yaml
-from ahnn.numbers import in_percent
 
 
 @pytest.mark.parametrize(
@@ -20,8 +19,3 @@ def test_json_says_the_same_as_its_own_reader(text):
 @pytest.mark.parametrize("text", ["e5", "1e", "a1e5", "1e5 km", "1.0.0e5"])
 def test_what_is_no_number_is_a_text(text):
     assert plain_yaml(text) == text
-
-
-def test_per_cent_have_no_exponent():
-    given = (1.0, 0.999, 0.125, 0.05, 1.2345e-4, 0.0)
-    assert [in_percent(one) for one in given] == ["100 %", "100 %", "12 %", "5 %", "0.012 %", "0 %"]

@@ -235,3 +235,19 @@ def test_help_and_a_mistake_work_from_any_directory(tmp_path):
     assert wrong.returncode == 2
     assert "ahnn: seed: expected int from 0 to 4294967295; received 'x'" in wrong.stderr
     assert list(Path(tmp_path).rglob("config.yaml")) == []
+
+
+def test_a_training_that_diverged_says_so_and_keeps_what_there_is(tmp_path, capfd):
+    asked = ["recipe=first_order", "model=mlp", "optimizer.lr=100", "trainer.max_epochs=1", *SMALL[:6]]
+    folder = tmp_path / "run"
+    assert call("ahnn.train", *asked, "plugins=none", "trainer.accelerator=cpu", f"run={folder}") == 3
+    out, err = capfd.readouterr()
+    assert "diverged: 1 of 1 predictions run to infinity" in out
+    last = err.splitlines()[-1]
+    assert last.startswith("ahnn: training diverged: all predictions of unseen trajectories run")
+    assert str(folder) in last
+    assert load_results(folder).rows[0].scores.position == float("inf")
+    assert float(load_file(folder / "predictions.safetensors")["true_start"].abs().max()) > 1e150
+    assert (folder / "figures" / "error.png").exists()
+    assert call("ahnn.report", str(folder), f"output={tmp_path / 'report'}") == 0
+    assert "diverged" in (tmp_path / "report" / "report.html").read_text()

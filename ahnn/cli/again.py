@@ -10,6 +10,7 @@ from omegaconf import DictConfig, OmegaConf
 from ahnn.arguments import flatten, nearest
 from ahnn.cli.importing import let_import
 from ahnn.cli.parts import SENSOR, SIMULATION
+from ahnn.cli.referenced import require_referenced
 from ahnn.cli.settings import check_again
 from ahnn.cli.trust import require_trusted, targets
 from ahnn.contents import read_plain
@@ -108,7 +109,7 @@ def chosen_again(cfg: DictConfig, texts: list[str]) -> DictConfig:
 
     pairs = dict(map(pair, texts))
     if groups := [text for text in texts if pair(text)[0] in GROUPS]:
-        anew = composed("train", groups)
+        anew = composed("train", groups, partly=True)
         for group in pairs.keys() & GROUPS:
             cfg[group] = anew[group]
     known: Any = flatten(OmegaConf.to_container(cfg))  # pyright: ignore[reportArgumentType]
@@ -119,4 +120,5 @@ def chosen_again(cfg: DictConfig, texts: list[str]) -> DictConfig:
             hint = nearest(key, [*known, *GROUPS])
             message = f"{key}: expected a key that acts on a finished run and not on its training{hint}"
             raise UserError(message)
+    require_referenced([cfg], texts)
     return cfg

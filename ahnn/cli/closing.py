@@ -1,4 +1,4 @@
-"""The end of a training on measurements: its last steps, and what a run keeps of them."""
+"""The end of a training: last steps on measurements, what a run keeps of them, and whether it diverged."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from omegaconf import DictConfig
 
 from ahnn.checkpoints import read_weights, replace_weights
 from ahnn.data.datamodule import WindowDataModule
+from ahnn.errors import TrainingError
+from ahnn.evaluation.results import FILE, load_results
 from ahnn.runs import made, weights_path
 from ahnn.training import Shooting
 from ahnn.training.laplace import conclude
@@ -38,3 +40,15 @@ def concluded(cfg: DictConfig, data: WindowDataModule) -> float:
         replace_weights(best, dynamics.state_dict(), about)
         save_uncertainty(folder, found, made(read_weights(best), folder).dynamics.state_dict())
     return time.monotonic() - started
+
+
+def require_converged(folders: list[Path]) -> None:
+    """Raise TrainingError where no prediction of a trained model stays finite; its results are kept."""
+    for folder in folders:
+        rows = load_results(folder).rows[:1] if (folder / FILE).exists() else ()
+        if any(row.extra["lost"] == 1 for row in rows):
+            message = (
+                "training diverged: all predictions of unseen trajectories run to infinity; weights, results "
+                f"and figures are kept in {folder}. Try a smaller optimizer.lr, or more epochs"
+            )
+            raise TrainingError(message)

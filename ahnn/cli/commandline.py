@@ -27,7 +27,9 @@ from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import flatten, nearest
 from ahnn.cli.importing import let_import
+from ahnn.cli.referenced import require_referenced
 from ahnn.cli.trust import targets
+from ahnn.cli.twins import warn_of_twins
 from ahnn.errors import UserError
 from ahnn.manifest import require_folder
 from ahnn.paths import conf_dir
@@ -144,11 +146,13 @@ def check(args: Namespace, config_name: str) -> None:
         raise UserError(message)
     first = [options[0] for options in values]
     others = ((place, option) for place, options in enumerate(values) for option in options[1:])
+    jobs = (first, *([*first[:place], option, *first[place + 1 :]] for place, option in others))
+    composed = [compose(loader, name, job) for job in jobs]
     if args.multirun:
-        folder = Path(compose(loader, name, first).hydra.sweep.dir)
+        folder = Path(composed[0].hydra.sweep.dir)
         require_folder(folder, "hydra.sweep.dir", [folder / "multirun.yaml"])
-    for job in (first, *([*first[:place], option, *first[place + 1 :]] for place, option in others)):
-        compose(loader, name, job)
+    require_referenced(composed, args.overrides)
+    warn_of_twins(composed, [" ".join(job) for job in jobs])
 
 
 def alternatives(override: Override, loader: ConfigLoaderImpl) -> list[str]:

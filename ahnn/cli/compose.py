@@ -10,14 +10,22 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 
 from ahnn.cli.commandline import alternatives, compose, config_loader, parse, worded
+from ahnn.cli.referenced import require_referenced
 
 
-def composed(name: str, overrides: Sequence[str]) -> DictConfig:
-    """Return the configuration NAME of conf/ with overrides; raises UserError where they do not compose."""
+def composed(name: str, overrides: Sequence[str], *, partly: bool = False) -> DictConfig:
+    """Return the configuration NAME of conf/ with overrides; `partly` where some of its nodes are used alone.
+
+    Raises:
+        UserError: they do not compose, or one of them has no effect on the whole.
+    """
     loader, texts = config_loader(), [worded(text) for text in overrides]
     for text in texts:
         alternatives(parse(text), loader)
-    return _opened(compose(loader, name, texts))
+    cfg = compose(loader, name, texts)
+    if not partly:
+        require_referenced([cfg], texts)
+    return _opened(cfg)
 
 
 def compose_job(overrides: Sequence[str], folder: Path) -> DictConfig:

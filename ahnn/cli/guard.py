@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import signal
 import sys
 import traceback
@@ -19,6 +20,8 @@ from ahnn.errors import Stopped, TrainingError, UserError
 from ahnn.memory import keep_freed
 
 OURS = (UserError, TrainingError)
+NO_MEMORY = re.compile(r"can't allocate memory|out of memory", re.IGNORECASE)
+"""What torch says where there is none, in an error of any type."""
 
 
 def run_command(task: Callable[[list[str]], Any], about: str | None) -> NoReturn:
@@ -49,6 +52,9 @@ def guard(entry: Callable[[], Any]) -> int:
             return report(error)
         if type(error).__module__.partition(".")[0] in ("hydra", "omegaconf"):  # some of them are OSErrors
             return report(error.__cause__ if isinstance(error.__cause__, OURS) else configured(error))
+        if isinstance(error, MemoryError) or NO_MEMORY.search(str(error)):
+            said = " ".join(str(error).split()) or "a request that the system refused"
+            return report(f"memory: expected a job that fits into it; received: {said}. Ask for less")
         if in_library(error):
             said = " ".join(f"{type(error).__name__}: {error}".split())
             return report(f"environment: a library cannot be imported: {said}. Look at its variables")

@@ -15,6 +15,7 @@ from ahnn.data import Files, Simulated, Source, SplitData
 from ahnn.data.recorded import Recorded
 from ahnn.data.sensor import Sensor
 from ahnn.errors import UserError
+from ahnn.memory import require_memory
 from ahnn.runs import about_space
 from ahnn.shooting.robust import ROBUST, RobustName
 from ahnn.systems import System
@@ -205,11 +206,29 @@ def build_trainer(cfg: DictConfig) -> Trainer:
     return trainer
 
 
-def check_together(trainer: Trainer, model: AbstractModel) -> None:
+def check_together(trainer: Trainer, model: AbstractModel, data: WindowDataModule) -> None:
     """Let model and callbacks refuse, by a method `check`, what they cannot work with; raises UserError."""
     for part in (model, *trainer.callbacks):  # pyright: ignore[reportAttributeAccessIssue]
         if check := getattr(part, "check", None):
             check(trainer)
+    if not model.stepper.automatic:
+        require_equations(model, data)
+
+
+def require_equations(model: AbstractModel, data: WindowDataModule) -> None:
+    """Refuse second-order steps whose equations do not fit into memory; raises UserError."""
+    from ahnn.training.normal_equations import memory_of, memory_of_parts
+    from ahnn.training.objectives import PARTS
+
+    count = sum(p.numel() for p in model.dynamics.parameters())
+    if data.stages is None:
+        windows = min(data.batch_size, data.windows_per_epoch or data.batch_size)
+        size = memory_of(count, 2 * model.dof * max(1, windows // PARTS))
+    else:
+        size = memory_of_parts(count)
+    who = "model.network" if size < 2 * memory_of(count, 0) or data.stages else "data.batch_size"
+    remedy = "Choose a smaller network or batch" + ("" if data.stages else ", or recipe=first_order")
+    require_memory(who, f"the equations of second-order steps on {count:,} parameters", size, remedy)
 
 
 def is_multirun() -> bool:

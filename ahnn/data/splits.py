@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Literal
 
 from torch import Tensor
 
+from ahnn.data.seen import recognised, remembered
 from ahnn.data.sensor import Sensor
 from ahnn.data.sources import Source
 from ahnn.errors import UserError
@@ -15,6 +17,7 @@ from ahnn.types import Trajectories
 
 Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
+SAME, OTHERS = "the test split of the training's data", "other trajectories than those of the training"
 
 
 class SplitData:
@@ -43,11 +46,16 @@ class SplitData:
                 begin += size
         return self._parts[split]
 
-    def beside(self, known: dict[str, Any] | None) -> str:
-        """Return how the test trajectories relate to the data of a training.
+    def seen(self) -> list[int]:
+        """Return fingerprints of the trajectories that a training sees, for `beside`."""
+        return remembered(self["train"]) + remembered(self["val"])
+
+    def beside(self, known: dict[str, Any] | None, seen: Sequence[int] = ()) -> str:
+        """Return how the test trajectories relate to the data of a training; SAME where all is as it was.
 
         Args:
             known: `recipe` and `split` of the training; None if nobody wrote them down.
+            seen: by the training, as `seen` returns it; earlier versions did not write it down.
 
         Raises:
             UserError: some of them are the same, or may be.
@@ -62,19 +70,32 @@ class SplitData:
                     f"{recipe}, whose test trajectories may be part of the training"
                 )
                 raise UserError(message)
-            return "other trajectories than those of the training"
+            return self._others("files" in recipe and "files" in known["recipe"], seen)
         if known["split"] == list(self.fractions):
-            return "the test split of the training's data"
+            return SAME
         count = len(self.source.read().states)
         then, now = (split_sizes(count, fractions) for fractions in (known["split"], self.fractions))
-        if (seen := then[0] + then[1] - now[0] - now[1]) > 0:
+        if (part := then[0] + then[1] - now[0] - now[1]) > 0:
             message = (
                 f"split: expected test trajectories that the training has not seen; received "
-                f"{self.fractions}: {seen} of {now[2]} are part of it. Keep the training's "
+                f"{self.fractions}: {part} of {now[2]} are part of it. Keep the training's "
                 f"{known['split']}, or draw others with another seed"
             )
             raise UserError(message)
         return "a part of the test split of the training's data"
+
+    def _others(self, files: bool, seen: Sequence[int]) -> str:
+        """Return in which way the data are others; raises UserError for a test trajectory that was seen."""
+        count = len(self["test"].states)
+        if known := recognised(self["test"], seen):
+            message = (
+                "test data: expected trajectories that the training has not seen; received "
+                f"{count}, of which {known} hold samples of its training or validation data. Keep the data "
+                "and the split of the training, or name others"
+            )
+            raise UserError(message)
+        what = "files that are others or changed since the training" if files else OTHERS
+        return what + (", none of whose test trajectories it saw" if seen else "")
 
     def measured(self, split: Split) -> Trajectories:
         """Return what training may see of a split: measurements, or states where there is no sensor."""

@@ -7,6 +7,7 @@ scaling per component, which is not canonical by itself in more than one dimensi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import torch
@@ -16,6 +17,25 @@ from ahnn.arguments import checked
 from ahnn.errors import UserError
 
 Kind = Literal["minmax", "block", "none"]
+
+
+UNEVEN = 1e3
+"""Ratio of the ranges of two components that one scale for both leaves unseen."""
+
+
+def remark_on_scale(kind: str | None, minimum: Tensor, maximum: Tensor, names: Sequence[str]) -> str:
+    """Return which components one scale for positions, or for momenta, makes too small to be seen, or ""."""
+    if kind != "block":
+        return ""
+    ranges = (maximum - minimum).unflatten(0, (2, -1))
+    small = (ranges * UNEVEN < ranges.amax(1, keepdim=True)).flatten()
+    few = [name for name, is_small in zip(names, small.tolist(), strict=True) if is_small]
+    if not few:
+        return ""
+    return (
+        f"scaling block: {', '.join(few)} vary less than others of their kind, by a factor of {UNEVEN:.0f} "
+        "and more, and the network hardly sees them: scaling=minmax gives each component a scale"
+    )
 
 
 @checked

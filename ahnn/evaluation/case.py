@@ -52,6 +52,7 @@ class Case:
         novelty: distance (...) of states (..., D) from the training data, where it is known.
         fitted: (B, D) starts from which the model meets the measurements of the test trajectories best, where
             nothing else is known of these: then `test` holds measurements, NaN in what is not measured.
+        remark: what the reader must know of the test trajectories; "" where they are those of the training.
     """
 
     label: str
@@ -73,6 +74,7 @@ class Case:
     uncertainty: Uncertainty | None = None
     novelty: Callable[[Tensor], Tensor] | None = None
     fitted: Tensor | None = None
+    remark: str = ""
 
     def starts(self) -> dict[Start, Tensor]:
         """Return the initial states (B, D) of the starts of the paper, or those fitted to measurements."""

@@ -56,7 +56,8 @@ def _curves(case: Case, arrays: dict[str, Tensor]) -> Iterator[Curve]:
     if floor is not None:
         name = f"floor: {title(floor.who, case.label)}"
         yield Curve(arrays["floor_true_start"], name, style.FLOOR)
-    yield Curve(arrays[f"{case.start}_start"], case.label, style.MODEL)
+    states = arrays[f"{case.start}_start"]
+    yield Curve(states.where(states.abs() < style.LOST, torch.nan), case.label, style.MODEL)
 
 
 def error(case: Case, curves: list[Curve]) -> Figure:

@@ -68,12 +68,21 @@ def open_loop(case: Case) -> Findings:
     for start, prediction in zip(starts, predictions, strict=True):
         who = Who(MODEL, start)
         findings.arrays[f"{start}_start"] = prediction
-        findings.rows.append(Row(who, case.score(prediction), extra=_drift(case.energy, prediction)))
+        lost = _lost(case, prediction)
+        note = f"diverged: {lost} of {len(prediction)} predictions run to infinity" if lost else ""
+        extra = _drift(case.energy, prediction) | {"lost": lost / len(prediction)}
+        findings.rows.append(Row(who, case.score(prediction), note, extra))
     for start, floor in there.items():
         prediction = rollout(floor.flow, starts[start], case.dt, samples)
         findings.arrays[f"floor_{start}_start"] = prediction
         findings.rows.append(Row(floor.who, case.score(prediction)))
     return findings
+
+
+def _lost(case: Case, prediction: Tensor) -> int:
+    """Return how many predictions (B, T, D) from known starts have an error that is no number."""
+    wrong = ~prediction.square().sum(-1).isfinite() & case.test.times.isfinite()
+    return int((wrong.any(1) & ~wrong[:, 0]).sum())
 
 
 def _drift(energy: Callable[[Tensor], Tensor] | None, prediction: Tensor) -> dict[str, float]:

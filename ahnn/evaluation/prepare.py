@@ -31,6 +31,7 @@ def make_case(
     uncertainty: Uncertainty | None = None,
     domain: Domain | None = None,
     robust: RobustName = "none",
+    remark: str = "",
 ) -> Case:
     """Return the case of learned dynamics on the test trajectories of its data.
 
@@ -43,6 +44,7 @@ def make_case(
         uncertainty: of the parameters of the dynamics, if it is known.
         domain: where the dynamics were learned, if that is known.
         robust: the loss of single residuals that they were learned with.
+        remark: on the data, for the table.
     """
     source, truth, measured = data.source, data.source.truth, measured_test(data)
     fitted, test = None, data["test"]
@@ -68,6 +70,7 @@ def make_case(
         uncertainty=uncertainty,
         novelty=None if domain is None else partial(domain.novelty, dynamics),
         fitted=fitted,
+        remark=remark,
     )
 
 

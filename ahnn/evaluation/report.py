@@ -62,4 +62,4 @@ def make_results(
 
 def file_sinks(folder: Path, *, predictions: bool = True) -> tuple[Sink, ...]:
     """Return the sinks that write into a folder; what an earlier evaluation left there is replaced."""
-    return MetricsSink(folder), FigureSink(folder), PredictionSink(folder, predictions)
+    return MetricsSink(folder), PredictionSink(folder, predictions), FigureSink(folder)

@@ -61,7 +61,7 @@ def load_results(folder: Path | str) -> Results:
     schema = content.get("schema", "none")
     try:
         results = decoded(content) if schema == SCHEMA else None
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         reason = f"no {error}" if isinstance(error, KeyError) else error
         message = f"{path}: expected the results of an evaluation; received a damaged file: {reason}"
         raise UserError(message) from error

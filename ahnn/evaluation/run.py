@@ -30,6 +30,7 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
         figures: whether to keep figures; without them those of the open loop are not drawn.
     """
     findings = open_loop(case)
+    findings.tell(case.remark)
     if case.measured is not None:
         flow = cast(Any, case.flow)
         explained = explain(flow, case.measured, case.robust)

@@ -32,6 +32,8 @@ BAND = SKY
 ERRORS = "viridis"
 """Colour map of errors along a path."""
 
+LOST = 1e30
+"""Size from which on a number is lost: no axis shows it beside others."""
 NAMES = ("position", "velocity")
 
 

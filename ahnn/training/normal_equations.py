@@ -64,6 +64,19 @@ class Rows(NamedTuple):
     jacobian: Tensor
 
 
+def memory_of(parameters: int, rows: int) -> float:
+    """Return about how many bytes a step takes: J of so many rows, and J^T J while it is factorised.
+
+    J is float32, and half of it more while it is made; J^T J, its damped copy and the factor are float64.
+    """
+    return 6.0 * rows * parameters + 24.0 * parameters**2
+
+
+def memory_of_parts(parameters: int) -> float:
+    """Return about how many bytes `accumulated` takes: equations of parts, and their sum, float64."""
+    return 8.0 * (TOGETHER + 1) * parameters**2
+
+
 def accumulated(
     rows: Callable[[slice], Rows], parts: Iterable[slice], theta: Tensor, degrees: int
 ) -> Equations:

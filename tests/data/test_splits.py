@@ -6,6 +6,7 @@ import pytest
 import torch
 from helpers import SPRING
 
+from ahnn.data.seen import NONE, fingerprints, remembered
 from ahnn.data.sensor import Sensor
 from ahnn.data.splits import SplitData, check_fractions, split_sizes
 from ahnn.errors import UserError
@@ -67,10 +68,51 @@ def test_other_data_are_other_trajectories_unless_they_are_the_same_files():
     assert SplitData(Twenty(), THEN).beside(None) == "unknown training data"
     others = "other trajectories than those of the training"
     assert SplitData(Twenty(seed=1), THEN).beside(known()) == others
-    assert SplitData(Twenty(files="a"), THEN).beside(known(files="b")) == others
+    changed = "files that are others or changed since the training"
+    assert SplitData(Twenty(files="a"), THEN).beside(known(files="b")) == changed
     assert SplitData(Twenty(files="a"), THEN).beside(known()) == others
     with pytest.raises(UserError, match="expected the training's files as it read them"):
         SplitData(Twenty(files="a", cut=3), THEN).beside(known(files="a"))
+
+
+class Walks(Twenty):
+    """Twenty random walks of 50 samples, in an order, from a sample on."""
+
+    def __init__(self, order=range(20), first=0, **recipe):
+        super().__init__(torch.arange(50.0 - first).double().expand(20, -1), **(recipe or {"files": "b"}))
+        steps = torch.randn(20, 50, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+        self.states = steps.cumsum(1)[[*order], first:]
+
+    def read(self):
+        return Trajectories(self.states, self.times)
+
+
+SWAPPED = [16, *range(1, 16), 0, *range(17, 20)]
+
+
+@pytest.mark.parametrize("walks", [Walks(SWAPPED), Walks(SWAPPED, 9), Walks(SWAPPED, seed=3)])
+def test_a_trajectory_of_the_training_is_no_test_of_changed_data(walks):
+    seen = SplitData(Walks(files="a"), THEN).seen()
+    with pytest.raises(UserError, match=r"received 4, of which 1 hold samples of its training or validation"):
+        SplitData(walks, THEN).beside(known(files="a"), seen)
+
+
+def test_changed_data_of_which_nothing_was_seen_are_reported_with_that():
+    seen = SplitData(Walks(files="a"), THEN).seen()
+    assert len(seen) == 16
+    other = Walks([*range(16), 19, 18, 17, 16])
+    said = "files that are others or changed since the training, none of whose test trajectories it saw"
+    assert SplitData(other, THEN).beside(known(files="a"), seen) == said
+    other.states[16:] = 0.0  # a state of rest, which the training does not know
+    assert SplitData(other, THEN).beside(known(files="a"), seen) == said
+
+
+def test_absent_samples_are_in_no_fingerprint():
+    states = torch.full((2, 9, 2), torch.nan, dtype=torch.float64)
+    states[0, :4] = 1.0
+    found = fingerprints(Trajectories(states, torch.arange(9.0).double().expand(2, -1)))
+    assert (found != NONE).nonzero().tolist() == [[0, 0]]
+    assert remembered(Trajectories(states, torch.zeros(2, 9))) == found[0, :1].tolist()
 
 
 def test_fractions_sum_to_one_up_to_rounding():

@@ -46,7 +46,7 @@ def test_windows_equal_a_naive_enumeration(stretches, steps):
     data = numbered(stretches)
     expected = naive(data, steps)
     if not expected:
-        with pytest.raises(UserError, match=f"received {steps}"):
+        with pytest.raises(UserError, match=f"received {steps}|received single ones"):
             Windows(data, steps, torch.float64)
         return
     windows = Windows(data, steps, torch.float64)
@@ -95,3 +95,10 @@ def test_increments_are_formed_in_float64_before_they_are_cast():
     expected = torch.tensor([0.001, 0.002], dtype=torch.float64)
     relative = batch.increments[0, :, 0].double() / expected - 1
     assert float(relative.abs().max()) < 1e-7
+
+
+def test_samples_that_stand_alone_are_named_and_not_windows_of_one_to_no_steps():
+    with pytest.raises(UserError, match="expected samples in a row to learn from; received single ones"):
+        Windows(numbered([[1, 1], [1]]), 3, torch.float64)
+    with pytest.raises(UserError, match="expected windows of 1 to 1 steps"):
+        Windows(numbered([[2, 1]]), 3, torch.float64)

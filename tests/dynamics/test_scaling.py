@@ -11,7 +11,7 @@ from torch import nn
 
 from ahnn.dynamics.hamiltonians import make_hamiltonian
 from ahnn.dynamics.inputs import Isotropic
-from ahnn.dynamics.scaling import Affine
+from ahnn.dynamics.scaling import Affine, remark_on_scale
 from ahnn.errors import UserError
 from ahnn.integrators import INTEGRATORS
 
@@ -154,3 +154,12 @@ def test_constants_of_a_scaling_travel_with_the_checkpoint(cache):
     other.load_state_dict(affine.state_dict())
     assert torch.equal(other.scale, affine.scale)
     assert torch.equal(other.shift, affine.shift)
+
+
+@pytest.mark.parametrize(("factor", "said"), [(900.0, []), (1100.0, ["p1"]), (1e-4, ["p2"])])
+def test_components_that_one_scale_hides_are_named(factor, said):
+    high = torch.tensor([1.0, 2.0, 1.0, factor])
+    remark = remark_on_scale("block", torch.zeros(4), high, ("q1", "q2", "p1", "p2"))
+    assert [name for name in ("q1", "q2", "p1", "p2") if name in remark] == said
+    assert ("scaling=minmax" in remark) == bool(said)
+    assert remark_on_scale("minmax", torch.zeros(4), high, ("q1", "q2", "p1", "p2")) == ""

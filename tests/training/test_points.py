@@ -42,6 +42,17 @@ def test_the_best_point_is_the_smallest_value_so_far(tmp_path):
     assert values_written([2.5, 2.0, 1.9], again) == [1.9]
 
 
+@pytest.mark.parametrize("series", [[math.nan, math.inf], [math.inf]])
+def test_a_training_in_which_no_validation_was_finite_has_diverged(tmp_path, series):
+    best = BestPoint(str(tmp_path), "val/loss")
+    best.on_train_end(Trainer(), None)  # no validation is no failure
+    assert values_written(series, best) == []
+    with pytest.raises(TrainingError, match=r"the loss became inf in every validation \(val/loss\)"):
+        best.on_train_end(Trainer(), None)
+    assert values_written([3.0, math.nan], best) == [3]
+    best.on_train_end(Trainer(), None)
+
+
 def test_neither_point_is_written_outside_of_a_training(tmp_path):
     for change in ({"sanity_checking": True}, {"state": SimpleNamespace(fn="validate")}):
         trainer = Trainer(callback_metrics={"val/loss": torch.tensor(1.0)}, **change)

@@ -13,7 +13,7 @@ from lightning.pytorch.callbacks import Checkpoint
 
 from ahnn.arguments import Count, checked
 from ahnn.errors import Stopped, UserError
-from ahnn.training.finite import require_finite_weights
+from ahnn.training.finite import require_finite_loss, require_finite_weights
 
 MONITORED = ("val/loss", "val/one_step")
 """What every model logs in a validation; a callback adds the names in its `monitored`."""
@@ -42,7 +42,8 @@ class BestPoint(Checkpoint):
     def __init__(self, folder: str, monitor: str) -> None:
         self.path = Path(folder) / "best.ckpt"
         self.monitor = monitor
-        self.best = math.inf
+        self.best = self.latest = math.inf
+        self.judged = False
 
     def check(self, trainer: Trainer) -> None:
         """Check that the value will be there; raises UserError."""
@@ -53,10 +54,16 @@ class BestPoint(Checkpoint):
         del pl_module
         if trainer.state.fn != "fit" or trainer.sanity_checking:
             return
-        value = float(trainer.callback_metrics[self.monitor])
-        if value < self.best:
-            self.best = value
+        self.latest, self.judged = float(trainer.callback_metrics[self.monitor]), True
+        if self.latest < self.best:
+            self.best = self.latest
             trainer.save_checkpoint(self.path)
+
+    def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Stop where no validation had a finite value: then no weights are the best."""
+        del trainer, pl_module
+        if self.judged and not math.isfinite(self.best):
+            require_finite_loss(self.latest, f"in every validation ({self.monitor})")
 
     def state_dict(self) -> dict[str, Any]:
         """Return the smallest value so far."""

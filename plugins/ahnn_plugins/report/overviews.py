@@ -120,9 +120,10 @@ COSTS = {
 
 
 def number(values: dict[str, Any], key: str) -> float | None:
-    """Return a number that a file says, None where it says something else."""
+    """Return a number that a file says, None where it says something else, or more than a float holds."""
     value = values.get(key)
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+    is_number = isinstance(value, float) or (type(value) is int and abs(value) < 2**1023)
+    return float(value) if is_number else None
 
 
 def _numbers(entries: list[Entry], key: str) -> Cell:

@@ -79,7 +79,7 @@ def ratio(one: Sample, other: Sample, confidence: float) -> Ratio:
     a, b = one.logarithms, other.logarithms
     if a is None or b is None:
         return _lost(one, other)
-    value = math.exp(statistics.fmean(a) - statistics.fmean(b))
+    value = _power(statistics.fmean(a) - statistics.fmean(b))
     if len(a) < 2 or len(b) < 2:
         return Ratio(value)
     parts = [statistics.variance(logarithms) / len(logarithms) for logarithms in (a, b)]
@@ -87,8 +87,16 @@ def ratio(one: Sample, other: Sample, confidence: float) -> Ratio:
         return Ratio(value, value, value)
     weights = [part / sum(parts) for part in parts]
     freedom = 1 / sum(w * w / (len(x) - 1) for w, x in zip(weights, (a, b), strict=True))
-    width = math.exp(_quantile(confidence, freedom) * math.sqrt(sum(parts)))
+    width = _power(_quantile(confidence, freedom) * math.sqrt(sum(parts)))
     return Ratio(value, value / width, value * width)
+
+
+def _power(logarithm: float) -> float:
+    """Return e to some power, inf where no number holds it."""
+    try:
+        return math.exp(logarithm)
+    except OverflowError:
+        return math.inf
 
 
 def _quantile(confidence: float, freedom: float) -> float:

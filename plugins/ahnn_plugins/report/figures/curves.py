@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from ahnn.evaluation.style import LOST
 from ahnn_plugins.report.drawing import Role, Series
 from ahnn_plugins.report.thinning import along, extremes
 
@@ -47,8 +48,8 @@ def path(
 
 def drawable(values: Tensor, *, log: bool = False) -> Tensor:
     """Return values with NaN for those that have no place on an axis."""
-    there = values.isfinite() & (values > 0) if log else values.isfinite()
-    return values.masked_fill(~there, torch.nan)
+    there = values.abs() < LOST
+    return values.masked_fill(~(there & (values > 0) if log else there), torch.nan)
 
 
 def cut(points: Tensor, truth: Tensor, times: float = 3.0) -> Tensor:

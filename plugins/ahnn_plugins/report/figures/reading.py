@@ -209,7 +209,7 @@ def _teeth(arrays: Arrays, start: str, truth: Tensor, time: Tensor, inertia: flo
     mean = arrays.get(f"ukf/{start}_sawtooth_mean", shape)
     deviation = arrays.get(f"ukf/{start}_sawtooth_deviation", shape)
     number = arrays.get(f"ukf/{start}_sawtooth_member", (1,))
-    if mean is None or deviation is None or number is None or not 0 <= int(number) < len(truth):
+    if mean is None or deviation is None or number is None or float(number) not in range(len(truth)):
         return None
     sample = torch.arange(len(time)).repeat_interleave(2)[1:]
     changed = ((mean[1:] != mean[:-1]) | (deviation[1:] != deviation[:-1])).any(-1)

@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple, get_args
 
 import torch
 
+from ahnn.evaluation.style import LOST
 from ahnn_plugins.report.collection import Collection, Entry
 from ahnn_plugins.report.drawing import Drawing, Panel, Role, Series
 from ahnn_plugins.report.figures.models import one_each, ordered
@@ -97,10 +98,10 @@ def _printed(system: str, model: str, start: str, quantity: Quantity, place: int
 
 
 def _dots(label: str, dots: Sequence[Dot], role: Role, slot: int = 0) -> list[Series]:
-    """Return one series of means with ranges, none where nothing is finite and positive."""
+    """Return one series of means with ranges, none where nothing is positive and fit for an axis."""
     rows = []
     for dot in dots:
-        values = [v for v in dot.values if 0 < v < torch.inf]
+        values = [v for v in dot.values if 0 < v < LOST]
         if values:
             rows.append((dot.place, sum(values) / len(values), min(values), max(values)))
     if not rows:
