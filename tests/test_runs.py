@@ -99,7 +99,8 @@ WRONG = {
         lambda d: d._replace(states=d.states[0]),
         r"states: expected shape \(trajectories, samples, 2\)",
     ),
-    "components": (lambda d: d._replace(states=d.states[..., :1]), r"received \(40, 120, 1\)"),
+    "components": (lambda d: d._replace(states=d.states.repeat(1, 1, 2)), r"received \(40, 120, 4\)"),
+    "positions": (lambda d: d._replace(states=d.states[..., :1]), "data.noise: expected the standard dev"),
     "times": (lambda d: d._replace(times=d.times[:, :5]), r"times: expected shape \(40, 120\), or \(120,\)"),
     "order": (
         lambda d: d._replace(times=-d.times),
@@ -108,7 +109,7 @@ WRONG = {
     "infinite": (lambda d: d._replace(states=d.states / 0), r"NaN where a sample is absent; received inf"),
     "nothing": (
         lambda d: d._replace(states=d.states * torch.nan),
-        r"expected the first sample of each trajectory; received NaN in that of 0",
+        r"trajectory 0, row 1: expected a trajectory with a whole sample",
     ),
     "words": (lambda d: d._replace(states="a"), r"states: expected numbers"),
 }
