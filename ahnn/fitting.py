@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ahnn.errors import UserError
 
@@ -39,36 +39,48 @@ def fit(
     Raises:
         UserError: trajectories or overrides that make no training, or a folder with another one.
     """
+    from ahnn.arguments import check_arguments
     from ahnn.cli.before import quiet, require_new
     from ahnn.cli.compose import compose_job
+    from ahnn.cli.guard import in_words
     from ahnn.cli.settings import check_settings
     from ahnn.data import Given
     from ahnn.runs import about_space, load
     from ahnn.train import train_once
 
-    check_given(overrides, folder)
-    cfg = compose_job(["system=files", *overrides], Path(folder))
-    source = Given(trajectories, space, **{key: cfg.system[key] for key in ("cut", "gap", "unsound")})
-    source.check()
-    quiet()
-    cfg.system = {"name": space.name, "given": about_space(space)}
-    check_settings(cfg)
-    require_new(Path(folder), cfg.ckpt)
-    train_once(cfg, source)
+    texts = check_given(overrides, folder)
+    with in_words():
+        cfg = compose_job(["system=files", *texts], Path(folder))
+        options = {key: cfg.system[key] for key in ("cut", "gap", "unsound")}
+        check_arguments("system", Given, options, ("trajectories", "space"))
+        source = Given(trajectories, space, **options)
+        source.check()
+        quiet()
+        cfg.system = {"name": space.name, "given": about_space(space)}
+        check_settings(cfg)
+        require_new(Path(folder), cfg.ckpt)
+        train_once(cfg, source)
     return load(folder)
 
 
-def check_given(overrides: Sequence[str], folder: str | Path) -> None:
-    """Raise UserError for overrides that are no texts, or that say what arguments say; and for no folder."""
+def check_given(overrides: Sequence[str], folder: str | Path) -> list[str]:
+    """Return overrides.
+
+    Raises:
+        UserError: they are no texts, or say what arguments say; or there is no folder.
+    """
     from ahnn.cli.commandline import parse
 
-    if isinstance(overrides, str) or not all(isinstance(text, str) for text in overrides):
+    texts: list[Any] = (
+        [*overrides] if isinstance(overrides, Iterable) and not isinstance(overrides, str) else [None]
+    )
+    if not all(isinstance(text, str) for text in texts):
         message = f"overrides: expected a list of texts such as ['model=hnn']; received {overrides!r}"
         raise UserError(message)
-    if not isinstance(folder, str | Path) or str(folder) in ("", "."):
+    if not isinstance(folder, str | Path) or str(folder) in ("", ".") or "\0" in str(folder):
         message = f"folder: expected the path of a new folder; received {folder!r}"
         raise UserError(message)
-    for override in map(parse, overrides):
+    for override in map(parse, texts):
         key = override.key_or_group
         if key not in READ and key.replace("/", ".").split(".")[0] in ("system", "hydra", *ELSEWHERE):
             message = (
@@ -79,3 +91,4 @@ def check_given(overrides: Sequence[str], folder: str | Path) -> None:
         if override.is_sweep_override():
             message = f"fit: expected one value, since it trains once; received {override.input_line}"
             raise UserError(message)
+    return texts

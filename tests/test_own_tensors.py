@@ -8,19 +8,39 @@ from pathlib import Path
 import pytest
 import torch
 from entry import call, untouched
+from safetensors.torch import load_file
 from test_own_data import SD, swings
 from test_own_data import SMALL as FILES
 
 import ahnn
+from ahnn.cli.compose import compose_job
+from ahnn.data import SPLITS, Given
+from ahnn.data.recorded import Recorded
+from ahnn.train import prepare
 
-SMALL = [text for text in FILES if not text.startswith("system=")]
+SMALL = [
+    *(text for text in FILES if not text.startswith("system=")),
+    *("trainer.max_epochs=1", "data.split=[0.34,0.33,0.33]", "model.network.width=4", "compile=false"),
+]
 SPACE = ahnn.Space("files", ("q", "pq"), ahnn.Units("s", "m", "m/s", "m²/s²"))
 RECORDED = ["model=ahnn", "hamiltonian=mechanical", "sensor=recorded", "loss.stages=[[16, 1.0]]"]
 CASES = {
+    "states": (4, SD, [f"data.noise={SD}", *RECORDED]),
     "states with a noise of each component": (4, SD, [f"data.noise=[{SD},{2 * SD}]", *RECORDED]),
+    "states of which positions are taken": (4, SD, [f"data.noise={SD}", "data.measured=position", *RECORDED]),
     "positions": (3, SD, [f"data.noise={SD}", *RECORDED]),
-    "exact states": (4, 0.0, ["model=hnn", "model.network.width=8", "loss.derivative=0", "window=2"]),
+    "positions in pieces": (3, SD, [f"data.noise={SD}", "system.cut=20", "system.gap=3", *RECORDED]),
+    "exact states": (4, 0.0, ["model=hnn", "loss.derivative=0", "window=2"]),
 }
+
+
+def table(path: Path, columns: int, noise: float) -> Path:
+    """Three trajectories at irregular times with gaps, one of them shorter, and a missing number."""
+    lines = swings(path, columns, noise, whole=False).read_text().splitlines()
+    lines = [line for line in lines if line.split(",")[0] in ("id", "0", "1", "2")]
+    lines[7] = ",".join([*lines[7].split(",")[:-1], ""])
+    path.write_text("\n".join(lines) + "\n")
+    return path
 
 
 def tensors(path: Path) -> ahnn.Trajectories:
@@ -34,30 +54,44 @@ def tensors(path: Path) -> ahnn.Trajectories:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_the_same_numbers_make_the_same_run(tmp_path, case):
-    """Irregular times, gaps, a missing number, trajectories of two lengths; masses are 1."""
+@pytest.mark.parametrize("padded", [False, True])
+def test_training_sees_the_same(tmp_path, case, padded):
     columns, noise, asked = CASES[case]
-    data = swings(tmp_path / "swings.csv", columns, noise, whole=False)
-    lines = data.read_text().splitlines()
-    lines[7] = ",".join([*lines[7].split(",")[:-1], ""])
-    data.write_text("\n".join(lines) + "\n")
-    options = [*SMALL, *asked, "trainer.max_epochs=2", "threads=1"]
-    assert (
-        call("ahnn.train", "system=files", f"system.path={data}", *options, f"run={tmp_path / 'file'}") == 0
-    )
+    data = table(tmp_path / "swings.csv", columns, noise)
+    given = tensors(data)
+    if columns == 3 and padded:
+        given = given._replace(states=torch.nn.functional.pad(given.states, (0, 1), value=torch.nan))
+    options = ["system=files", *SMALL, *asked]
     with untouched():
-        ahnn.fit(tensors(data), SPACE, options, folder=tmp_path / "tensors")
-    one, other = (ahnn.load(tmp_path / name) for name in ("file", "tensors"))
-    for mine, theirs in zip(
-        one.dynamics.state_dict().values(), other.dynamics.state_dict().values(), strict=True
-    ):
-        assert torch.equal(mine, theirs)
+        one = prepare(compose_job([*options, f"system.path={data}"], tmp_path / "one")).data
+        cfg = compose_job(options, tmp_path / "other")
+        keys = {key: cfg.system[key] for key in ("cut", "gap")}
+        other = prepare(cfg, Given(given, SPACE, **keys)).data
+    assert type(one.sensor) is type(other.sensor) is (Recorded if noise else type(None))
+    assert one.source.space == other.source.space
+    for split in SPLITS:
+        for mine, theirs in zip(one.trajectories(split), other.trajectories(split), strict=True):
+            assert torch.equal(mine.nan_to_num(7.0), theirs.nan_to_num(7.0))
+    for mine, theirs in zip(one.statistics(), other.statistics(), strict=True):
+        assert torch.equal(torch.as_tensor(mine), torch.as_tensor(theirs))
+    assert one.remark() == other.remark()
+
+
+def test_the_same_numbers_make_the_same_run(tmp_path):
+    columns, noise, asked = CASES["states with a noise of each component"]
+    data = table(tmp_path / "swings.csv", columns, noise)
+    options = [*SMALL, *asked, "loss.closing=1", "evaluation.figures=false"]
+    folders = tmp_path / "file", tmp_path / "tensors"
+    assert call("ahnn.train", "system=files", f"system.path={data}", *options, f"run={folders[0]}") == 0
+    with untouched():
+        ahnn.fit(tensors(data), SPACE, options, folder=folders[1])
+    one, other = map(ahnn.load, folders)
+    weights = (run.dynamics.state_dict().values() for run in (one, other))
+    assert all(torch.equal(*pair) for pair in zip(*weights, strict=True))
     assert (one.dt, one.space) == (other.dt, other.space)
-    a, b = one.results, other.results
-    assert repr(a.rows) == repr(b.rows)  # NaN is what is not known
-    assert repr(a.numbers) == repr(b.numbers)
-    assert (a.label, a.assumes) == (b.label, b.assumes)
-    if noise:
-        assert [row.who.start for row in a.rows] == ["fitted"]
-        one, other = (tmp_path / name / "covariance.safetensors" for name in ("file", "tensors"))
-        assert one.read_bytes() == other.read_bytes()
+    assert [row.who.start for row in other.results.rows] == ["fitted"]
+    assert repr(one.results.rows) == repr(other.results.rows)  # NaN is what is not known
+    assert repr(one.results.numbers) == repr(other.results.numbers)
+    mine, theirs = (load_file(folder / "covariance.safetensors") for folder in folders)
+    assert mine.keys() == theirs.keys()
+    assert all(torch.equal(mine[name], theirs[name]) for name in mine)
