@@ -5,7 +5,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Sequence
 from numbers import Real
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -33,10 +33,10 @@ def as_float64(value: Numbers, who: str, device: torch.device | None = None) -> 
                 return value.to(device=device, dtype=torch.float64)
             expected = "real numbers" if value.is_complex() else "numbers in a dense tensor"
         elif _holds_parts(value):
-            return torch.stack([as_float64(part, who, device) for part in value])
+            return torch.stack([as_float64(part, who, device) for part in cast(Sequence[Any], value)])
         elif (array := np.asanyarray(value)).dtype.kind in "fiu" or _all_real(array):
             with np.errstate(over="ignore"):  # of more than 64 bits
-                numbers = np.ma.asarray(array).astype(np.float64, order="C").filled(np.nan)
+                numbers = cast(Any, np.ma.asarray(array).astype(np.float64, order="C")).filled(np.nan)
             return torch.from_numpy(np.asarray(numbers)).to(device)
         elif array.dtype.kind == "c":
             expected = "real numbers"

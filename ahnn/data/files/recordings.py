@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from ahnn.types import Space, Trajectories
 log = logging.getLogger(__name__)
 
 
-class Recordings:
+class Recordings(ABC):
     """Recorded trajectories: their numbers are states or measurements, and nothing is known of equations.
 
     Args:
@@ -72,6 +73,10 @@ class Recordings:
             expected = f"{Place(file, row, column)}: expected sound data; received: {what}{more}. {remedy}"
             message = f"{expected}. {self.lists}system.unsound=true trains anyway"
             raise UserError(message)
+
+    @abstractmethod
+    def recipe(self) -> dict[str, Any]:
+        """Return all that determines the trajectories, as plain values."""
 
     def steps(self) -> int:
         """Return the steps of the shortest trajectory."""
