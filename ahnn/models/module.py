@@ -59,8 +59,8 @@ class AbstractModel(LightningModule, ABC):
         super().__init__()
         if loss.get("derivative") and not has_field(dynamics):
             message = (
-                f"model {type(self).__name__.lower()}: expected loss.derivative=0, since its dynamics have no "
-                f"field; received {loss['derivative']}. Use loss=recursive"
+                f"model {type(self).__name__.lower()}: expected loss.derivative=0, since its dynamics have "
+                f"no field; received {loss['derivative']}. Use loss=recursive"
             )
             raise UserError(message)
         self.dynamics = dynamics
