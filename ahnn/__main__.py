@@ -23,11 +23,19 @@ Trained models that come with the package:
   """
 
 
-def main() -> None:
+def tell() -> None:
     """List commands and trained models."""
     from ahnn.pretrained import names
 
     sys.stdout.write(COMMANDS + ", ".join(names()) + "\n")
+
+
+def main() -> None:
+    """Entry point of `python -m ahnn` and `ahnn`."""
+    from ahnn.cli.guard import guard, leave
+
+    if code := guard(tell):
+        leave(code)
 
 
 if __name__ == "__main__":

@@ -230,11 +230,11 @@ def fits(value: Any, hint: Any) -> bool:
         return len(value) == len(items) and all(map(fits, value, items))
     if origin is dict or hint is dict:
         return isinstance(value, Mapping)
+    if hint is Path:
+        return isinstance(value, str | Path)
     plain = isinstance(value, str | int | float | list | dict | None)
     if not inspect.isclass(hint) or hint is Any or not plain:
         return True
-    if hint is Path:
-        return isinstance(value, str)
     return hint.__module__ in ("builtins", "collections.abc", "numbers") and isinstance(value, hint)
 
 

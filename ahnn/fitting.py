@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ahnn.errors import UserError
 
@@ -13,16 +13,25 @@ if TYPE_CHECKING:
     from ahnn.types import Space, Trajectories
 
 
+READ = ("system.cut", "system.gap", "system.unsound")
+"""Keys of `system=files` that say how trajectories are taken, from Python too."""
+ELSEWHERE = ("run", "folder", "seeds", "sweep", "trial")
+"""Keys that say where the command line trains, and how many models."""
+
+
 def fit(
     trajectories: Trajectories, space: Space, overrides: Sequence[str] = (), *, folder: str | Path
 ) -> Run:
     """Train on trajectories that you have, evaluate on those held back, and return the run.
 
-    The same code as `python -m ahnn.train`, with the same table and files. Nothing is known of the equations,
-    so that floors and energy errors are left out, and plugins that need them must be asked for by name.
+    The same code as `python -m ahnn.train system=files`, with the same table and files: the numbers are
+    exact states, or measurements where `data.noise` says so, as `sensor=recorded` takes them. Nothing is
+    known of the equations, so that floors and energy errors are left out, and plugins that need them must be
+    asked for by name.
 
     Args:
-        trajectories: states (B, T, 2n) and times (B, T) or (T,), NaN where a sample is absent.
+        trajectories: states (B, T, 2n) and times (B, T) or (T,), NaN where a sample is absent; positions
+            (B, T, n) where momenta are unknown.
         space: names, units and inertia of the state components.
         overrides: as on the command line, such as "model=hnn", "window=3", "trainer.max_epochs=50".
         folder: of the run, a new one.
@@ -30,20 +39,55 @@ def fit(
     Raises:
         UserError: trajectories or overrides that make no training, or a folder with another one.
     """
+    from ahnn.arguments import check_arguments
     from ahnn.cli.before import quiet
     from ahnn.cli.compose import compose_job
+    from ahnn.cli.guard import in_words
     from ahnn.cli.settings import check_settings
     from ahnn.data import Given
     from ahnn.runs import about_space, load
     from ahnn.train import train_once
 
-    source = Given(trajectories, space)
-    if wrong := [o for o in overrides if o.split("=")[0].split(".")[0] in ("system", "run", "folder")]:
-        message = f"fit: expected the data as `trajectories` and the folder as `folder`; received {wrong[0]}"
-        raise UserError(message)
-    quiet()
-    cfg = compose_job(overrides, Path(folder))
-    cfg.system = {"name": space.name, "given": about_space(space)}
-    check_settings(cfg)
-    train_once(cfg, source, overrides)
+    texts = check_given(overrides, folder)
+    with in_words():
+        cfg = compose_job(["system=files", *texts], Path(folder))
+        options = {key: cfg.system[key] for key in ("cut", "gap", "unsound")}
+        check_arguments("system", Given, options, ("trajectories", "space"))
+        source = Given(trajectories, space, **options)
+        source.check()
+        quiet()
+        cfg.system = {"name": space.name, "given": about_space(space)}
+        check_settings(cfg)
+        train_once(cfg, source, texts)
     return load(folder)
+
+
+def check_given(overrides: Sequence[str], folder: str | Path) -> list[str]:
+    """Return overrides.
+
+    Raises:
+        UserError: they are no texts, or say what arguments say; or there is no folder.
+    """
+    from ahnn.cli.commandline import parse
+
+    texts: list[Any] = (
+        [*overrides] if isinstance(overrides, Iterable) and not isinstance(overrides, str) else [None]
+    )
+    if not all(isinstance(text, str) for text in texts):
+        message = f"overrides: expected a list of texts such as ['model=hnn']; received {overrides!r}"
+        raise UserError(message)
+    if not isinstance(folder, str | Path) or str(folder) in ("", ".") or "\0" in str(folder):
+        message = f"folder: expected the path of a new folder; received {folder!r}"
+        raise UserError(message)
+    for override in map(parse, texts):
+        key = override.key_or_group
+        if key not in READ and key.replace("/", ".").split(".")[0] in ("system", "hydra", *ELSEWHERE):
+            message = (
+                "fit: expected the data as `trajectories` and the folder as `folder`, and one training; "
+                f"received {override.input_line}"
+            )
+            raise UserError(message)
+        if override.is_sweep_override():
+            message = f"fit: expected one value, since it trains once; received {override.input_line}"
+            raise UserError(message)
+    return texts

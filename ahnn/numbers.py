@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
-from typing import Any
+from numbers import Real
+from typing import Any, cast
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+
+from ahnn.errors import UserError
 
 Numbers = Tensor | NDArray[Any] | Sequence[Any] | float
 """Numbers as users have them: a tensor, an array, nested sequences or one number."""
@@ -25,25 +29,65 @@ def in_percent(fraction: float) -> str:
 def as_float64(value: Numbers, who: str, device: torch.device | None = None) -> Tensor:
     """Return real numbers of any shape as a float64 tensor; gradients flow through it.
 
+    What an array masks is NaN. Nested lists may hold tensors and arrays.
+
     Raises:
-        ValueError: if they are no numbers, complex, or not of a rectangular shape; begins with `who`.
+        UserError: if they are no numbers, complex, or not of a rectangular shape; begins with `who`.
     """
+    expected = "numbers in a tensor, an array or nested lists"
     try:
-        # A cast would drop the imaginary part.
-        if not (value.is_complex() if isinstance(value, Tensor) else np.iscomplexobj(value)):
-            return torch.as_tensor(value, dtype=torch.float64, device=device)
-        expected = "real numbers"
-    except (TypeError, ValueError, RuntimeError):
-        expected = "numbers in a tensor, an array or nested lists"
+        if isinstance(value, Tensor):
+            if _is_dense(value) and not value.is_complex():  # a cast would drop the imaginary part
+                return value.to(device=device, dtype=torch.float64)
+            expected = "real numbers" if value.is_complex() else "numbers in a dense tensor"
+        elif _holds_parts(value):
+            return torch.stack([as_float64(part, who, device) for part in cast(Sequence[Any], value)])
+        elif (array := np.asanyarray(value)).dtype.kind in "fiu" or _all_real(array):
+            with np.errstate(over="ignore"):  # of more than 64 bits
+                numbers = cast(Any, np.ma.asarray(array).astype(np.float64, order="C")).filled(np.nan)
+            return torch.from_numpy(np.asarray(numbers)).to(device)
+        elif array.dtype.kind == "c":
+            expected = "real numbers"
+    except (TypeError, ValueError, OverflowError, RuntimeError):
+        pass
     message = f"{who}: expected {expected}; received {described(value)}"
-    raise ValueError(message)
+    raise UserError(message)
+
+
+def _is_dense(value: Tensor) -> bool:
+    """Return whether a tensor is a rectangle of numbers that are there."""
+    kinds = value.is_meta, value.is_nested, value.is_quantized, value.dtype == torch.bool
+    return value.layout is torch.strided and not any(kinds)
+
+
+def _all_real(array: NDArray[Any]) -> bool:
+    """Return whether an array of objects holds real numbers alone."""
+    return array.dtype == object and all(isinstance(n, Real) and not isinstance(n, bool) for n in array.flat)
+
+
+def _holds_parts(value: Any) -> bool:
+    """Return whether tensors or masked arrays lie in nested lists; numpy takes neither as they are."""
+    if not isinstance(value, list | tuple):
+        return False
+    return any(isinstance(part, Tensor | np.ma.MaskedArray) or _holds_parts(part) for part in value)
+
+
+def as_count(value: Any, who: str, least: int = 0) -> int:
+    """Return a whole number as Python, numpy and torch have them; raises UserError for anything else."""
+    try:
+        if (count := operator.index(value)) >= least and not isinstance(value, bool):
+            return count
+    except TypeError:
+        pass
+    message = f"{who}: expected a whole number >= {least}; received {value!r}"
+    raise UserError(message)
 
 
 def described(value: object) -> str:
-    """Return the type of a value for a message, the dtype if it is complex, and the shape if it has one."""
-    shape, dtype = getattr(value, "shape", None), str(getattr(value, "dtype", ""))
-    kind = f"{type(value).__name__} of {dtype}" if "complex" in dtype else type(value).__name__
-    return kind + ("" if shape is None else f" {tuple(shape)}")
+    """Return the type of a value for a message, a dtype that is no float, and the shape if it has one."""
+    kind, dtype = type(value).__name__, str(getattr(value, "dtype", "float"))
+    shape = None if getattr(value, "is_nested", False) else getattr(value, "shape", None)
+    return kind + ("" if "float" in dtype else f" of {dtype}") + ("" if shape is None else f" {tuple(shape)}")
 
 
 def chi_square_quantile(probability: float, degrees: float) -> float:

@@ -12,7 +12,6 @@ from ahnn.substeps import substeps
 from ahnn.types import Flow, TimeStep
 
 
-@torch.no_grad()
 def rollout(
     flow: Flow,
     start: Tensor,
@@ -20,6 +19,8 @@ def rollout(
     samples: int,
     description: str | None = None,
     longest: float = math.inf,
+    *,
+    gradients: bool = False,
 ) -> Tensor:
     """Return the trajectories of a flow, shape (B, samples, D), beginning with `start`, shape (B, D).
 
@@ -30,7 +31,15 @@ def rollout(
         samples: length of the result, start included.
         description: text of a progress bar; None shows none.
         longest: step of the flow; longer ones are cut into equal parts.
+        gradients: whether they flow through the result, at the cost of the time and memory that they take.
     """
+    with torch.set_grad_enabled(gradients):
+        return _rolled(flow, start, dt, samples, description, longest)
+
+
+def _rolled(
+    flow: Flow, start: Tensor, dt: TimeStep, samples: int, description: str | None, longest: float
+) -> Tensor:
     out = start.new_empty(start.shape[0], samples, start.shape[1])
     out[:, 0] = x = start
     steps = range(1, samples)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, cast
 import torch
 from torch import Tensor
 
-from ahnn.arguments import flatten
+from ahnn.arguments import checked, flatten
 from ahnn.checkpoints import Weights, read_weights
 from ahnn.contents import read_plain
 from ahnn.deviations import covariance_factor, state_deviations
@@ -23,11 +23,12 @@ from ahnn.dynamics import Dynamics, HasEnergy, make_dynamics
 from ahnn.dynamics.sizes import fillable
 from ahnn.errors import UserError
 from ahnn.numbers import Numbers, as_float64
+from ahnn.prediction.arguments import lengths_of, paths_of, starts_of, states_of
 from ahnn.prediction.kernel import Knowledge, Prediction, predicted
 from ahnn.pretrained import names, shipped
 from ahnn.rollouts import rollout
 from ahnn.stored import read_about
-from ahnn.types import Space, TimeStep
+from ahnn.types import Space
 from ahnn.uncertainty import Domain, Uncertainty, domain_of, load_uncertainty, rollout_covariances
 from ahnn.uncertainty.posterior import FILE
 
@@ -67,9 +68,20 @@ class Run:
         before = self.uncertainty and self.uncertainty.before
         return before[0] if before else self.dynamics
 
-    def flow(self, x: Numbers, dt: TimeStep | None = None) -> Tensor:
-        """Return the states (B, 2n) that x, shape (B, 2n), reaches after dt, or a sampling interval."""
-        return self.dynamics(self._states(x, "x"), self.dt if dt is None else dt)
+    def flow(self, x: Numbers, dt: Numbers | None = None) -> Tensor:
+        """Return the states (..., 2n) that x, shape (..., 2n), reaches after dt, or a sampling interval.
+
+        Args:
+            x: states, in the units of the space.
+            dt: one time step, or one for each state, shape (...).
+
+        Raises:
+            UserError: states or steps that are none.
+        """
+        x = states_of(x, "x", self.dynamics, self.space)
+        step = lengths_of(self.dt if dt is None else dt, x[..., 0])
+        flat = step.flatten() if isinstance(step, Tensor) else step
+        return self.dynamics(x.reshape(-1, x.shape[-1]), flat).reshape(x.shape)
 
     def energy(self, x: Numbers) -> Tensor:
         """Return the learned Hamiltonian, shape (...), at the states x, shape (..., 2n); a constant is free.
@@ -82,29 +94,39 @@ class Run:
                 f"energy: expected a model with a Hamiltonian; received one with {self.dynamics.assumes}"
             )
             raise UserError(message)
-        return cast(HasEnergy, self.dynamics).energy(self._states(x, "x"))
+        return cast(HasEnergy, self.dynamics).energy(states_of(x, "x", self.dynamics, self.space))
 
-    def rollout(self, start: Numbers, steps: int, dt: float | None = None) -> Tensor:
+    def rollout(self, start: Numbers, steps: int, dt: Numbers | None = None) -> Tensor:
         """Return predicted trajectories, shape (B, steps + 1, 2n), start included.
+
+        Gradients flow to the start, the steps and the parameters that require them.
 
         Args:
             start: (B, 2n) or (2n,) states, in the units of the space.
             steps: number of time steps.
-            dt: time step; the sampling interval of the training data if None.
-        """
-        x = torch.atleast_2d(self._states(start, "start"))
-        return rollout(self.dynamics, x, self.dt if dt is None else dt, steps + 1)
+            dt: time step, or the length of each, (B, steps); the sampling interval of the training data if
+                None.
 
-    def band(self, start: Numbers, steps: int, dt: float | None = None) -> Tensor:
+        Raises:
+            UserError: starts or steps that are none.
+        """
+        dt = self.dt if dt is None else dt
+        x, steps, lengths = paths_of(start, steps, dt, self.dynamics, self.space)
+        given = (x, *self.dynamics.parameters(), *([lengths] if isinstance(lengths, Tensor) else []))
+        gradients = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in given)
+        return rollout(self.dynamics, x, lengths, steps + 1, gradients=gradients)
+
+    def band(self, start: Numbers, steps: int, dt: Numbers | None = None) -> Tensor:
         """Return standard deviations of `rollout`, shape (B, steps + 1, 2n), for exactly known starts.
 
         Args:
             start: (B, 2n) or (2n,) states, in the units of the space.
             steps: number of time steps.
-            dt: time step; the sampling interval of the training data if None.
+            dt: time step, or the length of each, (B, steps); the sampling interval of the training data if
+                None.
 
         Raises:
-            UserError: the covariance of the parameters is not known.
+            UserError: starts or steps that are none, or the covariance of the parameters is not known.
         """
         if self.uncertainty is None:
             message = (
@@ -112,9 +134,10 @@ class Run:
                 "training on measurements writes it, for its best weights"
             )
             raise UserError(message)
-        x = torch.atleast_2d(self._states(start, "start"))
-        lengths = x.new_full((len(x), steps), self.dt if dt is None else dt)
-        covariances = rollout_covariances(self.dynamics, x, lengths, self.uncertainty.spread)
+        dt = self.dt if dt is None else dt
+        x, steps, lengths = paths_of(start, steps, dt, self.dynamics, self.space)
+        each = torch.as_tensor(lengths, dtype=x.dtype).expand(len(x), steps)
+        covariances = rollout_covariances(self._exact, x.double(), each.double(), self.uncertainty.spread)
         return covariances.diagonal(dim1=-2, dim2=-1).sqrt()
 
     def novelty(self, x: Numbers) -> Tensor:
@@ -132,7 +155,7 @@ class Run:
                 "earlier version. Train again"
             )
             raise UserError(message)
-        return self.domain.novelty(self.dynamics, self._states(x, "x"))
+        return self.domain.novelty(self._exact, states_of(x, "x", self.dynamics, self.space).double())
 
     def predict(
         self,
@@ -155,7 +178,7 @@ class Run:
         Raises:
             UserError: starts or times that are none, or a damaged file beside the weights.
         """
-        x = torch.atleast_2d(self._states(start, "start"))
+        x = starts_of(start, self.dynamics, self.space)
         spread = None if self.uncertainty is None else self.uncertainty.spread
         known = Knowledge(spread, self.domain)
         if start_sd is not None:
@@ -163,7 +186,8 @@ class Run:
         if start_covariance is not None:
             factor = covariance_factor(start_covariance, x.shape[-1], "start_covariance")
             known = known._replace(start=factor)
-        return predicted(self.dynamics, x, as_float64(times, "times"), self.dt, known, description)
+        times = as_float64(times, "times")
+        return predicted(self._exact, x.double(), times, self.dt, known, description)
 
     @cached_property
     def config(self) -> dict[str, Any]:
@@ -177,15 +201,14 @@ class Run:
 
         return load_results(self.folder)
 
-    def _states(self, x: Numbers, who: str) -> Tensor:
-        states, size = as_float64(x, who), len(self.space.components)
-        if states.shape[-1:] != (size,):
-            known, shape = ", ".join(self.space.components), tuple(states.shape)
-            message = f"{who}: expected states [{known}] along the last axis; received shape {shape}"
-            raise UserError(message)
-        return states
+    @property
+    def _exact(self) -> Dynamics:
+        """The dynamics in float64, where a user has cast them."""
+        doubles = all(p.dtype == torch.float64 for p in self.dynamics.parameters())
+        return self.dynamics if doubles else self.dynamics.frozen()
 
 
+@checked
 def load(run: str | Path, ckpt: str = "best") -> Run:
     """Return a trained model.
 

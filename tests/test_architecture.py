@@ -42,7 +42,7 @@ MAY_IMPORT = {
     "types": set(),
     "paths": set(),
     "extensions": set(),
-    "numbers": set(),
+    "numbers": {"errors"},
     "progress": set(),
     "cores": set(),
     "jacobians": {"cores"},

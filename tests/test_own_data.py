@@ -159,7 +159,7 @@ def test_a_model_of_recorded_positions_filters_as_well_as_its_covariance_says(tm
 @pytest.mark.parametrize(
     ("overrides", "expected"),
     [
-        ([], "data.noise: expected the standard deviations of the measurements in the files"),
+        ([], "data.noise: expected the standard deviations of the recorded measurements"),
         (["data.noise=0.01"], "Use recipe=measurements"),
         (["data.noise=0.01", "recipe=measurements"], "Use hamiltonian=mechanical or central_body"),
         (["data.noise=0.01", "data.measured=state", "recipe=measurements"], "received positions alone"),

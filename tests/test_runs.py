@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 import torch
 from entry import SMALL, call, untouched
@@ -99,7 +102,8 @@ WRONG = {
         lambda d: d._replace(states=d.states[0]),
         r"states: expected shape \(trajectories, samples, 2\)",
     ),
-    "components": (lambda d: d._replace(states=d.states[..., :1]), r"received \(40, 120, 1\)"),
+    "components": (lambda d: d._replace(states=d.states.repeat(1, 1, 2)), r"received \(40, 120, 4\)"),
+    "positions": (lambda d: d._replace(states=d.states[..., :1]), "data.noise: expected the standard dev"),
     "times": (lambda d: d._replace(times=d.times[:, :5]), r"times: expected shape \(40, 120\), or \(120,\)"),
     "order": (
         lambda d: d._replace(times=-d.times),
@@ -108,7 +112,7 @@ WRONG = {
     "infinite": (lambda d: d._replace(states=d.states / 0), r"NaN where a sample is absent; received inf"),
     "nothing": (
         lambda d: d._replace(states=d.states * torch.nan),
-        r"expected the first sample of each trajectory; received NaN in that of 0",
+        r"trajectory 0, row 1: expected a trajectory with a whole sample",
     ),
     "words": (lambda d: d._replace(states="a"), r"states: expected numbers"),
 }
@@ -156,6 +160,114 @@ def test_wrong_arguments_of_a_run_are_named(tmp_path_factory, call_it, message):
         assert call("ahnn.train", "model=node", *SMALL, f"run={folder}") == 0
     with pytest.raises(ValueError, match=message):
         call_it(ahnn.load(folder))
+
+
+ORBIT = torch.tensor([[7000.0, 0.0, 0.0, 0.0, 7.5, 0.1]], dtype=torch.float64)
+ASKED = {
+    "three axes": (
+        lambda run: run.rollout(ORBIT[None], 3),
+        r"start: expected shape \(B, 6\); received \(1, 1, 6",
+    ),
+    "no start": (lambda run: run.rollout(ORBIT[:0], 3), r"start: expected states .* received shape \(0, 6\)"),
+    "a mask": (lambda run: run.rollout(MASKED, 3), "start: expected finite numbers; received .nan"),
+    "backwards": (lambda run: run.rollout(ORBIT, -1), "steps: expected a whole number >= 0; received -1"),
+    "half a step": (lambda run: run.rollout(ORBIT, 2.5), "steps: .* received 2.5"),
+    "too many": (lambda run: run.rollout(ORBIT, 10**13), "steps: expected predicted states that fit"),
+    "no length": (
+        lambda run: run.rollout(ORBIT, 3, torch.nan),
+        "expected one finite number.* received nan",
+    ),
+    "lengths": (lambda run: run.rollout(ORBIT, 3, [60.0, 60.0]), r"shape \(1, 3\); received Tensor \(2,\)"),
+    "length of a flow": (lambda run: run.flow(ORBIT, "60"), "dt: expected numbers in"),
+    "lengths of a flow": (lambda run: run.flow(ORBIT, [60.0, 30.0]), r"shape \(1,\); received Tensor \(2,\)"),
+    "starts of a prediction": (lambda run: run.predict(ORBIT[None], [0.0, 60.0]), r"start: expected shape"),
+    "no run": (lambda _: ahnn.load(5), r"run: expected Path or str; received 5 \(int\)"),
+    "no checkpoint": (lambda run: ahnn.load(run.folder, None), "ckpt: expected str; received None"),
+}
+MASKED = np.ma.masked_greater(ORBIT.numpy(), 100)
+
+
+@pytest.fixture(scope="module")
+def mechanical():
+    return ahnn.load("molniya_mechanical")
+
+
+@pytest.mark.parametrize("asked", ASKED)
+def test_what_a_run_cannot_do_is_one_message(mechanical, asked):
+    call_it, message = ASKED[asked]
+    with pytest.raises(UserError, match=message):
+        call_it(mechanical)
+
+
+def test_starts_and_steps_of_every_kind_are_the_same(mechanical):
+    expected = mechanical.rollout(ORBIT, 3)
+    for start in (ORBIT.numpy().astype(">f8"), ORBIT.numpy().astype(object), [ORBIT[0]], ORBIT[0].tolist()):
+        assert torch.equal(mechanical.rollout(start, 3), expected)
+    for dt in (60, torch.tensor(60.0), np.float64(60), torch.full((1, 3), 60.0)):
+        close(mechanical.rollout(ORBIT, torch.tensor(3), dt), expected, 1e-15)
+    whole = mechanical.flow(torch.stack((ORBIT, 2 * ORBIT)))
+    assert torch.equal(whole, torch.stack((mechanical.flow(ORBIT), mechanical.flow(2 * ORBIT))))
+
+
+def test_gradients_flow_through_a_rollout_to_start_step_and_parameters(mechanical):
+    """Against central differences of the rollout without gradients."""
+    run = copy.deepcopy(mechanical)
+    run.dynamics.requires_grad_()
+    start, dt = ORBIT.clone().requires_grad_(), torch.tensor(60.0, dtype=torch.float64, requires_grad=True)
+    run.rollout(start, 3, dt)[0, -1, 0].backward()
+    for given, unit, step in (
+        (start, torch.eye(6, dtype=torch.float64)[:1], 1e-3),
+        (dt, torch.tensor(1.0), 1e-2),
+    ):
+        ends = []
+        for sign in (1, -1):
+            x, h = ORBIT.clone(), torch.tensor(60.0, dtype=torch.float64)
+            (x if given is start else h).add_(sign * step * unit)
+            ends.append(float(mechanical.rollout(x, 3, h)[0, -1, 0]))
+        assert given.grad is not None
+        assert float(given.grad.flatten()[0]) == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-6)
+    assert sum(p.grad is not None for p in run.dynamics.parameters()) > 3
+    assert not mechanical.rollout(ORBIT, 3).requires_grad
+
+
+def test_a_run_can_be_copied_pickled_and_cast(mechanical):
+    expected = mechanical.rollout(ORBIT, 3)
+    for other in (copy.deepcopy(mechanical), pickle.loads(pickle.dumps(mechanical))):
+        assert torch.equal(other.rollout(ORBIT, 3), expected)
+    single = copy.deepcopy(mechanical)
+    single.dynamics.float()
+    close(single.rollout(ORBIT, 3), expected, 1e-5)
+    close(single.predict(ORBIT, [0.0, 60.0]).states, mechanical.predict(ORBIT, [0.0, 60.0]).states, 1e-6)
+    assert single.novelty(ORBIT).dtype == torch.float64
+
+
+OVERRIDES = {
+    "deleted data": (["~system"], "received ~system"),
+    "another folder": (["++folder=x"], r"received \+\+folder=x"),
+    "a sweep": (["sweep=pfl"], "received sweep=pfl"),
+    "seeds": (["seeds=[1,2]"], r"received seeds=\[1,2\]"),
+    "two values": (["seed=1,2"], "expected one value, since it trains once; received seed=1,2"),
+    "a deleted group": (["~evaluation"], r"configuration: .*evaluation"),
+    "an interpolation": (["label=${nope}"], r"Interpolation key 'nope' not found \(label\)"),
+    "a key that nobody reads": (["+x=1"], "expected a key that something reads"),
+    "an option of the data": (["system.gap=0"], "system.gap: expected float >= 1.5; received 0"),
+    "a text": ("model=hnn", "overrides: expected a list of texts"),
+    "nothing": (None, "overrides: expected a list of texts .* received None"),
+}
+
+
+@pytest.mark.parametrize("wrong", OVERRIDES)
+def test_overrides_that_make_no_training_are_one_message(tmp_path, wrong):
+    overrides, message = OVERRIDES[wrong]
+    with pytest.raises(UserError, match=message):
+        ahnn.fit(oscillators(), SPACE, overrides, folder=tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("folder", ["", ".", None, 5, "a\0b"])
+def test_a_fit_needs_a_folder(folder):
+    with pytest.raises(UserError, match="folder: expected the path of a new folder; received"):
+        ahnn.fit(oscillators(), SPACE, folder=folder)
 
 
 def test_what_there_is_is_said(capsys):

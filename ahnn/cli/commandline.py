@@ -11,6 +11,7 @@ import shlex
 from argparse import Namespace
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
+from inspect import signature
 from itertools import islice
 from pathlib import Path
 from typing import Any, NoReturn
@@ -28,6 +29,7 @@ from omegaconf import DictConfig, OmegaConf
 from ahnn.arguments import flatten, nearest
 from ahnn.cli.importing import let_import
 from ahnn.cli.referenced import require_referenced
+from ahnn.cli.settings import Settings
 from ahnn.cli.trust import targets
 from ahnn.cli.twins import warn_of_twins
 from ahnn.errors import UserError
@@ -201,9 +203,25 @@ def compose(loader: ConfigLoaderImpl, name: str, overrides: list[str]) -> DictCo
             message = f"configuration: unknown key {key!r}{hint}"
         raise UserError(message) from error
     let_import(targets(OmegaConf.to_container(cfg)))
+    check_additions(loader, overrides)
     check_recipe(cfg, overrides)
     check_potential(cfg, overrides)
     return cfg
+
+
+def check_additions(loader: ConfigLoaderImpl, overrides: Iterable[str]) -> None:
+    """Refuse a key that is added at the top, where nothing reads it; deeper ones are some object's arguments.
+
+    Raises:
+        UserError: such a key, unless another override refers to it.
+    """
+    for override in map(parse, overrides):
+        key, text = override.key_or_group, str(override.input_line)
+        read = "." in key or key in signature(Settings).parameters or loader.repository.group_exists(key)
+        if text.startswith("+") and not read and not any(f"${{{key}" in other for other in overrides):
+            known = {*signature(Settings).parameters, *loader.list_groups("")}
+            message = f"{text!r}: expected a key that something reads{nearest_key(key, known)}"
+            raise UserError(message)
 
 
 def check_recipe(cfg: DictConfig, overrides: Iterable[str]) -> None:

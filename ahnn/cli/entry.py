@@ -17,7 +17,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from ahnn.cli import commandline
-from ahnn.cli.guard import guard
+from ahnn.cli.guard import guard, leave
 from ahnn.cli.help import show_completion, show_help
 from ahnn.paths import conf_dir
 
@@ -28,7 +28,7 @@ def run_hydra(task: Callable[[DictConfig], Any], config_name: str = "train") -> 
     # Hydra takes no null for a group. For a group that is empty by default it is as good as no word.
     given = [argument for argument in sys.argv if argument not in ("experiment=null", "sweep=null")]
     sys.argv = [commandline.worded(argument) for argument in given]
-    sys.exit(guard(lambda: start(task, config_name)))
+    leave(guard(lambda: start(task, config_name)))
 
 
 def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
@@ -54,7 +54,7 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
                 if own is None:
                     with contextlib.suppress(OSError):
                         folder.parent.rmdir()  # of the day
-            sys.exit(code)  # past Hydra, which would say that there was an error
+            leave(code)  # past Hydra, which would say that there was an error
         return None
 
     return hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name=config_name)(tidy)()

@@ -1,7 +1,8 @@
 """Errors as one message and an exit code.
 
 Exit codes: 0 done, 2 a mistake in what was asked for, 3 training could not go on, 128 + n stopped by signal
-n, which is 130 for Ctrl-C, 143 for SIGTERM and 129 for SIGHUP.
+n, which is 130 for Ctrl-C, 143 for SIGTERM and 129 for SIGHUP. Where the reader of a pipe has gone, as
+`| head` has, it is that of SIGPIPE, 141, without a word.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import re
 import signal
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NoReturn
 
 from ahnn.cli.stops import arrived, listen
@@ -28,7 +29,7 @@ def run_command(task: Callable[[list[str]], Any], about: str | None) -> NoReturn
     """End the process with the exit code of a task on its arguments, or of telling what it is about."""
     arguments = sys.argv[1:]
     asks = bool({"-h", "--help"} & {*arguments})
-    sys.exit(guard(lambda: sys.stdout.write(f"{about}\n") if asks else task(arguments)))
+    leave(guard(lambda: sys.stdout.write(f"{about}\n") if asks else task(arguments)))
 
 
 def guard(entry: Callable[[], Any]) -> int:
@@ -43,6 +44,7 @@ def guard(entry: Callable[[], Any]) -> int:
     listen()
     try:
         entry()
+        sys.stdout.flush()  # what a full disk or a closed pipe has not taken shows here, and not at the exit
     except (Stopped, KeyboardInterrupt) as stop:
         return end(stop)
     except Exception as error:
@@ -50,8 +52,8 @@ def guard(entry: Callable[[], Any]) -> int:
             return end(stop)
         if isinstance(error, OURS):
             return report(error)
-        if type(error).__module__.partition(".")[0] in ("hydra", "omegaconf"):  # some of them are OSErrors
-            return report(error.__cause__ if isinstance(error.__cause__, OURS) else configured(error))
+        if of_configuration(error):  # some of them are OSErrors
+            return report(configured(error))
         if isinstance(error, MemoryError) or NO_MEMORY.search(str(error)):
             said = " ".join(str(error).split()) or "a request that the system refused"
             return report(f"memory: expected a job that fits into it; received: {said}. Ask for less")
@@ -60,9 +62,21 @@ def guard(entry: Callable[[], Any]) -> int:
             return report(f"environment: a library cannot be imported: {said}. Look at its variables")
         if not isinstance(error, OSError):
             raise
-        place = f"file {error.filename}" if error.filename else "files"
+        if isinstance(error, BrokenPipeError):
+            return 128 + signal.SIGPIPE
+        place = f"file {error.filename}" if error.filename else "standard output or a file"
         return report(f"{place}: {error.strerror or error}")
     return 0
+
+
+def leave(code: int) -> NoReturn:
+    """End the process with an exit code, whatever becomes of what standard output has not taken."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        with contextlib.suppress(OSError, ValueError):  # Python tries again at the exit
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    sys.exit(code)
 
 
 def end(stop: BaseException) -> int:
@@ -87,15 +101,34 @@ def in_library(error: Exception) -> bool:
     return bodies and not frames[-1].f_globals.get("__name__", "").startswith("ahnn")
 
 
-def configured(error: Exception) -> str:
-    """Return what Hydra or OmegaConf says of a configuration, on one line with the key."""
+@contextlib.contextmanager
+def in_words() -> Iterator[None]:
+    """Raise what Hydra or OmegaConf says of a configuration as a UserError: in Python nobody guards."""
+    try:
+        yield
+    except Exception as error:
+        if not of_configuration(error):
+            raise
+        raise UserError(str(configured(error))) from error
+
+
+def of_configuration(error: Exception) -> bool:
+    """Return whether an exception comes from Hydra or OmegaConf."""
+    return type(error).__module__.partition(".")[0] in ("hydra", "omegaconf")
+
+
+def configured(error: Exception) -> Exception | str:
+    """Return what Hydra or OmegaConf says of a configuration, on one line with the key, or our own cause."""
     from ahnn.cli.commandline import first_line
 
+    if isinstance(error.__cause__, OURS):
+        return error.__cause__
     key = getattr(error, "full_key", None)
     return f"configuration: {first_line(error)}{f' ({key})' if key else ''}"
 
 
 def report(said: BaseException | str) -> int:
     """Write a message to standard error and return its exit code."""
-    sys.stderr.write(f"ahnn: {said}\n")
+    with contextlib.suppress(OSError):  # then the code has to do
+        sys.stderr.write(f"ahnn: {said}\n")
     return said.code if isinstance(said, Stopped) else 3 if isinstance(said, TrainingError) else 2

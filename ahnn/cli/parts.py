@@ -11,7 +11,8 @@ from omegaconf import DictConfig, OmegaConf
 from ahnn.arguments import check_arguments, flatten
 from ahnn.checkpoints import FORMAT
 from ahnn.cli.build import build, build_all, plain_config
-from ahnn.data import Files, Simulated, Source, SplitData
+from ahnn.data import Simulated, Source, SplitData
+from ahnn.data.files.recordings import Recordings
 from ahnn.data.recorded import Recorded
 from ahnn.data.sensor import Sensor
 from ahnn.errors import UserError
@@ -37,7 +38,7 @@ SENSOR = {"measured": None, "noise": None, "every": 1, "stride": 1, "gaps": 0, "
 def build_source(cfg: DictConfig) -> Source:
     """Build where the trajectories come from: a system is simulated, anything else reads by itself."""
     built = build(cfg.system, "system")
-    if isinstance(built, Files):
+    if isinstance(built, Recordings):
         built.check()
     if not isinstance(built, System):
         return built
@@ -61,7 +62,7 @@ def build_sensor(cfg: DictConfig, source: Source) -> Sensor | None:
     data = plain_config(cfg.data)
     # Runs of older versions lack some of the keys.
     options: dict[str, Any] = {name: data.get(name, value) for name, value in SENSOR.items()}
-    if isinstance(source, Files):
+    if isinstance(source, Recordings):
         return build_recorded(options, source)
     if options["noise"] is None:
         if given := {name: value for name, value in options.items() if value not in (None, SENSOR[name])}:
@@ -74,8 +75,8 @@ def build_sensor(cfg: DictConfig, source: Source) -> Sensor | None:
     return Sensor(source.space, **options, seed=cfg.data.seed)
 
 
-def build_recorded(options: dict[str, Any], source: Files) -> Recorded | None:
-    """Build what gave the numbers in files; None where they are exact states.
+def build_recorded(options: dict[str, Any], source: Recordings) -> Recorded | None:
+    """Build what gave recorded numbers; None where they are exact states.
 
     Raises:
         UserError: positions without their noise, or what is drawn onto simulated measurements alone.
@@ -84,7 +85,7 @@ def build_recorded(options: dict[str, Any], source: Files) -> Recorded | None:
     drawn = [f"data.{name}={value}" for name, value in options.items() if value not in (None, SENSOR[name])]
     if drawn or not (measured is None or isinstance(measured, str)):
         message = (
-            "data: expected measured=state or position with the measurements of files, onto which nothing is "
+            "data: expected measured=state or position with recorded measurements, onto which nothing is "
             f"drawn; received {', '.join(drawn) or 'data.measured=' + str(measured)}"
         )
         raise UserError(message)
@@ -93,7 +94,7 @@ def build_recorded(options: dict[str, Any], source: Files) -> Recorded | None:
     if noise is None or (source.positions_only and measured == "state"):
         known = "positions alone" if source.positions_only else f"data.measured={measured}"
         message = (
-            "data.noise: expected the standard deviations of the measurements in the files, beside "
+            "data.noise: expected the standard deviations of the recorded measurements, beside "
             "sensor=recorded, and for positions a known kinetic energy such as hamiltonian=mechanical; "
             f"received {known}, data.noise={noise}"
         )

@@ -1,32 +1,63 @@
-"""Checks of trajectories that a user brings."""
+"""Trajectories that a user brings in Python: what they must be, and their content as that of a file."""
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 
+from ahnn.arguments import Positive, check_values, fits
+from ahnn.data.files.content import Content
+from ahnn.data.files.samples import Track
+from ahnn.data.files.units import unit
 from ahnn.errors import UserError
-from ahnn.numbers import as_float64
-from ahnn.types import Space, Trajectories
+from ahnn.numbers import as_float64, described
+from ahnn.types import Space, Trajectories, Units
 
 
-def check_trajectories(given: Trajectories, space: Space) -> Trajectories:
-    """Return trajectories as float64 tensors, states (B, T, D) and times (B, T).
-
-    Raises:
-        UserError: shapes that do not fit the space, infinite numbers, or times that do not increase.
-    """
-    try:
-        states, times = as_float64(given.states, "states"), as_float64(given.times, "times")
-    except ValueError as error:
-        raise UserError(str(error)) from error
+def check_space(space: Space) -> None:
+    """Raise UserError for names, units or an inertia that mean nothing."""
+    if not isinstance(space, Space):
+        message = f"space: expected ahnn.Space(name, components); received {described(space)}"
+        raise UserError(message)
+    check_values("space", Space, space._asdict())
+    if not isinstance(space.units, Units):
+        message = f"space.units: expected ahnn.Units(...); received {space.units!r}"
+        raise UserError(message)
+    check_values("space.units", Units, space.units._asdict())
+    for text in (space.name, *space.components, *space.units):
+        if not text.strip() or not text.isprintable() or "$" in text:
+            message = f"space: expected names and units that can be printed, without $; received {text!r}"
+            raise UserError(message)
+    if not fits(space.inertia, Positive):
+        message = f"space.inertia: expected a finite number > 0; received {space.inertia!r}"
+        raise UserError(message)
     size = len(space.components)
     if size < 2 or size % 2:
         message = f"space: expected 2n components, positions first; received {size}: {space.components}"
         raise UserError(message)
-    if states.ndim != 3 or states.shape[-1] != size or min(states.shape) < 1:
+    if again := [name for name in space.components if space.components.count(name) > 1]:
+        message = f"space.components: expected different names; received {again[0]!r} twice"
+        raise UserError(message)
+
+
+def check_trajectories(given: Trajectories, space: Space) -> Trajectories:
+    """Return trajectories as float64 tensors, states (B, T, D), or positions (B, T, n), and times (B, T).
+
+    Raises:
+        UserError: a space that means nothing, shapes that do not fit it, infinite numbers, or times that do
+            not increase.
+    """
+    check_space(space)
+    if not isinstance(given, Trajectories):
+        message = f"trajectories: expected ahnn.Trajectories(states, times); received {described(given)}"
+        raise UserError(message)
+    states = as_float64(given.states, "states", torch.device("cpu")).detach()
+    times = as_float64(given.times, "times", torch.device("cpu")).detach()
+    size = len(space.components)
+    if states.ndim != 3 or states.shape[-1] not in (size, space.dof) or min(states.shape) < 1:
         message = (
             f"states: expected shape (trajectories, samples, {size}) of {', '.join(space.components)}; "
-            f"received {tuple(states.shape)}"
+            f"received {tuple(states.shape)}. Positions alone have {space.dof} columns"
         )
         raise UserError(message)
     if times.shape not in (states.shape[:2], states.shape[1:2]):
@@ -49,8 +80,32 @@ def check_trajectories(given: Trajectories, space: Space) -> Trajectories:
     if bool((unknown[:, :-1] & ~unknown[:, 1:]).any()):
         message = "times: expected one for each sample, NaN only after the last; received NaN before another"
         raise UserError(message)
-    if not bool((begins := trajectories.present[:, 0]).all()):
-        b = int((~begins).nonzero()[0])
-        message = f"states: expected the first sample of each trajectory; received NaN in that of {b}. Cut it"
-        raise UserError(message)
-    return trajectories._replace(states=torch.where(trajectories.present.unsqueeze(-1), states, torch.nan))
+    return trajectories
+
+
+def content_of(given: Trajectories, space: Space) -> Content:
+    """Return trajectories as the content of a file; momenta that are all NaN are those of positions alone.
+
+    Raises:
+        UserError: what `check_trajectories` refuses.
+    """
+    states, times = check_trajectories(given, space)
+    q, p = space.components[: space.dof], space.components[space.dof :]
+    alone = bool(states[..., len(q) :].isnan().all())
+    values = (states[..., : len(q)] if alone else states).numpy()
+    rows = np.arange(1, times.shape[1] + 1)
+    tracks = tuple(
+        Track("", f"trajectory {b}", rows[: len(known)], known, values[b, : len(known)])
+        for b, known in enumerate(row[np.isfinite(row)] for row in times.numpy())
+    )
+    units = Units(*map(_known, space.units))
+    return Content(q, () if alone else p, True, units, space.frame, tracks, time="times")
+
+
+def _known(text: str) -> str:
+    """Return a unit, or that of plain numbers in the place of one of the user's own."""
+    try:
+        unit(text)
+    except ValueError:
+        return "1"
+    return text

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 import torch
 
-from ahnn.arguments import Count, Seed, checked
+from ahnn.arguments import Count, Seed, Within, checked
 from ahnn.data import store
+from ahnn.data.files.recordings import Recordings
 from ahnn.data.generate import generated
-from ahnn.data.given import check_trajectories
+from ahnn.data.given import content_of
 from ahnn.memory import require_disk
 from ahnn.systems import System
 from ahnn.types import Space, Trajectories
@@ -82,31 +83,32 @@ class Simulated:
         return store.load_or_make(self.cache, self.recipe(), make)
 
 
-class Given:
-    """Trajectories that a user has; nothing is known of their equations.
+@checked
+class Given(Recordings):
+    """Trajectories that a user has in Python.
 
     Args:
-        trajectories: states (B, T, 2n) and times (B, T) or (T,), NaN where a sample is absent.
+        trajectories: states (B, T, 2n) and times (B, T) or (T,), NaN where a sample is absent; momenta that
+            are all NaN, or left out, are unknown.
         space: what the numbers mean.
+        cut, gap, unsound: as `Recordings` has them.
 
     Raises:
-        UserError: shapes that do not fit, infinite numbers, or times that do not increase.
+        UserError: a space that means nothing, shapes that do not fit it, infinite numbers, or times that do
+            not increase.
     """
 
-    truth: System | None = None
-
-    def __init__(self, trajectories: Trajectories, space: Space) -> None:
-        self.space = space
-        self.trajectories = check_trajectories(trajectories, space)
+    def __init__(
+        self,
+        trajectories: Trajectories,
+        space: Space,
+        cut: Annotated[int, Within(2)] | None = None,
+        gap: Annotated[float, Within(1.5)] = 10.0,
+        unsound: bool = False,
+    ) -> None:
+        content = content_of(trajectories, space)
+        super().__init__(space, [content], space.inertia, cut=cut, gap=gap, unsound=unsound)
 
     def recipe(self) -> dict[str, Any]:
         """Return the hash of the content."""
         return {"given": self.space.name, "sha256": store.checksum(self.trajectories)}
-
-    def steps(self) -> int:
-        """Return the steps of the shortest trajectory."""
-        return int(self.trajectories.present.sum(1).min()) - 1
-
-    def read(self) -> Trajectories:
-        """Return the trajectories."""
-        return self.trajectories

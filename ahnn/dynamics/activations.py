@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -43,6 +43,16 @@ class Activation(NamedTuple):
     value: Callable[[Tensor], Tensor]
     value_and_slope: Callable[[Tensor], tuple[Tensor, Tensor]]
     kernels: Kernels | None = None
+
+    def __reduce__(self) -> tuple[Callable[..., Activation], tuple[Any, ...]]:
+        """Copy and pickle by name, where it has one: kernels of torch cannot be pickled."""
+        names = [name for name, known in ACTIVATIONS.items() if known is self]
+        return (named, (names[0],)) if names else (Activation, tuple(self))
+
+
+def named(name: str) -> Activation:
+    """Return the activation of a name."""
+    return ACTIVATIONS[name]
 
 
 def _tanh(z: Tensor) -> tuple[Tensor, Tensor]:

@@ -26,7 +26,7 @@ def report(
     figures: bool = True,
     detail: bool = False,
 ) -> Results:
-    """Evaluate a case, print the table, write the files into its folder, and return the results.
+    """Evaluate a case, write the files into its folder, print the table, and return the results.
 
     Args:
         case: what to evaluate, and the folder for the results.
@@ -39,7 +39,8 @@ def report(
     """
     findings = evaluate(case, plugins, figures=figures)
     results = make_results(case, findings, training, provenance())
-    for sink in (TableSink(detail), *file_sinks(case.folder, predictions=predictions), *more):
+    files = file_sinks(case.folder, predictions=predictions)
+    for sink in (*files, *more, TableSink(detail)):  # a terminal that has gone takes no file along
         sink(results, findings)
     log.info("results: %s", case.folder)
     return results

@@ -34,8 +34,8 @@ class MLP(AbstractModel):
         loss: dict[str, Any],
     ) -> None:
         options = {"scaling": scaling, "residual": residual, "network": network}
-        super().__init__(make_dynamics("map", dof=dof, **options), dof, window, loss)
-        self.save_hyperparameters()
         if received := {key: loss[key] for key in ("derivative", "stages") if loss.get(key)}:
             message = f"model mlp: expected loss=recursive, since a map has no field; received {received}"
             raise UserError(message)
+        super().__init__(make_dynamics("map", dof=dof, **options), dof, window, loss)
+        self.save_hyperparameters()

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
-from ahnn.dynamics import Dynamics
+from ahnn.dynamics import Dynamics, has_field
 from ahnn.errors import UserError
 from ahnn.statistics import Statistics
 from ahnn.training import (
@@ -50,10 +50,19 @@ class AbstractModel(LightningModule, ABC):
         dof: degrees of freedom n.
         window: W, steps of the recursive predictions in the loss.
         loss: options of `LossOptions`, or of `SegmentOptions` where measurements are learned from.
+
+    Raises:
+        UserError: a loss on derivatives, for dynamics without a field.
     """
 
     def __init__(self, dynamics: Dynamics, dof: int, window: int, loss: dict[str, Any]) -> None:
         super().__init__()
+        if loss.get("derivative") and not has_field(dynamics):
+            message = (
+                f"model {type(self).__name__.lower()}: expected loss.derivative=0, since its dynamics have "
+                f"no field; received {loss['derivative']}. Use loss=recursive"
+            )
+            raise UserError(message)
         self.dynamics = dynamics
         self.loss, self.curriculum = make_curriculum(2 * dof, window, loss)
         self.dof, self.window = dof, window

@@ -7,12 +7,13 @@ import math
 import lightning
 import pytest
 import torch
-from helpers import MOLNIYA, SPRING, batch_of, close, data_module, ready_model
+from helpers import MOLNIYA, SPRING, batch_of, close, data_module, defaults, ready_model
 
 from ahnn.checkpoints import read_weights
 from ahnn.cli.before import quiet
+from ahnn.dynamics import Dynamics
 from ahnn.errors import UserError
-from ahnn.models import AHNN, MLP, NODE
+from ahnn.models import AHNN, MLP, NODE, AbstractModel
 from ahnn.runs import made
 
 NAMES = [
@@ -142,3 +143,18 @@ def test_a_checkpoint_is_plain_and_restores_the_model(cache, tmp_path, name):
     loaded = made(read_weights(path), tmp_path)
     assert torch.equal(loaded.flow(x), model.flow()(x, system.dt))
     assert loaded.space == system.space
+
+
+def test_dynamics_without_a_field_have_no_loss_on_derivatives():
+    class Shear(Dynamics):
+        def fit(self, statistics):
+            pass
+
+        def increment(self, x, dt):
+            return dt * x
+
+    class Plugin(AbstractModel):
+        pass
+
+    with pytest.raises(UserError, match=r"model plugin: expected loss.derivative=0.*no field; received 0.8"):
+        Plugin(Shear(), 1, 3, defaults("ahnn")["loss"] | {"derivative": 0.8})

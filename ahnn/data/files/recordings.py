@@ -1,0 +1,125 @@
+"""Trajectories that somebody brings, from files and from Python alike, in the one form that training sees."""
+
+from __future__ import annotations
+
+import logging
+from abc import ABC, abstractmethod
+from typing import Any
+
+import numpy as np
+
+from ahnn.data.files.content import Content
+from ahnn.data.files.frame_names import ROTATING
+from ahnn.data.files.samples import Track, cut, filled, stacked, trimmed
+from ahnn.data.files.table import Place
+from ahnn.errors import UserError
+from ahnn.systems import System
+from ahnn.types import Space, Trajectories
+
+log = logging.getLogger(__name__)
+
+
+class Recordings(ABC):
+    """Recorded trajectories: their numbers are states or measurements, and nothing is known of equations.
+
+    Args:
+        space: what the numbers mean.
+        contents: tracks of one kind: positions with momenta or velocities, or positions alone.
+        mass: factor m of p = m dq/dt; None where nobody said.
+        cut: samples of the stretches that trajectories are cut into; None leaves them whole.
+        gap: a step so many times longer than the median is a gap, where samples lie on no grid.
+        unsound: train also on data that `check` finds unfit.
+
+    Attributes:
+        positions_only: whether nothing but positions was recorded.
+        trajectories: NaN in samples and components that are missing.
+        names: of the trajectories.
+
+    Raises:
+        UserError: a trajectory without a whole sample, or with too long a gap.
+    """
+
+    truth: System | None = None
+    lists = ""
+    """Where all that `check` finds is listed, for its message."""
+
+    def __init__(
+        self,
+        space: Space,
+        contents: list[Content],
+        mass: float | None,
+        *,
+        cut: int | None,
+        gap: float,
+        unsound: bool,
+    ) -> None:
+        if space.frame.upper().startswith(ROTATING):
+            told = "%s: frame %s rotates: mass times velocity is no momentum in it"
+            log.warning(told, space.name, space.frame)
+        self.space, self.positions_only = space, not contents[0].rates
+        self.momenta = contents[0].momenta
+        self.mass, self.cut, self.gap, self.unsound = mass, cut, gap, unsound
+        self.trajectories = self._trajectories(contents)
+        self._contents = contents
+
+    def check(self) -> None:
+        """Refuse data that would spoil a training, unless `unsound` takes them; raises UserError."""
+        from ahnn.data.doctor import diagnosis
+
+        found = [] if self.unsound else diagnosis(self._contents, self.mass, self.gap)
+        faults = [one for one in found if one.level == "fault"]
+        if faults:
+            (_, file, row, column, what, remedy), rest = faults[0], len(faults) - 1
+            more = f", and {rest} more" if rest else ""
+            expected = f"{Place(file, row, column)}: expected sound data; received: {what}{more}. {remedy}"
+            message = f"{expected}. {self.lists}system.unsound=true trains anyway"
+            raise UserError(message)
+
+    @abstractmethod
+    def recipe(self) -> dict[str, Any]:
+        """Return all that determines the trajectories, as plain values."""
+
+    def steps(self) -> int:
+        """Return the steps of the shortest trajectory."""
+        return int(self.trajectories.times.isfinite().sum(1).min()) - 1
+
+    def read(self) -> Trajectories:
+        """Return the trajectories; the momenta are NaN where positions alone are known."""
+        return self.trajectories
+
+    def _trajectories(self, contents: list[Content]) -> Trajectories:
+        """Return all tracks as states, momenta from velocities and the mass."""
+        dof = self.space.dof
+        tracks = [filled(track, self.gap) for content in contents for track in content.tracks]
+        for track in tracks:
+            if not len(trimmed(track).times):
+                place = Place(track.file, int(track.rows[0]))
+                named = " ".join(("a trajectory", *filter(None, [track.name])))
+                place.refuse(f"{named} with a whole sample", "missing numbers in each")
+        parts = [trimmed(part) for track in tracks for part in cut(track, self.cut)]
+        parts = [part for part in parts if len(part.times)]
+        factor = np.ones(2 * dof)
+        if not contents[0].momenta:
+            factor[dof:] = self.space.inertia
+        whole = [part._replace(values=widened(part, dof) * factor) for part in parts]
+        self.names = tuple(part.name for part in parts)
+        log.info("%s: %s", self.space.name, described(self.space, parts, contents[0]))
+        return stacked(whole)
+
+
+def widened(track: Track, dof: int) -> Any:
+    """Return the values of a track with a column for each component, (T, 2n)."""
+    missing = 2 * dof - track.values.shape[1]
+    return np.pad(track.values, ((0, 0), (0, missing)), constant_values=np.nan)
+
+
+def described(space: Space, tracks: list[Track], content: Content) -> str:
+    """Return what was read, so that a user sees what each column was taken for."""
+    lengths = sorted({int(np.isfinite(track.values).any(1).sum()) for track in tracks})
+    samples = f"{lengths[0]:,}" if lengths[0] == lengths[-1] else f"{lengths[0]:,} to {lengths[-1]:,}"
+    kind = "momenta" if content.momenta else "velocities"
+    rates = f", {kind} {', '.join(content.rates)}" if content.rates else " alone"
+    return (
+        f"{len(tracks)} {'trajectory' if len(tracks) == 1 else 'trajectories'} of {samples} samples, time in "
+        f"{space.units.time}, positions {', '.join(content.positions)} in {space.units.position}{rates}"
+    )

@@ -1,0 +1,61 @@
+"""States and time steps as users have them in Python, turned into what dynamics take."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ahnn.dynamics import Dynamics
+from ahnn.errors import UserError
+from ahnn.memory import require_memory
+from ahnn.numbers import Numbers, as_count, as_float64, described
+from ahnn.prediction.kernel import require_finite
+from ahnn.types import Space, TimeStep
+
+
+def states_of(x: Numbers, who: str, dynamics: Dynamics, space: Space) -> Tensor:
+    """Return states (..., 2n), of the type and on the device of the parameters of the dynamics.
+
+    Raises:
+        UserError: they are no states of the space; begins with `who`.
+    """
+    like = next(dynamics.parameters(), torch.empty(0, dtype=torch.float64))
+    states, size = as_float64(x, who, like.device).to(like.dtype), len(space.components)
+    if states.shape[-1:] != (size,) or not states.numel():
+        known, shape = ", ".join(space.components), tuple(states.shape)
+        message = f"{who}: expected states [{known}] along the last axis; received shape {shape}"
+        raise UserError(message)
+    return states
+
+
+def starts_of(start: Numbers, dynamics: Dynamics, space: Space) -> Tensor:
+    """Return finite starts (B, 2n) of (B, 2n) or (2n,); raises UserError for others."""
+    x = torch.atleast_2d(states_of(start, "start", dynamics, space))
+    if x.ndim > 2:
+        message = f"start: expected shape (B, {x.shape[-1]}); received {tuple(x.shape)}"
+        raise UserError(message)
+    require_finite(x)
+    return x
+
+
+def paths_of(
+    start: Numbers, steps: int, dt: Numbers, dynamics: Dynamics, space: Space
+) -> tuple[Tensor, int, TimeStep]:
+    """Return starts (B, 2n), how many steps follow, and their length or that of each, (B, steps).
+
+    Raises:
+        UserError: starts or steps that are none, or more than the memory holds.
+    """
+    x, count = starts_of(start, dynamics, space), as_count(steps, "steps")
+    require_memory("steps", "predicted states", 8.0 * (count + 1) * x.numel())
+    return x, count, lengths_of(dt, x.new_empty(len(x), count))
+
+
+def lengths_of(dt: Numbers, like: Tensor) -> TimeStep:
+    """Return one finite time step, or as many as a tensor has numbers; raises UserError for others."""
+    step = as_float64(dt, "dt", like.device)
+    if step.shape not in ((), like.shape) or not bool(step.isfinite().all()):
+        received = float(step) if step.ndim == 0 else described(step)
+        message = f"dt: expected one finite number, or shape {tuple(like.shape)}; received {received}"
+        raise UserError(message)
+    return step.expand(like.shape) if step.ndim or step.requires_grad else float(step)
