@@ -32,13 +32,16 @@ from families import (
     checkpoints,
     commands,
     disks,
+    doors_files,
     environments,
     filters,
+    finite_infinite,
     foreign,
     kills,
     resumed,
     signals,
     states,
+    tensors_files,
     trajectories,
 )
 
@@ -59,6 +62,9 @@ FAMILIES: dict[str, tuple[Callable, float]] = {
     "saved states": (states.cases, 0.03),
     "trajectories": (trajectories.cases, 0.05),
     "silent changes": (changes.cases, 0.06),
+    "doors x foreign files": (doors_files.cases, 0.1),
+    "tensors x files": (tensors_files.cases, 0.08),
+    "finite x infinite": (finite_infinite.cases, 0.1),
 }
 """Families, and the share of the cases that each has: few where a case is a training."""
 ANSWERS = ("worked", "refused", "failed")
@@ -122,7 +128,7 @@ def judged(case: Callable[[], None]) -> tuple[str, str]:
     except SystemExit as stop:
         return ("refused", "") if stop.code == 2 else ("failed", f"exit code {stop.code}")
     except BaseException as error:  # a campaign hears of everything
-        return "failed", " ".join(traceback.format_exception_only(error)).strip()
+        return "failed", " ".join(traceback.format_exception_only(error)).strip()[:500]
     return "worked", ""
 
 
