@@ -34,6 +34,7 @@ from families import (
     disks,
     doors_files,
     environments,
+    fields_messages,
     filters,
     finite_infinite,
     foreign,
@@ -64,6 +65,7 @@ FAMILIES: dict[str, tuple[Callable, float]] = {
     "silent changes": (changes.cases, 0.06),
     "doors x foreign files": (doors_files.cases, 0.1),
     "tensors x files": (tensors_files.cases, 0.08),
+    "fields x messages": (fields_messages.cases, 0.08),
     "finite x infinite": (finite_infinite.cases, 0.1),
 }
 """Families, and the share of the cases that each has: few where a case is a training."""
