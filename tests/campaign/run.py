@@ -35,6 +35,8 @@ from families import (
     doors_files,
     environments,
     fields_messages,
+    fields_runs,
+    fields_tables,
     filters,
     finite_infinite,
     foreign,
@@ -66,6 +68,8 @@ FAMILIES: dict[str, tuple[Callable, float]] = {
     "doors x foreign files": (doors_files.cases, 0.1),
     "tensors x files": (tensors_files.cases, 0.08),
     "fields x messages": (fields_messages.cases, 0.08),
+    "fields x tables": (fields_tables.cases, 0.1),
+    "fields x runs": (fields_runs.cases, 0.1),
     "finite x infinite": (finite_infinite.cases, 0.1),
 }
 """Families, and the share of the cases that each has: few where a case is a training."""
@@ -130,7 +134,8 @@ def judged(case: Callable[[], None]) -> tuple[str, str]:
     except SystemExit as stop:
         return ("refused", "") if stop.code == 2 else ("failed", f"exit code {stop.code}")
     except BaseException as error:  # a campaign hears of everything
-        return "failed", " ".join(traceback.format_exception_only(error)).strip()[:500]
+        text = " ".join(traceback.format_exception_only(error)).strip()
+        return "failed", text if len(text) < 700 else f"{text[:200]} ... {text[-400:]}"
     return "worked", ""
 
 

@@ -93,7 +93,7 @@ def checked(path: Path, **options: object) -> Seen:
     n = len(one.positions)
     factor = np.repeat([SI[one.units.position], SI[one.units.velocity]], [n, values.shape[1] - n])
     about = f"{one.positions} {one.rates} {one.frame} {one.epoch} {len(one.tracks)}"
-    times = times[there] - times[there].min()
+    times = times[there] - times[there].min(initial=np.inf)
     return Seen(times, values[there] * factor, about, frozenset(plain({one.what for one in found.findings}, path)))
 
 
