@@ -42,6 +42,7 @@ from families import (
     foreign,
     kills,
     resumed,
+    scales,
     signals,
     states,
     tensors_files,
@@ -71,6 +72,7 @@ FAMILIES: dict[str, tuple[Callable, float]] = {
     "fields x tables": (fields_tables.cases, 0.1),
     "fields x runs": (fields_runs.cases, 0.1),
     "finite x infinite": (finite_infinite.cases, 0.1),
+    "scales": (scales.cases, 0.1),
 }
 """Families, and the share of the cases that each has: few where a case is a training."""
 ANSWERS = ("worked", "refused", "failed")
