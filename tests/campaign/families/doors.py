@@ -20,7 +20,11 @@ START = [0.0, -3145.0, -6173.0, 10.0, 0.0, 0.0]
 """A state of the model, at periapsis: km and km/s."""
 NOISE = "plugins.ukf.process_noise=[1e-3,1e-5]"
 """A process noise of one's own: nothing is simulated to fit one."""
-FIXES = [(60.0, 599.6, -3138.2, -6159.7), (120.0, 1196.6, -3118.1, -6120.1), (180.0, 1788.5, -3084.8, -6054.5)]
+FIXES = [
+    (60.0, 599.6, -3138.2, -6159.7),
+    (120.0, 1196.6, -3118.1, -6120.1),
+    (180.0, 1788.5, -3084.8, -6054.5),
+]
 """Times in s and positions in km, close to the orbit from the start."""
 DOORS = ("train", "evaluate", "predict", "assimilate", "report", "reproduce", "export", "data.__main__")
 
@@ -71,7 +75,9 @@ def spelled(value: float) -> str:
     return ("-" if value < 0 else "") + ".inf" if math.isinf(value) else repr(value)
 
 
-def fixes(path: Path, rows: Sequence[Sequence[object]] = FIXES, head: str = "time [s],x [km],y [km],z [km]") -> Path:
+def fixes(
+    path: Path, rows: Sequence[Sequence[object]] = FIXES, head: str = "time [s],x [km],y [km],z [km]"
+) -> Path:
     """Write measurements and return their file."""
     path.write_text("\n".join([head, *(",".join(map(str, row)) for row in rows)]) + "\n")
     return path

@@ -42,41 +42,45 @@ KINDS = ["file", "file", "empty", "read-only", "link", "dangling", "link to a fo
          "hard link", "temporary"]  # fmt: skip
 LITTLE = [word for word in TRAINING if "max_epochs" not in word] + ["trainer.max_epochs=1"]
 TINY = [word for word in LITTLE if word.startswith(("system.", "data.", "trainer.acc", "evaluation.fig"))]
-PREDICT = [MODEL, f"start={numbers(START)}", "duration=10min", "epoch=2024-03-01T12:00:00", "frame=[GCRF,EARTH,UTC]"]
+PREDICT = [
+    MODEL,
+    f"start={numbers(START)}",
+    "duration=10min",
+    "epoch=2024-03-01T12:00:00",
+    "frame=[GCRF,EARTH,UTC]",
+]
+STREAM = assimilating(Path("{place}/fixes.csv"))
 FILES = {
-    "predict output=.csv": lambda place, at: ("predict", *PREDICT, f"output={at}.csv"),
-    "predict output=.oem": lambda place, at: ("predict", *PREDICT, f"output={at}.oem"),
-    "predict output=.parquet": lambda place, at: ("predict", *PREDICT, f"output={at}.parquet"),
-    "predict figure=": lambda place, at: ("predict", *PREDICT, f"figure={at}.png"),
-    "predict output=start": lambda place, at: ("predict", *PREDICT[2:], MODEL, f"start={at}.oem", f"output={at}.oem"),
-    "assimilate output=": lambda place, at: ("assimilate", *stream(place), f"output={at}.csv"),
-    "assimilate state=": lambda place, at: ("assimilate", *stream(place), f"output={place}/o.csv", f"state={at}.state"),
-    "assimilate oem=": lambda place, at: ("assimilate", *stream(place), f"output={place}/o.csv", f"oem={at}.oem"),
-    "assimilate output=measurements": lambda place, at: ("assimilate", *assimilating(Path(f"{at}.csv")), f"output={at}.csv"),
-}  # fmt: skip
+    "predict output=.csv": ["predict", *PREDICT, "output={at}.csv"],
+    "predict output=.oem": ["predict", *PREDICT, "output={at}.oem"],
+    "predict output=.parquet": ["predict", *PREDICT, "output={at}.parquet"],
+    "predict figure=": ["predict", *PREDICT, "figure={at}.png"],
+    "predict output=start": ["predict", MODEL, *PREDICT[2:], "start={at}.oem", "output={at}.oem"],
+    "assimilate output=": ["assimilate", *STREAM, "output={at}.csv"],
+    "assimilate state=": ["assimilate", *STREAM, "output={place}/o.csv", "state={at}.state"],
+    "assimilate oem=": ["assimilate", *STREAM, "output={place}/o.csv", "oem={at}.oem"],
+    "assimilate output=measurements": ["assimilate", *assimilating(Path("{at}.csv")), "output={at}.csv"],
+}
 """Doors that write a file, and their words; the ending of the name is that of the last word."""
+REPRODUCE = ["reproduce", "system=mass_spring", "budget=smoke", *TINY, "experiment=paper_mlp", "seed=7"]
+SHIPPED = ["data.trajectories=20", "system.steps=5", "evaluation.figures=false"]
 FOLDERS = {
-    "train run=": ("run", 1, lambda place, at: ("train", *LITTLE, f"run={at}")),
-    "train weights=": ("run", 1, lambda place, at: ("train", *LITTLE, f"weights={place.parent}/run", f"run={at}")),
-    "train ckpt=last": ("run", 1, lambda place, at: ("train", *TRAINING, f"run={at}", "ckpt=last")),
-    "train sweep": ("sweep", 1, lambda place, at: ("train", "-m", *LITTLE, "seed=7", f"hydra.sweep.dir={at}")),
-    "reproduce run=": ("reproduce", 1, lambda place, at: ("reproduce", "system=mass_spring", "budget=smoke", *TINY,
-                       "experiment=paper_mlp", "seed=7", f"run={at}")),
-    "evaluate name=": ("evaluation", 4, lambda place, at: ("evaluate", f"run={at}", "name=mine", "plugins=none")),
-    "evaluate name=up": ("run", 2, lambda place, at: ("evaluate", f"run={at}", "name=..", "plugins=none")),
-    "evaluate pretrained": ("evaluation", 2, lambda place, at: ("evaluate", MODEL, f"run={at}", "name=mine",
-                            "data.trajectories=20", "system.steps=5", "evaluation.figures=false")),
-    "report output=": ("report", 4, lambda place, at: ("report", f"run={place.parent}/run", f"output={at}",
-                       "report.figures=false")),
-    "report beside": ("report", 4, lambda place, at: ("report", str(at), "report.figures=false")),
-    "export output=": ("export", 1, lambda place, at: ("export", MODEL, f"output={at}")),
-    "assimilate figures=": ("pictures", 3, lambda place, at: ("assimilate", *stream(place), f"output={place}/o.csv",
-                            f"figures={at}")),
-    "data check figures=": ("pictures", 5, lambda place, at: ("data.__main__", "check", str(table(place)),
-                            f"figures={at}")),
-}  # fmt: skip
+    "train run=": ("run", 1, ["train", *LITTLE, "run={at}"]),
+    "train weights=": ("run", 1, ["train", *LITTLE, "weights={base}/run", "run={at}"]),
+    "train ckpt=last": ("run", 1, ["train", *TRAINING, "run={at}", "ckpt=last"]),
+    "train sweep": ("sweep", 1, ["train", "-m", *LITTLE, "seed=7", "hydra.sweep.dir={at}"]),
+    "reproduce run=": ("reproduce", 1, [*REPRODUCE, "run={at}"]),
+    "evaluate name=": ("evaluation", 4, ["evaluate", "run={at}", "name=mine", "plugins=none"]),
+    "evaluate name=..": ("run", 2, ["evaluate", "run={at}", "name=..", "plugins=none"]),
+    "evaluate pretrained": ("evaluation", 2, ["evaluate", MODEL, "run={at}", "name=mine", *SHIPPED]),
+    "report output=": ("report", 4, ["report", "run={base}/run", "output={at}", "report.figures=false"]),
+    "report beside": ("report", 4, ["report", "{at}", "report.figures=false"]),
+    "export output=": ("export", 1, ["export", MODEL, "output={at}"]),
+    "assimilate figures=": ("pictures", 3, ["assimilate", *STREAM, "output={place}/o.csv", "figures={at}"]),
+    "data check figures=": ("pictures", 5, ["data.__main__", "check", "{place}/mine.csv", "figures={at}"]),
+}
 """Doors that write a folder: their set of results, how often they are drawn, and their words."""
-OURS = {"train ckpt=last", "evaluate name=", "evaluate name=up", "report beside"}
+OURS = {"train ckpt=last", "evaluate name=", "evaluate name=..", "report beside"}
 """Doors of a folder that is a finished run, in which somebody put or changed something."""
 
 
@@ -92,26 +96,28 @@ def cases(draw, folder):
             yield f"{name} at a {kind}", partial(of_file, place, FILES[name], kind)
             continue
         name = draw.choice(folders)
-        inside = [(each, draw.choice(KINDS)) for each in draw.sample(NAMES[FOLDERS[name][0]], draw.randint(1, 3))]
+        inside = [
+            (each, draw.choice(KINDS)) for each in draw.sample(NAMES[FOLDERS[name][0]], draw.randint(1, 3))
+        ]
         through = draw.choice(["", "", "", "a link", "read-only"])
         said = ", ".join(f"{each} a {kind}" for each, kind in inside)
-        yield f"{name} with {said}{through and f', {through}'}", partial(of_folder, place, name, inside, through)
+        yield (
+            f"{name} with {said}{through and f', {through}'}",
+            partial(of_folder, place, name, inside, through),
+        )
 
 
-def stream(place: Path) -> list[str]:
-    """Return the words of a short stream."""
-    return assimilating(fixes(place / "fixes.csv"))
-
-
-def table(place: Path) -> Path:
-    """Return a sound file of data."""
+def spelled(words: list[str], place: Path, at: Path) -> list[str]:
+    """Return the words of a command, with the files that it reads at their place."""
+    fixes(place / "fixes.csv")
     rows = [(k * 0.1, 1 - (k * 0.1) ** 2 / 2, -k * 0.1) for k in range(12)]
-    return fixes(place / "mine.csv", rows, "t [s],q [m],v [m/s]")
+    fixes(place / "mine.csv", rows, "t [s],q [m],v [m/s]")
+    return [word.format(place=place, at=at, base=place.parent) for word in words]
 
 
-def of_file(place: Path, words: Callable, kind: str) -> None:
+def of_file(place: Path, words: list[str], kind: str) -> None:
     """Name a file that is there already."""
-    door, *rest = words(place, place / "theirs")
+    door, *rest = spelled(words, place, place / "theirs")
     at = Path(rest[-1].partition("=")[2])
     planted = put(at, kind, place / "outside")
     assert planted is not None
@@ -131,7 +137,7 @@ def of_folder(place: Path, name: str, inside: list[tuple[str, str]], through: st
         target.symlink_to(at)
     if through == "read-only":
         at.chmod(0o555)
-    door, *rest = FOLDERS[name][2](place, target)
+    door, *rest = spelled(FOLDERS[name][2], place, target)
     try:
         same(place, planted, partial(enter, place, door, *rest))
     finally:

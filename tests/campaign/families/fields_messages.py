@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from .doors import FIXES, MODEL, answered, assimilating, enter, fixes
-from .readings import READERS, Change, held
+from .readings import READERS, Change, held, nothing
 
 RADIUS, SPEED, TILT = 7000.0, 7.546053290107541, 0.9
 NAMES = ("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")
@@ -32,12 +32,21 @@ def message() -> dict:
         flat = [np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]
         turned = [(a, b * np.cos(TILT), b * np.sin(TILT)) for a, b in flat]
         minute = f"2016-12-31T23:{54 + k}:30" if k < 6 else f"2017-01-01T00:{k - 6:02}:30"
-        numbers = [f"{size * c:.12f}" for size, part in zip((RADIUS, SPEED), turned, strict=True) for c in part]
+        numbers = [
+            f"{size * c:.12f}" for size, part in zip((RADIUS, SPEED), turned, strict=True) for c in part
+        ]
         states.append([minute, *numbers])
     meta = {"OBJECT_NAME": "MINE", "OBJECT_ID": "2016-001A", "CENTER_NAME": "EARTH", "REF_FRAME": "EME2000"}
     meta |= {"TIME_SYSTEM": "UTC", "START_TIME": states[0][0], "STOP_TIME": states[-1][0]}
     head = [("CREATION_DATE", "2017-01-02T00:00:00"), ("ORIGINATOR", "TEST")]
-    return {"version": "2.0", "head": head, "meta": [*meta.items()], "states": states, "covariances": [], "units": {}}
+    return {
+        "version": "2.0",
+        "head": head,
+        "meta": [*meta.items()],
+        "states": states,
+        "covariances": [],
+        "units": {},
+    }
 
 
 def field(name: str, value: str | None) -> object:
@@ -93,7 +102,7 @@ def covariance(diagonal: str = "1.0", epoch: str = "", frame: str | None = None,
 def changes() -> list[Change]:
     """Return all changes."""
     made: list[Change] = [
-        ("nothing", lambda m: None, "same"),
+        ("nothing", nothing, "same"),
         ("version 9.9", lambda m: m.update(version="9.9"), "word"),
         ("version x", lambda m: m.update(version="x"), "word"),
         ("version 1.0", lambda m: m.update(version="1.0"), "same"),
@@ -129,11 +138,19 @@ def changes() -> list[Change]:
     made += [(f"{name} missing", field(name, None), "refused") for name in REQUIRED]
     made += [(f"{name} twice", twice(name, value), "word") for name, value in TWICE.items()]
     made += [(f"{name} twice, alike", twice(name, dict(message()["meta"])[name]), "same") for name in TWICE]
-    made += [(f"frame {name}", field("REF_FRAME", name), "word") for name in ("ITRF2014", "TEME", "TOD", "nan", "1")]
+    made += [
+        (f"frame {name}", field("REF_FRAME", name), "word")
+        for name in ("ITRF2014", "TEME", "TOD", "nan", "1")
+    ]
     made += [(f"centre {name}", field("CENTER_NAME", name), "word") for name in ("MARS", "MOON", "SUN", "7")]
-    made += [(f"clock {name}", field("TIME_SYSTEM", name), without_leap) for name in ("TAI", "TT", "GPS", "TDB")]
+    made += [
+        (f"clock {name}", field("TIME_SYSTEM", name), without_leap) for name in ("TAI", "TT", "GPS", "TDB")
+    ]
     made += [(f"clock {name}", field("TIME_SYSTEM", name), "word") for name in ("FOO", "MET", "nan")]
-    made += [("clock utc", field("TIME_SYSTEM", "utc"), "same"), ("centre Earth", field("CENTER_NAME", "Earth"), "same")]
+    made += [
+        ("clock utc", field("TIME_SYSTEM", "utc"), "same"),
+        ("centre Earth", field("CENTER_NAME", "Earth"), "same"),
+    ]
     made += [(f"{NAMES[c - 1]} {text}", cell(5, c, text), "refused") for c in (1, 4, 6) for text in ILLEGAL]
     return made
 
@@ -145,7 +162,11 @@ STARTS = [change for change in changes() if "covariance" not in change[0]] + [
     ("a covariance in RTN", covariance(frame="RTN"), "word"),
     ("a negative covariance", covariance("-1.0"), "refused"),
     ("an infinite covariance", covariance("inf"), "refused"),
-    ("an hour later", lambda m: [row.__setitem__(0, row[0].replace("T23:", "T22:")) for row in m["states"]], "word"),
+    (
+        "an hour later",
+        lambda m: [row.__setitem__(0, row[0].replace("T23:", "T22:")) for row in m["states"]],
+        "word",
+    ),
 ]
 
 
@@ -166,12 +187,20 @@ def xml(m: dict) -> str:
     """Return the message as XML."""
     names = ["EPOCH", *NAMES, "X_DDOT", "Y_DDOT", "Z_DDOT"]
     tags = ["C" + a + "_" + b for i, a in enumerate(NAMES) for b in NAMES[: i + 1]]
-    out = [f'<oem id="CCSDS_OEM_VERS" version="{m["version"]}"><header>', grouped(m["head"]), "</header><body><segment>"]
+    out = [
+        f'<oem id="CCSDS_OEM_VERS" version="{m["version"]}"><header>',
+        grouped(m["head"]),
+        "</header><body><segment>",
+    ]
     out += ["<metadata>", grouped(m["meta"]), "</metadata><data>"]
     for row in m["states"]:
         out += ["<stateVector>", grouped(zip(names, row, strict=False)), "</stateVector>"]
     for epoch, frame, cells in m["covariances"]:
-        pairs = [("EPOCH", epoch), *([("COV_REF_FRAME", frame)] if frame else []), *zip(tags, cells, strict=False)]
+        pairs = [
+            ("EPOCH", epoch),
+            *([("COV_REF_FRAME", frame)] if frame else []),
+            *zip(tags, cells, strict=False),
+        ]
         out += ["<covarianceMatrix>", grouped(pairs), "</covarianceMatrix>"]
     return "\n".join([*out, "</data></segment></body></oem>"]) + "\n"
 

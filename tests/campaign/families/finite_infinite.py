@@ -56,13 +56,22 @@ gfc 2 2 2.43938e-06 -1.40027e-06
 def cases(draw, folder):
     """Yield a door, one of its numbers and a value for it."""
     while True:
-        kind = draw.choice(["predict", "stream", "stream", "keys", "call", "call", "call", "gravity", "table", "table"])
+        kind = draw.choice(
+            ["predict", "stream", "stream", "keys", "call", "call", "call", "gravity", "table", "table"]
+        )
         value, place = draw.choice(VALUES), Path(tempfile.mkdtemp(dir=folder))
         if kind == "predict":
-            name, k, suffix = draw.choice(PREDICT), draw.randrange(6), draw.choice([".csv", ".oem", ".xml", ".parquet"])
+            name, k, suffix = (
+                draw.choice(PREDICT),
+                draw.randrange(6),
+                draw.choice([".csv", ".oem", ".xml", ".parquet"]),
+            )
             yield f"predict {name} {k} {value} {suffix}", partial(predicted, place, name, k, value, suffix)
         elif kind == "stream":
-            name, line = draw.choice(["time", "x", "sd_y", "json time", "json x", "json sd_y"]), draw.randint(0, 5)
+            name, line = (
+                draw.choice(["time", "x", "sd_y", "json time", "json x", "json sd_y"]),
+                draw.randint(0, 5),
+            )
             yield f"line {line} {name} {value}", partial(streamed, place, name, line, value)
         elif kind == "keys":
             name, k = draw.choice(KEYS), draw.randrange(6)
@@ -85,7 +94,12 @@ def with_one(values: list[float], k: int, value: float) -> list[float]:
 
 def predicted(place: Path, name: str, k: int, value: float, suffix: str) -> None:
     """Predict from it."""
-    words = {"start": numbers(START), "duration": "10min", "epoch": "2024-03-01T12:00:00", "frame": "[GCRF,EARTH,UTC]"}
+    words = {
+        "start": numbers(START),
+        "duration": "10min",
+        "epoch": "2024-03-01T12:00:00",
+        "frame": "[GCRF,EARTH,UTC]",
+    }
     if name in ("duration", "step"):
         words[name] = spelled(value)
     elif name == "start_sd":
@@ -93,14 +107,26 @@ def predicted(place: Path, name: str, k: int, value: float, suffix: str) -> None
     elif name == "file":
         head = "t [s],x [km],y [km],z [km],vx [km/s],vy [km/s],vz [km/s]"
         rows = [(60.0 * i, *START) for i in range(3)]
-        words["start"] = str(fixes(place / "start.csv", [with_one([*rows[0]], k + 1, value), *rows[1:]], head))
+        words["start"] = str(
+            fixes(place / "start.csv", [with_one([*rows[0]], k + 1, value), *rows[1:]], head)
+        )
     else:
         words["start"] = numbers(with_one(START, k, value))
-    done = enter(place, "predict", MODEL, *(f"{key}={word}" for key, word in words.items()), f"output={place}/o{suffix}")
+    done = enter(
+        place,
+        "predict",
+        MODEL,
+        *(f"{key}={word}" for key, word in words.items()),
+        f"output={place}/o{suffix}",
+    )
     finite(place / f"o{suffix}", *done)
     if value == 0 and name == "start" and suffix == ".csv":
         words["start"] = numbers(with_one(START, k, 0.0))
-        answered(*enter(place, "predict", MODEL, *(f"{key}={w}" for key, w in words.items()), f"output={place}/p.csv"))
+        answered(
+            *enter(
+                place, "predict", MODEL, *(f"{key}={w}" for key, w in words.items()), f"output={place}/p.csv"
+            )
+        )
         assert numbers_of(place / "o.csv") == numbers_of(place / "p.csv"), "-0.0 is another number than 0.0"
 
 
@@ -172,7 +198,9 @@ def keyed(place: Path, name: str, k: int, value: float) -> None:
     code, said = enter(place, "assimilate", *assimilating(path, f"output={place}/o.csv", word))
     answered(code, said)
     left_out = ("nis", "innovation", "sd_") if name in ("mean", "sd", "start", "start_sd") else ("line",)
-    assert all(map(math.isfinite, numbers_of(place / "o.csv", left_out))), f"exit code 0 with NaN: {said[-300:]}"
+    assert all(map(math.isfinite, numbers_of(place / "o.csv", left_out))), (
+        f"exit code 0 with NaN: {said[-300:]}"
+    )
 
 
 def called(name: str, k: int, value: float) -> None:
@@ -183,7 +211,9 @@ def called(name: str, k: int, value: float) -> None:
         "rollout dt": lambda: run.rollout([START], 5, value),
         "predict start": lambda: run.predict([state], [0.0, 60.0, 120.0]).states,
         "predict times": lambda: run.predict([START], with_one([0.0, 60.0, 120.0], k, value)).states,
-        "predict start_sd": lambda: run.predict([START], [0.0, 60.0], start_sd=with_one([1.0] * 6, k, value)).covariances,
+        "predict start_sd": lambda: (
+            run.predict([START], [0.0, 60.0], start_sd=with_one([1.0] * 6, k, value)).covariances
+        ),
         "novelty": lambda: run.novelty([state]),
         "energy": lambda: run.energy([state]),
         "flow": lambda: run.flow([state]),
@@ -219,7 +249,9 @@ def trained_on(k: int, value: float) -> torch.Tensor:
 
     states = torch.randn(4, 9, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(k))
     states[k % 4, 3 + k % 3, k % 2] = value
-    data = Given(ahnn.Trajectories(states, 0.1 * torch.arange(9, dtype=torch.float64)), Space("mine", ("q", "p")))
+    data = Given(
+        ahnn.Trajectories(states, 0.1 * torch.arange(9, dtype=torch.float64)), Space("mine", ("q", "p"))
+    )
     found = Statistics.of(data.read())
     return torch.cat([found.increment, found.rate, found.maximum, found.minimum])
 
@@ -245,6 +277,8 @@ def tabled(place: Path, name: str, row: int, value: float) -> None:
     examine([path], Reading(), None, 10.0)
     files = Files("mine", str(path))
     files.check()
-    found = [x for x in files.read().states.flatten().tolist() + files.read().times.flatten().tolist() if x == x]
+    found = [
+        x for x in files.read().states.flatten().tolist() + files.read().times.flatten().tolist() if x == x
+    ]
     assert all(map(math.isfinite, found)), "what is not finite is accepted"
     assert math.isnan(value) or value in found, f"{value} is not among the numbers that were read"

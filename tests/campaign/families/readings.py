@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -38,9 +39,11 @@ class Seen(NamedTuple):
     words: frozenset[str]
 
 
+NAMED = re.compile(r"\bids?\b|empty|without a name")
+"""What a message says of a sample that no trajectory names."""
 Change = tuple[str, Callable, object]
 """Name of a change, what does it to the parts of a file, and what must become of it: `same` numbers, `refused`,
-`word` (refused, said, or read as something else), or a function from times and states to those expected."""
+`word` (refused, said, or read as something else), `said` (refused, or said of the id), or a function from times and states to those expected."""
 
 
 @contextmanager
@@ -94,7 +97,13 @@ def checked(path: Path, **options: object) -> Seen:
     factor = np.repeat([SI[one.units.position], SI[one.units.velocity]], [n, values.shape[1] - n])
     about = f"{one.positions} {one.rates} {one.frame} {one.epoch} {len(one.tracks)}"
     times = times[there] - times[there].min(initial=np.inf)
-    return Seen(times, values[there] * factor, about, frozenset(plain({one.what for one in found.findings}, path)))
+    return Seen(
+        times, values[there] * factor, about, frozenset(plain({one.what for one in found.findings}, path))
+    )
+
+
+def nothing(_: dict) -> None:
+    """Change nothing."""
 
 
 READERS = {"training": trained, "check": checked}
@@ -107,13 +116,17 @@ def plain(said: set[str], path: Path) -> set[str]:
 
 def held(expected: object, base: Seen, found: Seen) -> None:
     """Assert that a changed file was read as it should be."""
-    equal = base.states.shape == found.states.shape and np.array_equal(base.states, found.states, equal_nan=True)
+    equal = base.states.shape == found.states.shape and np.array_equal(
+        base.states, found.states, equal_nan=True
+    )
     equal = equal and np.array_equal(base.times, found.times)
     silent = found.words <= base.words
     if expected == "refused":
         raise AssertionError(f"accepted{' unchanged' * equal}; it says {sorted(found.words - base.words)}")
     if expected == "word":
         assert not (equal and silent and found.about == base.about), "dropped without a word"
+    elif expected == "said":
+        assert any(NAMED.search(text) for text in found.words - base.words), "read as if it were data"
     elif expected == "same":
         assert equal or not silent, f"other numbers: {differing(base.times, base.states, found)}"
     elif callable(expected):

@@ -76,7 +76,18 @@ class Scale:
 
 def cases(draw, folder):
     """Yield a computation and a scale."""
-    kinds = ["statistics", "dynamics", "dynamics", "filter", "filter", "filter", "table", "table", "start", "stream"]
+    kinds = [
+        "statistics",
+        "dynamics",
+        "dynamics",
+        "filter",
+        "filter",
+        "filter",
+        "table",
+        "table",
+        "start",
+        "stream",
+    ]
     while True:
         scale = Scale(draw.randint(-40, 40), draw.randint(-40, 40), draw.randint(-20, 20))
         kind, seed = draw.choice(kinds), draw.randrange(10**6)
@@ -92,7 +103,11 @@ def cases(draw, folder):
         elif kind in ("start", "stream"):
             length, clock = draw.choice(list(LENGTHS)), draw.choice(list(CLOCKS))
             shift = draw.choice([0.0, 0.0, 1.0, 2.0**20, 2.0**30])
-            act = partial(started, place, length, clock) if kind == "start" else partial(streamed, place, length, clock, shift)
+            act = (
+                partial(started, place, length, clock)
+                if kind == "start"
+                else partial(streamed, place, length, clock, shift)
+            )
             yield f"{kind} in {length} and {clock}" + f", {shift:.0e} s later" * (kind == "stream"), act
         else:
             act = {"statistics": described, "filter": filtered, "table": partial(tabled, place)}[kind]
@@ -133,7 +148,13 @@ def propagated(spec: dict, scale: Scale, seed: int) -> None:
     base, found = swings(seed, spec["dof"]), []
     for one, data in ((Scale(0, 0, 0), base), (scale, scale.data(base))):
         torch.manual_seed(seed)
-        made = {**spec, "kind": "hamiltonian", "inertia": one.mass, "mu": None, "integrator": {"name": spec["integrator"]}}
+        made = {
+            **spec,
+            "kind": "hamiltonian",
+            "inertia": one.mass,
+            "mu": None,
+            "integrator": {"name": spec["integrator"]},
+        }
         dynamics = make_dynamics(**made, network={"width": 8, "depth": 2, "activation": "tanh"}).double()
         dynamics.fit(Statistics.of(data))
         with torch.no_grad():
@@ -141,7 +162,9 @@ def propagated(spec: dict, scale: Scale, seed: int) -> None:
     q, p = found[1].chunk(2, dim=-1)
     expected = scale.states(found[0]).chunk(2, dim=-1)
     assert bool(found[1].isfinite().all()), "not finite"
-    assert max(off(q, expected[0]), off(p, expected[1])) < CLOSE, f"{off(q, expected[0]):.1e}, {off(p, expected[1]):.1e}"
+    assert max(off(q, expected[0]), off(p, expected[1])) < CLOSE, (
+        f"{off(q, expected[0]):.1e}, {off(p, expected[1]):.1e}"
+    )
 
 
 def filtered(scale: Scale, seed: int) -> None:
@@ -164,7 +187,9 @@ def filtered(scale: Scale, seed: int) -> None:
                                 form=form, gate=gate)  # fmt: skip
 
     base, other = run(Scale(0, 0, 0)), run(scale)
-    assert base.status.tolist() == other.status.tolist(), f"status {base.status.tolist()} and {other.status.tolist()}"
+    assert base.status.tolist() == other.status.tolist(), (
+        f"status {base.status.tolist()} and {other.status.tolist()}"
+    )
     for k, size in enumerate((scale.position, scale.momentum)):
         worst = off(other.means[..., k] / size, base.means[..., k])
         assert worst < CLOSE, f"component {k} off by {worst:.1e}"
@@ -185,7 +210,9 @@ def tabled(place: Path, scale: Scale, seed: int) -> None:
         found.append((files.read(), [(one.level, one.row, one.column) for one in findings]))
     (one, said), _, (two, then) = found
     assert said == then, f"the check finds {then[:3]} for {said[:3]}"
-    assert one.states.shape == two.states.shape, f"{tuple(two.states.shape)} samples, not {tuple(one.states.shape)}"
+    assert one.states.shape == two.states.shape, (
+        f"{tuple(two.states.shape)} samples, not {tuple(one.states.shape)}"
+    )
     assert torch.equal(scale.states(one.states).nan_to_num(), two.states.nan_to_num()), "other states"
     assert off(two.times, one.times * scale.time) < CLOSE, "other times"
 
@@ -194,7 +221,9 @@ def table_of(path: Path) -> tuple[list[str], np.ndarray]:
     """Return names and numbers of an output."""
     with path.open() as file:
         rows = list(csv.reader(file))
-    return rows[0], np.array([[float(cell) if cell and not cell[0].isalpha() else math.nan for cell in row] for row in rows[1:]])
+    return rows[0], np.array(
+        [[float(cell) if cell and not cell[0].isalpha() else math.nan for cell in row] for row in rows[1:]]
+    )
 
 
 def started(place: Path, length: str, clock: str) -> None:
@@ -206,7 +235,9 @@ def started(place: Path, length: str, clock: str) -> None:
         state = [x / LENGTHS[a] for x in START[:3]] + [v / LENGTHS[a] * CLOCKS[b] for v in START[3:]]
         rows = [(k * 60.0 / CLOCKS[b], *state) for k in range(2)]
         path = fixes(place / name / "start.csv", rows, head)
-        answered(*enter(place, "predict", MODEL, f"start={path}", "duration=20min", f"output={place}/{name}.csv"))
+        answered(
+            *enter(place, "predict", MODEL, f"start={path}", "duration=20min", f"output={place}/{name}.csv")
+        )
         found.append(table_of(place / f"{name}.csv"))
     assert found[0][0] == found[1][0], "other columns"
     same(found[0][1], found[1][1], CLOSE)

@@ -81,11 +81,13 @@ def attempt(place: Path, what: dict, seed: int) -> None:
     lay = LAYOUTS[what["layout"]]
     given = lay(states)
     states = rounded(given, states)
-    moments = lay(times) if "float64" in what["layout"] or "numpy" == what["layout"] else torch.tensor(times)
+    moments = lay(times) if "float64" in what["layout"] or what["layout"] == "numpy" else torch.tensor(times)
     if what["one row of times"] and not what["lengths"] and not what["irregular"]:
         moments = moments[0]
     n, names = what["n"], NAMES[what["n"]]
-    space = Space("mine", (*names, *(f"p{name}" for name in names)), Units("s", "m", "m/s", "J"), what["mass"])
+    space = Space(
+        "mine", (*names, *(f"p{name}" for name in names)), Units("s", "m", "m/s", "J"), what["mass"]
+    )
     written(place / f"mine.{what['format']}", times, states, what)
     words = EXACT if what["kind"] == "exact" else MEASURED
     theirs = of_files(place, words, what)
@@ -207,4 +209,6 @@ def same(who: str, one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, 
     for name, a, b in zip(("times", "values"), one, other, strict=True):
         assert a.shape == b.shape, f"{who}: {name} of shape {a.shape} and {b.shape}"
         equal = np.array_equal(a, b, equal_nan=True)
-        assert equal, f"{who}: {name} differ by up to {np.nanmax(abs(a - b)):.3g}, NaN {np.isnan(a).sum()}, {np.isnan(b).sum()}"
+        assert equal, (
+            f"{who}: {name} differ by up to {np.nanmax(abs(a - b)):.3g}, NaN {np.isnan(a).sum()}, {np.isnan(b).sum()}"
+        )
