@@ -3,8 +3,8 @@
     python tests/campaign/run.py --seed 0 --cases 3000 [--family NAME]
 
 A case is answered when it works or ends in one clear refusal (`UserError`, exit code 2). It fails when it
-ends in a traceback, accepts damaged data, calls or looks up what a file names, or gives another result without
-a word.
+ends in a traceback or not at all, accepts damaged data, calls or looks up what a file names, changes a file of
+somebody's, or gives another result without a word.
 """
 
 from __future__ import annotations
@@ -57,32 +57,32 @@ from ahnn.cli.before import quiet
 from ahnn.errors import TrainingError, UserError
 
 FAMILIES: dict[str, tuple[Callable, float]] = {
-    "configuration": (commands.cases, 0.2),
-    "checkpoints, damaged": (checkpoints.cases, 0.11),
-    "checkpoints, resumed": (resumed.cases, 0.07),
-    "run folders": (foreign.cases, 0.11),
-    "caches": (caches.cases, 0.09),
-    "kills": (kills.cases, 0.07),
-    "signals": (signals.cases, 0.03),
-    "disks": (disks.cases, 0.03),
-    "environments": (environments.cases, 0.02),
-    "filter inputs": (filters.cases, 0.13),
-    "saved states": (states.cases, 0.03),
-    "trajectories": (trajectories.cases, 0.05),
-    "silent changes": (changes.cases, 0.06),
-    "doors x foreign files": (doors_files.cases, 0.1),
-    "fields x messages": (fields_messages.cases, 0.08),
-    "fields x tables": (fields_tables.cases, 0.08),
-    "fields x element sets": (fields_elements.cases, 0.03),
-    "fields x Parquet": (fields_parquet.cases, 0.03),
-    "fields x runs": (fields_runs.cases, 0.08),
-    "fields x states": (fields_states.cases, 0.03),
-    "folders that act": (folders.cases, 0.02),
-    "tensors x files": (tensors_files.cases, 0.06),
-    "finite x infinite": (finite_infinite.cases, 0.1),
-    "scales": (scales.cases, 0.08),
+    "configuration": (commands.cases, 0.1),
+    "checkpoints, damaged": (checkpoints.cases, 0.05),
+    "checkpoints, resumed": (resumed.cases, 0.035),
+    "run folders": (foreign.cases, 0.055),
+    "caches": (caches.cases, 0.045),
+    "kills": (kills.cases, 0.035),
+    "signals": (signals.cases, 0.015),
+    "disks": (disks.cases, 0.015),
+    "environments": (environments.cases, 0.01),
+    "filter inputs": (filters.cases, 0.065),
+    "saved states": (states.cases, 0.015),
+    "trajectories": (trajectories.cases, 0.03),
+    "silent changes": (changes.cases, 0.03),
+    "doors x foreign files": (doors_files.cases, 0.08),
+    "fields x messages": (fields_messages.cases, 0.06),
+    "fields x tables": (fields_tables.cases, 0.06),
+    "fields x element sets": (fields_elements.cases, 0.02),
+    "fields x Parquet": (fields_parquet.cases, 0.02),
+    "fields x runs": (fields_runs.cases, 0.06),
+    "fields x streams": (fields_states.cases, 0.02),
+    "folders that act": (folders.cases, 0.01),
+    "tensors x files": (tensors_files.cases, 0.04),
+    "finite x infinite": (finite_infinite.cases, 0.07),
+    "scales": (scales.cases, 0.06),
 }
-"""Families, and the share of the cases that each has: few where a case is a training."""
+"""Families, and the fraction of the cases that each has: few where a case is a training."""
 ANSWERS = ("worked", "refused", "failed")
 
 
@@ -97,9 +97,9 @@ def main() -> int:
     torch.set_num_threads(1)  # a pool of threads does not survive a fork
     say(f"{'family':22}{'cases':>7}{''.join(f'{answer:>9}' for answer in ANSWERS)}{'seconds':>9}")
     total: Counter[str] = Counter()
-    for name, (cases, share) in FAMILIES.items():
+    for name, (cases, fraction) in FAMILIES.items():
         if options.family in name:
-            total += campaign(name, cases, round(share * options.cases), options.seed)
+            total += campaign(name, cases, round(fraction * options.cases), options.seed)
     say(row("all", total, 0))
     return int(total["failed"] > 0)
 

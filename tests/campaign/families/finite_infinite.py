@@ -175,7 +175,8 @@ def streamed(place: Path, name: str, line: int, value: float) -> None:
     for number, row in taken.items():
         for key, cell in row.items():
             if key in ("x", "y", "z", "px", "py", "pz") or key.startswith("cov_"):
-                assert cell and math.isfinite(float(cell)), f"line {number}, {key}: {cell!r}"
+                assert cell, f"line {number}, {key}: nothing"
+                assert math.isfinite(float(cell)), f"line {number}, {key}: {cell}"
 
 
 def keyed(place: Path, name: str, k: int, value: float) -> None:

@@ -100,11 +100,12 @@ def attempt(place: Path, what: dict, seed: int) -> None:
     for name, a, b in zip(("train", "val", "test"), ours, theirs, strict=True):
         assert len(a.states) == len(b.states), f"{name}: {len(a.states)} and {len(b.states)} trajectories"
         for k in range(len(a.states)):
-            same(f"{name} {k}, tensors beside files", seen(a, k), seen(b, k))
+            whole = what["kind"] == "exact"
+            same(f"{name} {k}, tensors beside files", seen(a, k, whole), seen(b, k, whole))
             truth = states[begin + k, :, :size]
-            whole = np.isfinite(truth).all(1) if what["kind"] == "exact" else np.isfinite(truth).any(1)
-            known = times[begin + k][whole], truth[whole]
-            same(f"{name} {k}, files beside the numbers", seen(b, k), known)
+            there = counted(truth, whole)
+            known = times[begin + k][there], truth[there]
+            same(f"{name} {k}, files beside the numbers", seen(b, k, whole), known)
         begin += len(a.states)
 
 
@@ -197,10 +198,15 @@ def splits(data) -> list[Trajectories]:
     return [data.splits.measured(name) for name in ("train", "val", "test")]
 
 
-def seen(data: Trajectories, k: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return times and values of the samples of a trajectory that have any number."""
+def counted(values: np.ndarray, whole: bool) -> np.ndarray:
+    """Return which samples count: whole ones of exact states, any with a number of measurements."""
+    return np.isfinite(values).all(1) if whole else np.isfinite(values).any(1)
+
+
+def seen(data: Trajectories, k: int, whole: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return times and values of the samples of a trajectory that count."""
     values, times = data.states[k].numpy(), data.times[k].numpy()
-    there = np.isfinite(values).any(1) & np.isfinite(times)
+    there = counted(values, whole) & np.isfinite(times)
     return times[there], values[there]
 
 
