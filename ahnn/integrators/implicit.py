@@ -26,7 +26,8 @@ class GaussLegendre4(Integrator):
 
     Attributes:
         tolerance: a member is solved when no component of dt * slope changes by more than this, relative
-            to max(1, |x|), or when the change has stopped shrinking at round-off level.
+            to the larger of the component and dt * slope, or when the change has stopped shrinking at
+            round-off level of the positions and momenta.
         max_iterations: sweeps after which an unsolved member is an error.
     """
 
@@ -46,18 +47,19 @@ class GaussLegendre4(Integrator):
         """
         h = column(dt)
         k1 = k2 = field(x)
-        scale = x.abs().clamp(min=1.0)
-        round_off = 64 * torch.finfo(x.dtype).eps * scale.amax(-1)
-        change = previous = torch.full_like(round_off, torch.inf)
-        waiting = torch.ones_like(round_off, dtype=torch.bool)
+        size = torch.maximum(x.abs(), (h * k1).abs())
+        round_off = 64 * torch.finfo(x.dtype).eps
+        change = previous = torch.full_like(x[..., 0], torch.inf)
+        waiting = torch.ones_like(change, dtype=torch.bool)
         for _ in range(self.max_iterations):
             new1 = field(x + h * (0.25 * k1 + _A12 * k2))
             new2 = field(x + h * (_A21 * k1 + 0.25 * k2))
             shift = (h * torch.maximum((new1 - k1).abs(), (new2 - k2).abs())).abs()
             k1 = torch.where(waiting.unsqueeze(-1), new1, k1)
             k2 = torch.where(waiting.unsqueeze(-1), new2, k2)
-            change = shift.amax(-1)
-            solved = (shift <= self.tolerance * scale).all(-1)
+            size = torch.maximum(size, (h * k1).abs())
+            change = torch.where(shift == 0, 0.0, shift / _of_block(size)).amax(-1)
+            solved = (shift <= self.tolerance * size).all(-1)
             stagnant = (change >= previous) & (change <= round_off)
             waiting = waiting & ~solved & ~stagnant & change.isfinite()
             previous = change
@@ -70,3 +72,12 @@ class GaussLegendre4(Integrator):
             "shorten the time step or raise max_iterations"
         )
         raise UserError(message)
+
+
+def _of_block(size: Tensor) -> Tensor:
+    """Return the largest size among positions, and among momenta, for each component, shape (..., D).
+
+    Neither block says anything of the units of the other.
+    """
+    blocks = size.unflatten(-1, (2, -1)) if size.shape[-1] % 2 == 0 else size.unsqueeze(-2)
+    return blocks.amax(-1, keepdim=True).expand_as(blocks).flatten(-2)

@@ -24,9 +24,9 @@ class Flicker:
         return torch.full_like(x, self.amount * (sweep % 2))
 
 
-@pytest.mark.parametrize("size", [0.0, 1.0, 1e6, -1e6])
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e6, -1e6])
 def test_a_change_at_the_level_of_rounding_ends_the_sweeps(size):
-    x, scale = torch.full((1, 2), size, dtype=torch.float64), max(1.0, abs(size))
+    x, scale = torch.full((1, 2), size, dtype=torch.float64), abs(size)
     method = GaussLegendre4(tolerance=1e-30)
     for step in (0.5, -0.5):
         field = Flicker(20 * EPS * scale / abs(step))
@@ -36,7 +36,7 @@ def test_a_change_at_the_level_of_rounding_ends_the_sweeps(size):
             method.increment(Flicker(400 * EPS * scale / abs(step)), x, step)
 
 
-@pytest.mark.parametrize(("size", "allowed"), [(0.0, 1e-3), (100.0, 0.1)])
+@pytest.mark.parametrize(("size", "allowed"), [(1e-6, 1e-9), (100.0, 0.1)])
 def test_a_change_within_the_tolerance_of_the_state_ends_the_sweeps(size, allowed):
     x = torch.full((1, 2), size, dtype=torch.float64)
     for share, calls in ((0.9, 3), (1.1, None)):
@@ -55,3 +55,14 @@ def test_a_looser_tolerance_costs_accuracy_in_proportion():
     exact = GaussLegendre4().increment(system, x, 0.1)
     for tolerance in (1e-3, 1e-6, 1e-9):
         close(GaussLegendre4(tolerance=tolerance).increment(system, x, 0.1), exact, 10 * tolerance)
+
+
+@pytest.mark.parametrize("power", [-120, -40, 0, 40, 120])
+def test_steps_do_not_know_the_units(power):
+    """An oscillator in units that are powers of two: the same bits, times the unit."""
+    x = torch.tensor([[0.3, -0.2, 1e-3, 0.5], [0.0, 0.4, 0.0, 0.0]], dtype=torch.float64)
+    turn = torch.tensor([[0, 0, 1, 0], [0, 0, 0, 1], [-1.0, 0, 0, 0], [0, -3, 0, 0]], dtype=torch.float64)
+    method = GaussLegendre4()
+    expected = method.increment(lambda x: x @ turn.T, x, 0.1)
+    unit = 2.0**power
+    assert torch.equal(method.increment(lambda x: x @ turn.T, unit * x, 0.1) / unit, expected)

@@ -122,8 +122,9 @@ COSTS = {
 def number(values: dict[str, Any], key: str) -> float | None:
     """Return a number that a file says, None where it says something else, or more than a float holds."""
     value = values.get(key)
-    is_number = isinstance(value, float) or (type(value) is int and abs(value) < 2**1023)
-    return float(value) if is_number else None
+    if isinstance(value, bool) or not isinstance(value, float | int):
+        return None
+    return float(value) if isinstance(value, float) or abs(value) < 2**1023 else None
 
 
 def _numbers(entries: list[Entry], key: str) -> Cell:
