@@ -45,7 +45,8 @@ def fit(
     from ahnn.cli.guard import in_words
     from ahnn.cli.settings import check_settings
     from ahnn.data import Given
-    from ahnn.runs import about_space, load
+    from ahnn.runs import load
+    from ahnn.stored import about_space
     from ahnn.train import train_once
 
     texts = check_given(overrides, folder)

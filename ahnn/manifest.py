@@ -94,9 +94,11 @@ def require_own(paths: Iterable[Path], who: str) -> None:
 
 
 def remove_own(path: Path) -> None:
-    """Remove a file if we wrote it; leave anything else."""
+    """Remove a file if we wrote it, and the manifest with the last of its files; leave anything else."""
     if is_own(path):
         path.unlink(missing_ok=True)
+        if not any(path.with_name(name).exists() for name in recorded(path.parent)):
+            path.with_name(NAME).unlink(missing_ok=True)
 
 
 def require_folder(folder: Path, who: str, files: Iterable[Path] = (), inner: Iterable[str] = ()) -> None:

@@ -233,10 +233,9 @@ def load(run: str | Path, ckpt: str = "best") -> Run:
     known = load_uncertainty(folder, trained.dynamics.state_dict())
     if known is None:
         return trained
-    if (count := sum(p.numel() for p in trained.dynamics.parameters())) != len(known.offset):
-        message = (
-            f"{folder / FILE}: expected a covariance of {count} parameters; received {len(known.offset)}"
-        )
+    count, received = sum(p.numel() for p in trained.dynamics.parameters()), len(known.offset)
+    if count != received:
+        message = f"{folder / FILE}: expected a covariance of {count} parameters; received {received}"
         raise UserError(message)
     dynamics, uncertainty = known.taken(trained.dynamics)
     return replace(trained, dynamics=dynamics.eval().requires_grad_(False), uncertainty=uncertainty)
@@ -299,8 +298,3 @@ def made(weights: Weights, folder: Path) -> Run:
         message = f"run {folder}: expected finite weights; received nan or inf. Take another checkpoint"
         raise UserError(message)
     return Run(dynamics.eval().requires_grad_(False), space, about.dt, weights.about, folder, domain)
-
-
-def about_space(space: Space) -> dict[str, Any]:
-    """Return a space as plain values, as `made` reads them."""
-    return {**space._asdict(), "components": list(space.components), "units": list(space.units)}

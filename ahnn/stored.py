@@ -109,3 +109,8 @@ def read_about(who: str, content: Any) -> tuple[About, Space]:
         raise UserError(message)
     space = Space(said.name, names, Units(*said.units), said.inertia, said.frame)
     return about, space
+
+
+def about_space(space: Space) -> dict[str, Any]:
+    """Return a space as plain values, as `read_about` reads them."""
+    return {**space._asdict(), "components": list(space.components), "units": list(space.units)}

@@ -43,14 +43,15 @@ def train(cfg: DictConfig) -> float:
     Several `seeds` train in folders of their own, seed_7 and so on, inside the run folder.
     """
     from ahnn.cli.before import begin, require_new
-    from ahnn.cli.closing import require_converged
-    from ahnn.cli.parts import is_multirun
 
     begin(cfg)
     parts = [of_seed(cfg, seed) for seed in cfg.seeds] if cfg.seeds else [cfg]
     for part in parts:
         require_new(Path(part.folder), part.ckpt)
     losses = [train_once(part) for part in parts]
+    from ahnn.cli.closing import require_converged  # heavy, as the trainings before it
+    from ahnn.cli.parts import is_multirun
+
     if not is_multirun():  # there each job has its scores, and a search goes by the losses
         require_converged([Path(part.folder) for part in parts])
     return sum(losses) / len(losses)

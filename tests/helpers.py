@@ -20,7 +20,7 @@ from ahnn.data.datamodule import WindowDataModule
 from ahnn.models import AHNN, MLP, NODE, AbstractModel, Optimisation
 from ahnn.paths import conf_dir
 from ahnn.pretrained import shipped
-from ahnn.runs import about_space
+from ahnn.stored import about_space
 from ahnn.systems import HenonHeiles, Kepler, MassSpring, Molniya, Pendulum, System
 from ahnn.types import Window
 
@@ -127,5 +127,6 @@ def framed(folder: Path, frame: str) -> Path:
     shutil.copytree(shipped("molniya_mechanical"), folder)
     weights = read_weights(folder / "weights.safetensors")
     weights.about["space"]["frame"] = frame
+    (folder / "weights.safetensors").unlink()
     write_weights(folder / "weights.safetensors", weights)
     return folder

@@ -112,7 +112,7 @@ def test_a_mistake_is_one_message_and_leaves_nothing(place, capsys, words):
 
 @pytest.mark.usefixtures("place")
 def test_what_does_not_filter_online_is_refused(capsys):
-    assert call("ahnn.assimilate", "pretrained=molniya_mechanical", *FIXES, FILTER[1], "plugins=none") == 2
+    assert call("ahnn.assimilate", "pretrained=molniya_mechanical", FIXES[0], FILTER[1], "plugins=none") == 2
     assert "plugins: expected one that filters online, such as plugins=ukf" in capsys.readouterr().err
 
 

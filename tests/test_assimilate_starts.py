@@ -19,7 +19,7 @@ NOON = instant("2024-03-01T12:00:00", utc=True)
 MODEL = ["pretrained=molniya_mechanical", "plugins.ukf.process_noise=[1e-3,1e-5]"]
 NUMBERS = [f"start={ORBIT[0].tolist()}", "start_sd=[0.1,1e-4]"]
 P = np.diag([0.01] * 3 + [1e-8] * 3)
-LEFT = {"fixes.csv", "dated.csv", "start.oem"}
+LEFT = {"fixes.csv", "dated.csv", "start.oem", ".ahnn-files"}  # of the fixture's start.oem
 
 
 def dated(seconds):

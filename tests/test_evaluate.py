@@ -107,10 +107,26 @@ def test_an_override_that_has_no_effect_is_one_message(run, capfd, override, exp
 @pytest.mark.parametrize(
     ("file", "content", "expected"),
     [
-        ("config.yaml", "seed: [1\nlabel: }", r"config\.yaml: expected the YAML of a run; received"),
-        ("config.yaml", "- seed\n- label", r"config\.yaml: expected keys with values; received"),
-        ("config.yaml", "", r"config\.yaml: expected keys with values; received 'None'"),
-        ("config.yaml", "a: &a [1]\nb: *a", r"expected the YAML of a run; received: an alias"),
+        (
+            "config.yaml",
+            "seed: [1\nlabel: }",
+            "received a damaged file: while parsing",
+        ),
+        (
+            "config.yaml",
+            "- seed\n- label",
+            r"config\.yaml: .*, keys with plain values; received",
+        ),
+        (
+            "config.yaml",
+            "",
+            r"config\.yaml: .*, keys with plain values; received None",
+        ),
+        (
+            "config.yaml",
+            "a: &a [1]\nb: *a",
+            "received a damaged file: an alias",
+        ),
         ("config.yaml", "hello: 1", r"expected the configuration of a run; received one without system"),
         ("metrics.json", '{"schema": 2', r"metrics\.json: expected the results of an evaluation; received"),
         ("metrics.json", '{"rows": []}', r"metrics\.json: expected schema 2; received none"),

@@ -15,6 +15,7 @@ from ahnn import labels
 from ahnn.assimilation.figures import deviations
 from ahnn.assimilation.record import write_ephemeris
 from ahnn.data.files.source import Files
+from ahnn.data.reference import Reference
 from ahnn.data.starts import Starts, starts
 from ahnn.deviations import state_deviations
 from ahnn.errors import UserError
@@ -82,7 +83,7 @@ def test_no_door_calls_them_velocities_nor_divides_them():
     case = SimpleNamespace(space=ARMS)
     states = torch.arange(24, dtype=torch.float64).reshape(1, 6, 4)
     prediction, begin = Prediction(torch.arange(6.0), states), Starts(("1",), states[:, 0], torch.zeros(1))
-    table = columns(prediction, begin, ARMS, utc=False)
+    table = columns(prediction, begin, ARMS)
     record = SimpleNamespace(time=np.arange(3.0), covariance=np.tile(np.eye(4), (3, 1, 1)))
     panels = [SimpleNamespace(set_ylabel=lambda text: said.append(text)) for _ in range(2)]
     said: list[str] = []
@@ -125,7 +126,7 @@ def test_velocities_are_neither_read_nor_written_in_their_place(tmp_path):
     assert starts(str(tmp_path / "b.csv"), space).states.tolist() == [[1.0, 2.0]]
     orbit = Space("o", tuple("xyzabc"), Units("s", "km", "km/s", "km²/s²"), mechanical=False)
     with pytest.raises(UserError, match="oem: expected momenta that are mass times velocity"):
-        write_ephemeris(tmp_path / "o.oem", SimpleNamespace(), orbit, {})  # pyright: ignore[reportArgumentType]
+        write_ephemeris(tmp_path / "o.oem", SimpleNamespace(), orbit, "o", Reference())  # pyright: ignore
     with pytest.raises(UserError, match="output: expected momenta that are mass times velocity"):
-        ephemerides(Prediction(torch.zeros(1), torch.zeros(1, 1, 6)), starts([0.0] * 6, orbit), orbit, ())
+        ephemerides(Prediction(torch.zeros(1), torch.zeros(1, 1, 6)), starts([0.0] * 6, orbit), orbit)
     assert Files("f", str(tmp_path / "a.csv")).space.mechanical

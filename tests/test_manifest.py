@@ -187,9 +187,10 @@ def test_a_report_takes_no_folder_of_somebody_else(tmp_path, evaluated, capsys):
 def test_a_report_is_written_anew_and_follows_no_link_inside(tmp_path, evaluated, capsys, inside):
     arguments = (str(evaluated), "report.figures=false", f"output={tmp_path / 'out'}")
     assert call("ahnn.report", *arguments) == 0
-    (tmp_path / "out" / "figures" / "mine.txt").write_bytes(MINE)
+    (tmp_path / "out" / inside).mkdir(exist_ok=True)
+    (tmp_path / "out" / inside / "mine.txt").write_bytes(MINE)
     assert call("ahnn.report", *arguments) == 0
-    assert (tmp_path / "out" / "figures" / "mine.txt").read_bytes() == MINE
+    assert (tmp_path / "out" / inside / "mine.txt").read_bytes() == MINE
     (tmp_path / "out" / inside).rename(tmp_path / "elsewhere")
     (tmp_path / "out" / inside).symlink_to(tmp_path / "elsewhere")
     before = contents(tmp_path)

@@ -20,7 +20,7 @@ from ahnn.train import prepare
 
 SMALL = [
     *(text for text in FILES if not text.startswith("system=")),
-    *("trainer.max_epochs=1", "data.split=[0.34,0.33,0.33]", "model.network.width=4", "compile=false"),
+    *("trainer.max_epochs=1", "data.split=[0.34,0.33,0.33]", "model.network.width=4"),
 ]
 SPACE = ahnn.Space("files", ("q", "pq"), ahnn.Units("s", "m", "m/s", "m²/s²"))
 RECORDED = ["model=ahnn", "hamiltonian=mechanical", "sensor=recorded", "loss.stages=[[16, 1.0]]"]

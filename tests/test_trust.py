@@ -163,15 +163,15 @@ def test_no_file_of_a_run_is_unpickled(run, tmp_path, file, how):
     assert not trace.exists()
 
 
-def test_a_link_among_the_figures_is_replaced_and_not_followed(run, tmp_path):
+def test_a_link_among_the_figures_is_refused_and_not_followed(run, tmp_path):
     dear = tmp_path / "dear"
     dear.write_text("keep")
     target = run / "evaluations" / "mine" / "figures"
     target.mkdir(parents=True)
     (target / "error.png").symlink_to(dear)
-    assert call("ahnn.evaluate", f"run={run}", "name=mine", "evaluation.figures=true") == 0
+    assert call("ahnn.evaluate", f"run={run}", "name=mine", "evaluation.figures=true") == 2
     assert dear.read_text() == "keep"
-    assert not (target / "error.png").is_symlink()
+    assert (target / "error.png").is_symlink()
 
 
 def test_a_label_that_looks_things_up_is_a_text(run, capfd, monkeypatch):

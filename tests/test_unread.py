@@ -91,4 +91,4 @@ def built(cfg):
 
 def test_keys_are_those_that_are_set():
     texts = ["a.b=1", "+c=2", "~d", "++e.f=3", "g@h.i=j", "~k=l"]
-    assert keys_of(texts) == ["a.b", "c", "e.f", "g"]
+    assert keys_of(texts) == ["a.b", "c", "e.f", "h.i"]

@@ -17,8 +17,8 @@ from ahnn.data.recorded import Recorded
 from ahnn.data.sensor import Sensor
 from ahnn.errors import UserError
 from ahnn.memory import require_memory
-from ahnn.runs import about_space
 from ahnn.shooting.robust import ROBUST, RobustName
+from ahnn.stored import about_space
 from ahnn.systems import System
 
 if TYPE_CHECKING:

@@ -17,9 +17,9 @@ REFERENCE = re.compile(r"\$\{(?:oc\.select:)?([\w.]+)")
 
 
 def keys_of(texts: Iterable[str]) -> list[str]:
-    """Return the keys, and the groups, that overrides set; those that are taken away are none."""
-    pairs = (text.partition("=") for text in texts if not text.startswith("~"))
-    return [key.lstrip("+").partition("@")[0] for key, equals, _ in pairs if equals]
+    """Return the keys, and the groups, that overrides set; an option of a group may be put elsewhere, `@`."""
+    pairs = (text.partition("=") for text in texts if not text.startswith("~"))  # these take keys away
+    return [key.lstrip("+").rpartition("@")[2] for key, equals, _ in pairs if equals]
 
 
 def unreferenced(cfg: DictConfig, keys: Iterable[str]) -> list[str]:

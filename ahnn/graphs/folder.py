@@ -9,14 +9,15 @@ from typing import Any
 
 from torch import nn
 
-from ahnn.checkpoints import Weights, checksum, write_weights
+from ahnn.checkpoints import Weights, checksum, packed
 from ahnn.errors import UserError
 from ahnn.evaluation.provenance import provenance
 from ahnn.files import whole_folder
 from ahnn.graphs.modules import modules
 from ahnn.graphs.programs import INPUT, OUTPUT, as_onnx, as_pt2, program, require_onnx
 from ahnn.progress import track
-from ahnn.runs import Run, about_space
+from ahnn.runs import Run
+from ahnn.stored import about_space
 
 ABOUT, WEIGHTS = "model.json", "weights.safetensors"
 SHAPES = {"flow": ["batch", "components"], "energy": ["batch"]}
@@ -38,7 +39,7 @@ def write_export(run: Run, folder: Path) -> list[str]:
             found = program(module, len(run.space.components))
             (place / f"{name}.pt2").write_bytes(as_pt2(found))
             (place / f"{name}.onnx").write_bytes(as_onnx(found))
-        write_weights(place / WEIGHTS, Weights(run.dynamics.state_dict(), run.about))
+        (place / WEIGHTS).write_bytes(packed(Weights(run.dynamics.state_dict(), run.about)))
         (place / ABOUT).write_text(json.dumps(about(run, parts), indent=2) + "\n")
         return sorted(path.name for path in place.iterdir())
 

@@ -21,7 +21,7 @@ def states_of(x: Numbers, who: str, dynamics: Dynamics, space: Space) -> Tensor:
     """
     like = next(dynamics.parameters(), torch.empty(0, dtype=torch.float64))
     states, size = as_float64(x, who, like.device).to(like.dtype), len(space.components)
-    if states.shape[-1:] != (size,) or not states.numel():
+    if states.shape[-1:] != (size,):
         known, shape = ", ".join(space.components), tuple(states.shape)
         message = f"{who}: expected states [{known}] along the last axis; received shape {shape}"
         raise UserError(message)

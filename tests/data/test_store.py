@@ -17,7 +17,7 @@ from helpers import SYSTEMS
 from ahnn.data import store
 from ahnn.data.generate import generate
 from ahnn.errors import UserError
-from ahnn.files import write_atomically
+from ahnn.files import write_cached
 from ahnn.types import Trajectories
 
 SPRING = dataclasses.replace(SYSTEMS["mass_spring"], steps=5)
@@ -106,14 +106,14 @@ def test_a_folder_that_cannot_be_written_is_refused_before_generation(tmp_path):
 
 def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path, monkeypatch):
     path = tmp_path / "x"
-    write_atomically(path, b"old")
+    write_cached(path, b"old")
 
     def fail(_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", fail)
     with pytest.raises(OSError, match="No space left"):
-        write_atomically(path, b"new")
+        write_cached(path, b"new")
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
 
@@ -121,8 +121,8 @@ def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path, monkeypatch)
 def test_readers_see_whole_files_while_others_write(tmp_path):
     path = tmp_path / "x"
     contents = [bytes([i]) * 200_000 for i in range(4)]
-    write_atomically(path, contents[0])
-    writers = [threading.Thread(target=write_atomically, args=(path, c)) for c in contents]
+    write_cached(path, contents[0])
+    writers = [threading.Thread(target=write_cached, args=(path, c)) for c in contents]
     for writer in writers:
         writer.start()
     seen = {path.read_bytes() for _ in range(50)}
@@ -134,9 +134,9 @@ def test_readers_see_whole_files_while_others_write(tmp_path):
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from ahnn.files import write_atomically
+from ahnn.files import write_cached
 os.fsync = lambda _: os.kill(os.getpid(), signal.SIGKILL)
-write_atomically(Path(sys.argv[1]), b"new")
+write_cached(Path(sys.argv[1]), b"new")
 """
 
 
@@ -145,7 +145,7 @@ def test_what_a_killed_writer_left_goes_with_the_next_write_in_the_folder(tmp_pa
     foreign = tmp_path / ".mine.tmp"
     foreign.write_bytes(b"dear")
     assert len(list(tmp_path.glob(".x.*.tmp"))) == 1
-    write_atomically(tmp_path / "z", b"new")
+    write_cached(tmp_path / "z", b"new")
     assert {path.name for path in tmp_path.iterdir()} == {".mine.tmp", "z"}
 
 
@@ -155,7 +155,7 @@ def test_no_writer_loses_its_file_to_the_others(tmp_path):
     def write(number):
         try:
             for _ in range(100):
-                write_atomically(tmp_path / f"{number}", bytes(1000))
+                write_cached(tmp_path / f"{number}", bytes(1000))
         except OSError as error:
             failures.append(error)
 

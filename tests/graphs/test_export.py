@@ -26,7 +26,8 @@ from ahnn.graphs import write_export
 from ahnn.graphs.modules import modules, normal
 from ahnn.graphs.programs import as_onnx, program
 from ahnn.pretrained import names
-from ahnn.runs import about_space, made
+from ahnn.runs import made
+from ahnn.stored import about_space
 from ahnn.systems import Kepler
 
 ort = pytest.importorskip("onnxruntime")
@@ -153,7 +154,7 @@ def test_what_fails_in_the_middle_leaves_nothing(tmp_path, cache, monkeypatch):
     def fail(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("ahnn.graphs.folder.write_weights", fail)
+    monkeypatch.setattr("ahnn.graphs.folder.packed", fail)
     monkeypatch.setattr("ahnn.graphs.folder.as_onnx", lambda _: b"")
     with pytest.raises(OSError, match="No space"):
         write_export(learned(cache, "mlp"), tmp_path / "mine")

@@ -22,6 +22,7 @@ from ahnn.errors import UserError
 from ahnn.estimation.belief import Status
 from ahnn.estimation.scenario import Problem, Setting
 from ahnn.files import write_atomically
+from ahnn.manifest import is_own
 from ahnn.metrics import errors, rmse_norm
 from ahnn_plugins.ukf.assimilation import Filter, assimilate, shown
 from ahnn_plugins.ukf.types import UnscentedParameters
@@ -172,12 +173,14 @@ def objectives(
 
 
 def tuned_once(chosen: Filter, setting: Setting, problem: Problem, options: Tuning, path: Path) -> Tuned:
-    """Return the tuned constants that a file holds for this very search, or search and write it."""
+    """Return the tuned constants that a file holds for this very search, or search and write them."""
     recipe = _recipe(chosen, setting, problem, options)
     stored = _stored(path)
     if stored.get("recipe") == recipe:
         return Tuned(stored["values"], stored["objective"], stored["untuned"])
     tuned = tune(chosen, setting, problem, options)
+    if path.exists() and not is_own(path):  # somebody has changed it
+        return tuned
     write_atomically(path, json.dumps({**tuned._asdict(), "recipe": recipe}, indent=2).encode())
     return tuned
 

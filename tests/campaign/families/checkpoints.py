@@ -6,9 +6,10 @@ from functools import partial
 
 import torch
 
-from ahnn.checkpoints import FORMAT, Weights, write_weights
+from ahnn.checkpoints import FORMAT, Weights, read_weights, write_weights
 from ahnn.dynamics import make_dynamics
-from ahnn.runs import about_space, made, read_weights
+from ahnn.runs import made
+from ahnn.stored import about_space
 from ahnn.types import Space
 
 from .damage import damaged

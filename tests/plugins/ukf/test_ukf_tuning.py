@@ -87,6 +87,7 @@ def test_values_are_stored_and_used_again(
             tuned_once(chosen, setting, arcs._replace(measurements=2 * arcs.measurements), options, path)
     path.write_text("{")
     assert tuned_once(*search, options, path) == first
+    assert path.read_text() == "{"  # as somebody has left it
 
 
 def test_only_what_has_a_range_is_searched(search: tuple) -> None:
