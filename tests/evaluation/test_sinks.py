@@ -41,7 +41,7 @@ def test_pictures_are_written_fresh_in_two_formats(tmp_path):
     expected = {"error.png", "error.svg", "ukf_state.png", "ukf_state.svg", "notes.txt", ".ahnn-files"}
     assert names(tmp_path / "figures") == expected
     FigureSink(tmp_path)(RESULTS, findings())
-    assert names(tmp_path / "figures") == {"notes.txt", ".ahnn-files"}
+    assert names(tmp_path / "figures") == {"notes.txt"}
 
 
 def test_the_same_figure_is_the_same_file(tmp_path):
@@ -73,7 +73,7 @@ def test_predictions_are_kept_or_removed(tmp_path):
     PredictionSink(tmp_path)(RESULTS, findings())
     assert torch.equal(load_file(tmp_path / "predictions.safetensors")["a"], torch.arange(3.0))
     PredictionSink(tmp_path, keep=False)(RESULTS, findings())
-    assert names(tmp_path) == {".ahnn-files"}
+    assert not names(tmp_path)
 
 
 def test_tensorboard_gets_one_name_for_all_models():
