@@ -37,4 +37,5 @@ def _recurs(cfg: DictConfig) -> bool:
     if fraction is None:  # measurements: stages say how long segments are
         return False
     chosen = OmegaConf.select(cfg, "callbacks.best.monitor") != "val/rollout"
-    return chosen or not isinstance(epochs, int) or epochs - 1 >= fraction * epochs
+    known = isinstance(epochs, int) and isinstance(fraction, int | float)  # types are checked in each job
+    return chosen or not known or epochs - 1 >= fraction * epochs

@@ -30,7 +30,7 @@ from ahnn.types import Trajectories
 
 log = logging.getLogger(__name__)
 
-FORMAT = 3
+FORMAT = 4
 """Raise this number when the meaning of a stored file changes, for example after a fix of the generator."""
 BLOCK = 2**24
 """Bytes that are read at once for a checksum."""
@@ -150,7 +150,8 @@ def write(path: Path, parts: Iterable[Trajectories], made_from: dict[str, object
         assert times is not None
         file.write(content(times))
         file.seek(0)
-        file.write(header(made_from, digest.hexdigest(), (written, *shape[1:]), times.shape))
+        shapes = (written, *shape[1:]), times.shape
+        file.write(header(made_from, sealed(digest, *shapes), *shapes))
 
 
 def header(made_from: dict[str, object], sha256: str, states: Sequence[int], times: Sequence[int]) -> bytes:
@@ -177,14 +178,14 @@ def read(path: Path) -> Trajectories:
     with safe_open(path, framework="pt") as file:
         metadata = file.metadata()
         states, times = file.get_tensor("states"), file.get_tensor("times")
-    if checksum_in(path, times) != metadata["sha256"]:
+    if checksum_in(path, states.shape, times) != metadata["sha256"]:
         message = "checksum mismatch"
         raise ValueError(message)
     return Trajectories(states, times.expand(states.shape[:2]))
 
 
-def checksum_in(path: Path, times: Tensor) -> str:
-    """Return the checksum of a file whose states lie before its times.
+def checksum_in(path: Path, states: Sequence[int], times: Tensor) -> str:
+    """Return the checksum of a file whose states, of the shape it says, lie before its times.
 
     The file is read and not its map, which would fill the memory of this process with it.
     """
@@ -196,13 +197,20 @@ def checksum_in(path: Path, times: Tensor) -> str:
         while left > 0 and (block := file.read(min(left, BLOCK))):
             digest.update(block)
             left -= len(block)
-    return digest.hexdigest()
+    return sealed(digest, states, times.shape)
 
 
 def checksum(trajectories: Trajectories) -> str:
-    """Return the SHA-256 of the times and the states."""
-    digest = hashlib.sha256(content(shared_times(trajectories)))
+    """Return the SHA-256 of the times, the states and their shapes."""
+    times = shared_times(trajectories)
+    digest = hashlib.sha256(content(times))
     digest.update(content(trajectories.states))
+    return sealed(digest, trajectories.states.shape, times.shape)
+
+
+def sealed(digest: Any, states: Sequence[int], times: Sequence[int]) -> str:
+    """Return the digest of contents and of the shapes without which they are other trajectories."""
+    digest.update(f"{[*states]}{[*times]}".encode())
     return digest.hexdigest()
 
 
