@@ -53,6 +53,13 @@ def predict(
 ) -> tuple[FilterState, Propagated]:
     """Return the state after a step of the flow that ends at `time`."""
     points = propagate(flow, draw(state.belief, weights), dt)
+    return predict_from(points, state, time, chol_q, weights, form)
+
+
+def predict_from(
+    points: Tensor, state: FilterState, time: Tensor, chol_q: Tensor, weights: Weights, form: Form
+) -> tuple[FilterState, Propagated]:
+    """Return the state at `time`, given the sigma points (B, S, D) of the state after the flow."""
     predicted, repaired, sound = form.predict(points, weights, chol_q)
     after = add_repairs(FilterState(predicted, time, state.steps + 1, *state[3:]), repaired)
     if not sound:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ahnn.libraries import NUMBER as N
 from ahnn.libraries import POINTER as P
+from ahnn.libraries import REAL as R
 from ahnn.libraries import compiled_library
 
 SIGNATURES = {
@@ -16,6 +17,7 @@ SIGNATURES = {
     "ahnn_joint": (N, N, N, P, P, N, P, N, P, P, N, P, N, P, P),
     "ahnn_condition": (N, N, N, P, P, P, P, N, P, P, P, P, P, P, P),
     "ahnn_read": (N, N, N, P, P, P, N, P, N, P, P, P, P, P, P, P),
+    "ahnn_whole": (N, N, N, P, P, P, P, N, P, N, P, P, N, R, P, P, P, P, P, P, P, P, P, P, P),
 }
 """Arguments of its functions: addresses and numbers."""
 

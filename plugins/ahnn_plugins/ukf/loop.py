@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-import torch
 from torch import Tensor
 
 from ahnn.estimation.belief import Belief
@@ -16,6 +15,7 @@ from ahnn_plugins.ukf.records import Step, collected
 from ahnn_plugins.ukf.smoother import backward_kernel
 from ahnn_plugins.ukf.steps import Grid
 from ahnn_plugins.ukf.types import Backward, FilterResult, Form, Weights
+from ahnn_plugins.ukf.whole_steps import WholeSteps
 
 
 class StepModel(NamedTuple):
@@ -53,11 +53,15 @@ def run(
         form: of the covariances.
         smoothing: keep what `unscented_smoother` needs.
     """
-    after, steps = before, []
-    empty = torch.isnan(rows).all(-1).all(0).tolist()
+    after, steps, whole = before, [], WholeSteps(rows, weights, form)
     for k, (length, time) in enumerate(zip(*grid, strict=True)):
-        row = None if empty[k] else rows[:, k]
-        after, step = _step(row, after, length, time, models(k), weights, form, smoothing=smoothing)
+        flow, chol_q, sensor = models(k)
+        points = kernel.propagate(flow, whole.points(after), length)
+        done = None if smoothing else whole.step(k, after, points, time, chol_q, sensor)
+        if done is None:
+            row = None if whole.empty[k] else rows[:, k]
+            done = _step(row, after, points, time, chol_q, sensor, weights, form, smoothing=smoothing)
+        after, step = done
         steps.append(step)
     return collected(steps, before, after, rows)
 
@@ -65,17 +69,17 @@ def run(
 def _step(
     row: Tensor | None,
     state: FilterState,
-    length: float,
+    points: Tensor,
     time: Tensor,
-    model: StepModel,
+    chol_q: Tensor,
+    sensor: kernel.Sensor,
     weights: Weights,
     form: Form,
     *,
     smoothing: bool,
 ) -> tuple[FilterState, Step]:
-    """Return the state after a step that ends at `time`, and its record."""
-    flow, chol_q, sensor = model
-    after, propagated = kernel.predict(state, flow, length, time, chol_q, weights, form)
+    """Return the state after a step in which anything may happen to a member, and its record."""
+    after, propagated = kernel.predict_from(points, state, time, chol_q, weights, form)
     backward = updated = rejected = None
     if smoothing:
         after, backward = _backward(after, state.belief, propagated, chol_q, weights)

@@ -208,3 +208,25 @@ KERNEL long ahnn_read(long batch, long size, long width, const double *y, const 
     free(a);
     return sound ? SOUND : UNSOUND;
 }
+
+/* All of a step after the flow: the prediction, the posterior given the row y, unless that is null, and the sigma
+   points of the next step. Sound if both are, no NIS is above the limit and no residual above half a period; else
+   there are no further points. */
+long ahnn_whole(long batch, long size, long width, const double *points, const double *outer,
+                const double *recentring, const double *radius, long weight_step, const double *chol_q, long q_step, const double *y,
+                const double *chol_r, long r_step, double limit, const double *half, double *prior,
+                double *prior_chol, double *residuals, double *mean, double *chol, double *deviations, double *nis,
+                double *log_likelihood, unsigned char *singular, double *further) {
+    long own = size * size;
+    long told = ahnn_predict(batch, size, points, outer, recentring, weight_step, chol_q, q_step, prior,
+                             prior_chol);
+    if (told == SOUND && y) {
+        told = ahnn_read(batch, size, width, y, prior, prior_chol, own, chol_r, r_step, residuals, mean, chol,
+                         deviations, nis, log_likelihood, singular);
+        for (long b = 0; b < batch && told == SOUND; b++) told = nis[b] <= limit ? SOUND : UNSOUND;
+        for (long i = 0; i < batch * width && told == SOUND; i++)
+            told = fabs(residuals[i]) <= half[i % width] ? SOUND : UNSOUND;
+    }
+    if (told != SOUND) return told;
+    return ahnn_draw(batch, size, y ? mean : prior, y ? chol : prior_chol, own, radius, weight_step, further);
+}

@@ -77,6 +77,64 @@ def read(prior: Belief, y: Tensor, chol_r: Tensor) -> Updated:
     return _updated(_call("ahnn_read", *shapes, y, mean, chol, step, noise, noise_step, *results), results)
 
 
+class Memory:
+    """What the whole steps of a run make, step by step.
+
+    Args:
+        rows: (B, T, M) measurements.
+        size: D.
+        weights: of the sigma points.
+    """
+
+    def __init__(self, rows: Tensor, size: int, weights: Weights) -> None:
+        (batch, steps, width), new = rows.shape, rows.new_empty
+        self.rows, self.weights, self.shape = rows.transpose(0, 1).contiguous(), weights, (batch, size, width)
+        beliefs = [new(steps, batch, *((size,) * k)) for k in (1, 2, 1, 2)]
+        told = [new(steps, batch, width), new(steps, batch, width), new(steps, batch), new(steps, batch)]
+        singular = new(steps, batch, dtype=torch.bool)
+        parts = (*beliefs[:2], told[0], *beliefs[2:], *told[1:], singular)
+        self.places = [(part.data_ptr(), part[0].numel() * part.element_size()) for part in parts]
+        self.steps = list(zip(*(part.unbind() for part in parts), strict=True))
+
+    def step(
+        self,
+        k: int,
+        points: Tensor,
+        chol_q: Tensor,
+        chol_r: Tensor,
+        limit: float,
+        half: Tensor,
+        *,
+        measured: bool,
+    ) -> Tensor | None:
+        """Do what `predict`, `read` and `draw` do, one after the other.
+
+        Args:
+            k: number of the step.
+            points: (B, S, D) sigma points after the flow.
+            chol_q: (B, D, D) lower factor of the process noise.
+            chol_r: (B, M, M) lower factor of the measurement noise.
+            limit: largest NIS that is taken.
+            half: (M,) half periods of the numbers, inf of those that are no angles; larger residuals wrap.
+            measured: whether there is a row to read, with nothing missing.
+
+        Returns:
+            The sigma points of the next step; None where a member is not sound.
+        """
+        points, (q, q_step), (r, r_step) = points.contiguous(), _members(chol_q), _members(chol_r)
+        further, outer = torch.empty_like(points), self.weights.outer
+        scales = outer, self.weights.recentring, self.weights.radius, _step(outer)
+        row = self.rows[k] if measured else 0
+        places = [place + k * length for place, length in self.places]
+        arguments = (points, *scales, q, q_step, row, r, r_step, limit, half, *places, further)
+        return further if _call("ahnn_whole", *self.shape, *arguments) else None
+
+    def made(self, k: int) -> tuple[Belief, Updated]:
+        """Return prediction and update of step k."""
+        mean, chol, *results = self.steps[k]
+        return Belief(mean, chol), _updated(True, tuple(results))
+
+
 def _results(prior: Belief, innovation: Tensor) -> tuple[Tensor, ...]:
     """Return memory for what an update tells, innovations in front."""
     (batch, size), new = prior.mean.shape, innovation.new_empty

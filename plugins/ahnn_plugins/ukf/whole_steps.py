@@ -1,0 +1,88 @@
+"""Whole steps in one call of the library, for as long as there is nothing to decide.
+
+Where whole rows of the first components of a state are measured and all members take them, prediction,
+posterior and sigma points are all that is between two calls of the flow. The arithmetic is that of single
+steps, in the same functions: results have the same bits.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from ahnn.estimation.belief import Belief
+from ahnn.estimation.state import FilterState
+from ahnn.measurements import periods
+from ahnn_plugins.ukf import members
+from ahnn_plugins.ukf.kernel import READINGS, Sensor, taken
+from ahnn_plugins.ukf.records import Step
+from ahnn_plugins.ukf.sigma_points import draw
+from ahnn_plugins.ukf.types import Form, Weights
+
+
+class WholeSteps:
+    """The steps of one run, and the sigma points that wait for the flow.
+
+    Args:
+        rows: (B, T, M) measurements of the run.
+        weights: of the sigma points.
+        form: of the covariances.
+    """
+
+    def __init__(self, rows: Tensor, weights: Weights, form: Form) -> None:
+        missing = torch.isnan(rows).transpose(0, 1).flatten(1)
+        self.whole, self.empty = (~missing.any(1)).tolist(), missing.all(1).tolist()
+        known = form.read is not None and weights.crowding is None
+        self.possible = [known and (a or b) for a, b in zip(self.whole, self.empty, strict=True)]
+        self.rows, self.weights = rows, weights
+        self.memory: members.Memory | None = None
+        self.further: tuple[Belief, Tensor] | None = None
+        self.seen: tuple[object, object, object] = None, None, None  # what `_knows` looked at last
+        self.half = rows.new_empty(0)  # half periods of its numbers
+
+    def points(self, state: FilterState) -> Tensor:
+        """Return the sigma points (B, S, D) of a state, which the step before may have drawn."""
+        if self.further is not None and self.further[0] is state.belief:
+            return self.further[1]
+        return draw(state.belief, self.weights)
+
+    def step(
+        self, k: int, state: FilterState, points: Tensor, time: Tensor, chol_q: Tensor, sensor: Sensor
+    ) -> tuple[FilterState, Step] | None:
+        """Return the state after step k from the points (B, S, D) after the flow, and its record.
+
+        Returns:
+            None where the step is not the library's, or not all of it is as it should be.
+        """
+        if not self.possible[k] or not self._knows(state, points, chol_q, sensor):
+            return None
+        if self.memory is None:
+            self.memory = members.Memory(self.rows, points.shape[-1], self.weights)
+        limit = math.inf if sensor.thresholds is None else float(sensor.thresholds[-1])
+        whole = self.whole[k]
+        limits = limit, self.half
+        further = self.memory.step(k, points, chol_q, sensor.chol_r, *limits, measured=whole)
+        if further is None:
+            return None
+        predicted, updated = self.memory.made(k)
+        after = FilterState(predicted, time, state.steps + 1, *state[3:])
+        after = taken(after, updated) if whole else after
+        self.further = after.belief, further
+        rejected = torch.zeros_like(updated.singular)
+        told = (updated, rejected) if whole else (None, None)
+        return after, Step(predicted, after.belief, *told, None)
+
+    def _knows(self, state: FilterState, points: Tensor, chol_q: Tensor, sensor: Sensor) -> bool:
+        """Return whether the library does a step of these, and all members are alive."""
+        status, q, told = self.seen
+        if not (status is state.status and q is chol_q and told is sensor):
+            read = type(sensor.measurement) in READINGS and self.rows.shape[-1] <= points.shape[-1]
+            if not read or bool(state.status.any()):
+                return False
+            if not members.apply_to(self.weights, chol_q, sensor.chol_r, self.rows):
+                return False
+            self.seen = state.status, chol_q, sensor
+            self.half = 0.5 * self.rows.new_tensor(periods(sensor.measurement))
+        return members.apply_to(self.weights, points)
