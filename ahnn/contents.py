@@ -92,7 +92,8 @@ def plain_yaml(text: str) -> Any:
     """Return the plain values of a YAML text, of whatever source; nothing that it names is built.
 
     Raises:
-        yaml.YAMLError: damaged, a tag of an object, or an alias: that could make a small file a huge value.
+        yaml.YAMLError: damaged, a key twice, a tag of an object, or an alias: that could make a small file a
+            huge value.
     """
     return yaml.load(text, _Plain)
 
@@ -103,6 +104,13 @@ class _Plain(yaml.SafeLoader):
             message = "an alias"
             raise yaml.YAMLError(message)
         return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        names = [key.value for key, _ in node.value]
+        if again := [name for name in names if names.count(name) > 1]:
+            message = f"the key {str(again[0])[:40]!r} twice"
+            raise yaml.YAMLError(message)
+        return super().construct_mapping(node, deep)
 
 
 _Plain.add_implicit_resolver(  # YAML 1.1 takes 1e5 for a text, JSON and YAML 1.2 for a number

@@ -207,7 +207,9 @@ def remarks(blocks: list[Block], *, covariances: bool = True) -> list[Remark]:
     names: dict[str, None] = {}
     found: list[Remark] = []
     for block in blocks:
-        names |= block.unused | {key: None for key in UNUSED if key in block.meta}
+        fixed = canonical(block.meta.get("REF_FRAME", "").upper()) in FIXED  # of which a date says nothing
+        unused = (*UNUSED, "REF_FRAME_EPOCH") if fixed else UNUSED
+        names |= block.unused | {key: None for key in unused if key in block.meta}
         if block.matrices and not covariances:
             names["covariances"] = None
         for key in block.meta:

@@ -34,7 +34,7 @@ def warm() -> None:
     """Import what the doors import, once for all forked processes."""
     for name in (*(f"ahnn.{door}" for door in DOORS), "ahnn.graphs", "ahnn.prediction.output", "ahnn.runs",
                  "ahnn.assimilation.session", "ahnn.cli.stream", "ahnn.cli.again", "ahnn.cli.parts",
-                 "ahnn.data.doctor", "ahnn.evaluation.prepare", "ahnn.prediction.starts", "ahnn_plugins.ukf"):  # fmt: skip
+                 "ahnn.data.doctor", "ahnn.evaluation.prepare", "ahnn.data.starts", "ahnn_plugins.ukf"):  # fmt: skip
         importlib.import_module(name)
 
 
