@@ -38,8 +38,14 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 
 def write_cached(path: Path, content: bytes) -> None:
-    """Write bytes to a file of a cache, or of a state that proves by its content that it is ours."""
+    """Write bytes to a file of a cache, whose folder holds nothing else."""
     with atomic_file(path) as file:
+        file.write(content)
+
+
+def write_state(path: Path, content: bytes) -> None:
+    """Write bytes to a file that proves by its content that it is ours, in somebody's folder."""
+    with atomic_file(path, digest_of(content)[:MARK]) as file:
         file.write(content)
 
 

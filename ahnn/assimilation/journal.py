@@ -11,7 +11,7 @@ from typing import BinaryIO
 
 from ahnn.contents import read_whole
 from ahnn.errors import UserError
-from ahnn.files import write_cached
+from ahnn.files import write_state
 from ahnn.memory import available
 
 
@@ -86,7 +86,7 @@ class Journal(io.RawIOBase):
         """A state holds the stream up to a place: keep what was read beyond it."""
         del self._kept[: place - self._base]
         self._base = place
-        write_cached(self.path, _piece(b"%d" % place) + _piece(self._kept))
+        write_state(self.path, _piece(b"%d" % place) + _piece(self._kept))
         self._close()
         self._file = self.path.open("ab")
 

@@ -17,7 +17,7 @@ from ahnn.checkpoints import Weights, packed, read_safetensors
 from ahnn.errors import UserError
 from ahnn.estimation.belief import Belief, Status
 from ahnn.estimation.state import FilterState, detached
-from ahnn.files import write_cached
+from ahnn.files import write_state
 
 FORMAT = "ahnn filter state 2"
 """Raise the number when the meaning of a stored tensor changes. Format 1 had no checksum."""
@@ -67,7 +67,7 @@ def save_state(state: FilterState, path: Path | str, notes: Mapping[str, str] | 
     orders = {name: _order(part) for name, part in parts.items()}
     content = {name: part.cpu().permute(orders[name]).contiguous().clone() for name, part in parts.items()}
     about = {"format": FORMAT, "orders": orders, "notes": dict(notes or {})}
-    write_cached(Path(path), packed(Weights(content, about)))
+    write_state(Path(path), packed(Weights(content, about)))
 
 
 def load_state(path: Path | str, device: torch.device | str = "cpu") -> FilterState:
