@@ -84,10 +84,12 @@ def content(
     tracks, starts = [], []
     for one in sets_of(text, file, note):
         try:
-            tracks.append(propagated(model, one, times))
-            starts.append(epoch(one))
+            track, start = propagated(model, one, times), epoch(one)
         except Fault as fault:
             note(fault)
+        else:
+            tracks.append(track)
+            starts.append(start)
     note(Remark(Place(file), UNUSED))
     if not tracks:
         Place(file).refuse("an element set, lines that begin with 1 and 2", "none")

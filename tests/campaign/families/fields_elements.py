@@ -53,7 +53,7 @@ ELEMENTS: list[Change] = [
     ("another designator", element("one", 9, "14070B"), "same"),
     ("another set number", element("one", 64, " 1000"), "same"),
     ("SGP4-XP", element("one", 62, "4"), "word"),
-    ("another theory", element("one", 62, "2"), "word"),
+    ("another theory", element("one", 62, "1"), "word"),
     ("a set twice", lambda p: p.update(times=2), "word"),
     ("a line 2 without line 1", lambda p: p.update(before="2" + 68 * " " + "\n"), "word"),
     ("text between the lines", lambda p: p.update(between="a remark\n"), "same"),

@@ -131,3 +131,12 @@ def test_sgp4s_own_velocities_are_no_fault(tmp_path, inclination, eccentricity):
     (tmp_path / "a.txt").write_text(f"{FIRST}\n{signed(second)}\n")
     found = examine([tmp_path / "a.txt"], Reading(step=300.0, duration=259200.0))
     assert [one for one in found.findings if one.level == "fault"] == []
+
+
+@pytest.mark.parametrize("text", ["24367.50000000", "24000.50000000"])
+def test_an_epoch_that_is_none_is_a_fault_of_the_check_too(tmp_path, text):
+    pytest.importorskip("sgp4")
+    path = tmp_path / "a.tle"
+    path.write_text(f"{signed(f'{FIRST[:18]}{text}{FIRST[32:68]}')}\n{SECOND}\n")
+    found = examine([path], Reading(False, None, 60.0, 600.0))
+    assert any("a day of the year" in fault.what for fault in found.faults)
