@@ -70,7 +70,9 @@ def saved(place, expected, name, value) -> None:
     shutil.copy(kept / "fixes.csv", place / "fixes.csv")
     shutil.copy(kept / "half.csv", place / "o.csv")
     with safe_open(kept / "half", framework="pt") as file:
-        parts, notes = {key: file.get_tensor(key) for key in file.keys()}, file.metadata()  # noqa: SIM118
+        parts, beside = {key: file.get_tensor(key) for key in file.keys()}, file.metadata()  # noqa: SIM118
+    about = json.loads(beside["ahnn"])
+    notes = about["notes"]
     if name in STATES:
         key, act = STATES[name]
         table = parts if key in parts else notes
@@ -78,7 +80,7 @@ def saved(place, expected, name, value) -> None:
     else:
         notes["stream"] = json.dumps(changed(json.loads(notes["stream"]), name, value))
     content = {key: part.contiguous() for key, part in parts.items()}
-    (place / "state").write_bytes(save(content, notes))
+    (place / "state").write_bytes(save(content, beside | {"ahnn": json.dumps(about)}))
     code, said = enter(place, "assimilate", *words(place))
     answered(code, said)
     assert (place / "o.csv").read_text() == expected, f"other estimates, exit code 0: {said[-200:]}"
