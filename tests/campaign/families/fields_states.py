@@ -58,7 +58,7 @@ STATES = {
     "chol, doubled": ("chol", lambda t: 2 * t), "chol, empty": ("chol", lambda t: t[:0]), "time, NaN": ("time", lambda t: t * NAN),
     "time, later": ("time", lambda t: t + 60), "steps": ("steps", lambda t: t + 1), "status": ("status", lambda t: t + 1),
     "rejections": ("rejections", lambda t: t + 3), "mean, moved": ("mean", lambda t: t + 1.0),
-    "readings": ("readings", lambda _: "[]"), "since": ("since", lambda _: "nan"), "since, earlier": ("since", lambda _: "0.0"),
+    "readings": ("readings", lambda _: "[]"),
     "of": ("of", lambda _: "0"), "readings, moved": ("readings", lambda text: text.replace("[[120.0", "[[121.0")),
 }  # fmt: skip
 """Changes of the tensors and notes of a saved stream."""

@@ -180,7 +180,7 @@ def of_tensors(place: Path, words: list[str], data: Trajectories, space: Space) 
     """Return what a training from Python would see."""
     found = []
 
-    def instead(cfg, source=None):
+    def instead(cfg, source=None, *_):
         found.extend(splits(build_data(cfg, source)))
         raise StopIteration
 
