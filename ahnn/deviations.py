@@ -58,11 +58,13 @@ def state_deviations(given: Any, space: Space, who: str) -> Tensor:
 
 
 def require_finite(states: Tensor) -> None:
-    """Refuse starts (B, D) with NaN or infinity; raises UserError."""
-    wrong = ~states.isfinite().all(-1)
+    """Refuse starts (B, D) with NaN, infinity, or numbers whose squares are infinite; raises UserError."""
+    wrong = ~states.square().isfinite().all(-1)
     if bool(wrong.any()):
         row = int(wrong.nonzero()[0])
-        message = f"start: expected finite numbers; received {states[row].tolist()} in start {row + 1}"
+        message = (
+            f"start: expected finite numbers up to 1e150; received {states[row].tolist()} in start {row + 1}"
+        )
         raise UserError(message)
 
 

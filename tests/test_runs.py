@@ -169,7 +169,10 @@ ASKED = {
         r"start: expected shape \(B, 6\); received \(1, 1, 6",
     ),
     "no start": (lambda run: run.rollout([], 3), r"start: expected states .* received shape \(0,\)"),
-    "a mask": (lambda run: run.rollout(MASKED, 3), "start: expected finite numbers; received .nan"),
+    "a mask": (
+        lambda run: run.rollout(MASKED, 3),
+        "start: expected finite numbers up to 1e150",
+    ),
     "backwards": (lambda run: run.rollout(ORBIT, -1), "steps: expected a whole number >= 0; received -1"),
     "half a step": (lambda run: run.rollout(ORBIT, 2.5), "steps: .* received 2.5"),
     "too many": (lambda run: run.rollout(ORBIT, 10**13), "steps: expected predicted states that fit"),

@@ -8,6 +8,7 @@ import torch
 from ahnn.arguments import Positive, check_values, fits
 from ahnn.data.files.content import Content
 from ahnn.data.files.samples import Track
+from ahnn.data.files.table import FINITE, LARGEST
 from ahnn.data.files.units import unit
 from ahnn.errors import UserError
 from ahnn.numbers import as_float64, described
@@ -66,9 +67,11 @@ def check_trajectories(given: Trajectories, space: Space) -> Trajectories:
             f"received {tuple(times.shape)}"
         )
         raise UserError(message)
-    if bool(states.isinf().any()) or bool(times.isinf().any()):
-        message = "states and times: expected finite numbers, NaN where a sample is absent; received inf"
-        raise UserError(message)
+    for name, part in (("states", states), ("times", times)):
+        if bool((beyond := part.abs() > LARGEST).any()):
+            received = float(part[beyond][0])
+            message = f"{name}: expected {FINITE}, NaN where a sample is absent; received {received:g}"
+            raise UserError(message)
     trajectories = Trajectories(states, times.expand(states.shape[:2]))
     steps = trajectories.times.diff(dim=1)
     if bool((steps <= 0).any()):

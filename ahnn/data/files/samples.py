@@ -96,15 +96,15 @@ def filled(track: Track, gap: float) -> Track:
     ratio = steps / np.median(steps)
     whole = np.round(ratio)
     on_grid = bool((np.abs(ratio - whole) <= ON_GRID * whole).all())
-    counts = np.where(ratio > (1.5 if on_grid else gap), whole, 1).astype(np.int64)
-    if counts.sum() > FILL * len(track.times):
+    counts = np.where(ratio > (1.5 if on_grid else gap), whole, 1.0)
+    if not counts.sum() <= FILL * len(track.times):
         k = int(counts.argmax())
         Place(track.file, int(track.rows[k + 1])).refuse(
             f"gaps with at most {FILL} absent samples for each that is there",
-            f"one of {counts[k]} steps",
+            f"one of {counts[k]:.15g} steps",
             f"Give what lies on either side {APART}",
         )
-    ends = np.concatenate(([0], counts.cumsum()))
+    ends = np.concatenate(([0], counts.astype(np.int64).cumsum()))
     times = np.interp(np.arange(ends[-1] + 1), ends, track.times)
     values = np.full((len(times), track.values.shape[1]), np.nan)
     rows = np.zeros(len(times), dtype=np.int64)

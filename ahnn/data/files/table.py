@@ -19,6 +19,10 @@ HEADER = re.compile(r"\s*(?P<name>[^\[\]()]*?)\s*([\[(](?P<unit>[^\[\]()]*)[\])]
 MISSING = {"", "nan", "na"}
 EMPTY = "An empty cell is a missing one"
 
+LARGEST = 1e150
+"""Numbers beyond it have squares that float64 does not hold."""
+FINITE = f"a finite number up to {LARGEST:g}"
+
 
 class Place(NamedTuple):
     """Where in a file something stands.
@@ -207,6 +211,6 @@ def number(cell: str, place: Place, remedy: str = EMPTY) -> float:
         value = float(cell.replace("_", "?"))  # Python reads 1_000 as a number, nobody else does
     except ValueError:
         place.refuse("a number", repr(cell), remedy)
-    if math.isinf(value):
-        place.refuse("a finite number", repr(cell), remedy)
+    if abs(value) > LARGEST:
+        place.refuse(FINITE, repr(cell), remedy)
     return value

@@ -15,7 +15,19 @@ from ahnn.data.files.frames import TO_TT
 from ahnn.data.files.samples import Array, Track, by_id, ordered
 from ahnn.data.files.scales import scales
 from ahnn.data.files.sidecar import Sidecar, with_units
-from ahnn.data.files.table import MISSING, Fault, Header, Note, Place, Remark, Sheet, number, refuse
+from ahnn.data.files.table import (
+    FINITE,
+    LARGEST,
+    MISSING,
+    Fault,
+    Header,
+    Note,
+    Place,
+    Remark,
+    Sheet,
+    number,
+    refuse,
+)
 
 NOTATION = "Write dates as year-month-day, which nobody takes for another day"
 
@@ -87,9 +99,10 @@ def numbers(sheet: Sheet, column: int, note: Note) -> Array:
     """Return a column in the unit of the file, NaN where nothing or no number is."""
     cells, name, file = sheet.columns[column], sheet.header.names[column], sheet.place.file
     if isinstance(cells, np.ndarray):
-        for k in np.flatnonzero(np.isinf(cells)):
-            note(Fault(Place(file, int(sheet.rows[k]), name), "a finite number", str(cells[k])))
-        return np.where(np.isinf(cells), np.nan, cells)
+        beyond = np.abs(cells) > LARGEST
+        for k in np.flatnonzero(beyond):
+            note(Fault(Place(file, int(sheet.rows[k]), name), FINITE, str(cells[k])))
+        return np.where(beyond, np.nan, cells)
     found = np.full(len(cells), np.nan)
     for k, (row, cell) in enumerate(zip(sheet.rows.tolist(), cells, strict=True)):
         try:

@@ -139,7 +139,8 @@ def assembled(
 
 def require_body(mu: float, radius: float, head: Mapping[str, Line]) -> None:
     """Refuse a mass and a radius that no body has, as of numbers in km; raises UserError."""
-    density = mu / (4 / 3 * pi * NEWTON * radius**3)
+    with np.errstate(over="ignore"):  # numbers that no body has, either
+        density = np.float64(mu) / (4 / 3 * pi * NEWTON * np.float64(radius) ** 3)
     low, high = DENSITIES
     if not low <= density <= (STONES if radius < SMALL else high):
         head[RADIUS].refuse(

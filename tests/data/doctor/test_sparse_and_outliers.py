@@ -112,3 +112,12 @@ def test_a_path_may_have_an_equals_sign_and_a_wrong_key_is_still_one(tmp_path, c
     assert "2 files, 30 samples" in shown.out
     assert call("ahnn.data.__main__", "check", "08_run=3.csv", "09_run=3.csv") == 2
     assert "unknown key '09_run'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("time", ["1e200", "9.3e18"])
+def test_a_time_beyond_all_others_is_a_fault_and_no_traceback(tmp_path, time):
+    path = tmp_path / "a.csv"
+    times = [*map(str, range(20)), time]
+    path.write_text("t [s],x [m],vx [m/s]\n" + "".join(f"{t},{k % 3},{k % 5}\n" for k, t in enumerate(times)))
+    faults = examine([path], Reading(True), 1.0).faults
+    assert any("absent samples" in fault.what or "a finite number up to" in fault.what for fault in faults)
