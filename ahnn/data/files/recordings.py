@@ -93,7 +93,7 @@ class Recordings(ABC):
         tracks = [filled(track, self.gap) for content in contents for track in content.tracks]
         for track in tracks:
             if not len(trimmed(track).times):
-                place = Place(track.file, int(track.rows[0]))
+                place = Place(track.file, int(track.rows[0]) if len(track.rows) else 0)
                 named = " ".join(("a trajectory", *filter(None, [track.name])))
                 place.refuse(f"{named} with a whole sample", "missing numbers in each")
         parts = [trimmed(part) for track in tracks for part in cut(track, self.cut)]
