@@ -25,8 +25,8 @@ HOPELESS = 1e16
 FURTHEST = 10_000
 """Steps of the flow that a reading may lie ahead, where nothing else is asked for."""
 
-LOST = (Status.NOT_FINITE, Status.COLLAPSED)
-"""What a single reading of absurd size makes of a filter."""
+LOST = (Status.NOT_FINITE, Status.COLLAPSED, Status.IMPRECISE)
+"""What a single reading of absurd size, or of absurd precision, makes of a filter."""
 Outcome = Literal["taken", "rejected", "predicted", "repeated", "late", "ahead"]
 """What became of a reading: it counted, the gate refused it, it was empty, it was there already, it came too
 late, or it lies too far ahead. The last three leave the estimate as it was."""
@@ -107,7 +107,7 @@ class Assimilation:
 
         Raises:
             UserError: a sensor that there is none of, or another number of values than it has.
-            BadLine: numbers that leave no finite estimate; the state from before the reading is kept.
+            BadLine: numbers that leave no finite, precise estimate; the state from before the reading is kept.
             Diverged: the filter has lost what it follows; the state from before the reading is kept.
         """
         reading = self._named(reading)
@@ -222,7 +222,7 @@ class Assimilation:
         if int(after.status) not in LOST:
             said = [f"{name} {value:g}" for name, value in zip(sensor.columns, reading.values, strict=True)]
             said += [f"sd {sd:g}" for sd in reading.deviations or ()]
-            message = f"expected numbers that leave a finite estimate; received {', '.join(said)}"
+            message = f"expected numbers that leave a finite, precise estimate; received {', '.join(said)}"
             raise BadLine(message)
 
     def _estimate(
