@@ -28,6 +28,7 @@ from ahnn.data.files.table import (
     number,
     refuse,
 )
+from ahnn.data.files.turns import unwrapped
 
 NOTATION = "Write dates as year-month-day, which nobody takes for another day"
 
@@ -69,7 +70,8 @@ def of_sheet(sheet: Sheet, sidecar: Sidecar, *, weighed: bool, note: Note = refu
         Column(name, found.of(i), unit)
         for i, (name, unit) in enumerate(zip(header.names, units, strict=True))
     )
-    return Content(positions, rates, momenta, by.units, frame, tracks, epoch, clock, name, head, columns)
+    content = Content(positions, rates, momenta, by.units, frame, tracks, epoch, clock, name, head, columns)
+    return unwrapped(content, note)
 
 
 def say_unused(header: Header, found: Roles, place: Place, note: Note) -> None:
