@@ -41,6 +41,7 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
     commandline.check(args, config_name)
     own = named_folder(args.overrides)
     is_new = own is None or not own.exists()
+    above = [path for path in (own or Path("runs", "day")).absolute().parents if not path.exists()]
     if not is_new:  # what lies in it is somebody's property: Hydra must not write there before we have looked
         sys.argv.append("hydra.output_subdir=null")
 
@@ -51,9 +52,9 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
         if code := guard(lambda: task(cfg)):
             if is_new:
                 forget(folder := Path(HydraConfig.get().runtime.output_dir))
-                if own is None:
+                for path in above if own is not None else (folder.parent, *above):  # that of the day
                     with contextlib.suppress(OSError):
-                        folder.parent.rmdir()  # of the day
+                        path.rmdir()
             leave(code)  # past Hydra, which would say that there was an error
         return None
 

@@ -82,7 +82,8 @@ def say_unused(header: Header, found: Roles, place: Place, note: Note) -> None:
         note(Remark(place, f"not used, since the sidecar does not name them: {', '.join(others)}"))
     if deviations:
         what = f"not used, one standard deviation counts for all samples: {', '.join(deviations)}"
-        note(Remark(place, what, "Say it: sensor=recorded data.noise=...", "warning"))
+        remedy = "Say it: sensor=recorded data.noise=..., or start_sd=[...] of a start"
+        note(Remark(place, what, remedy, "warning"))
 
 
 def trajectories(sheet: Sheet, column: int | None, whole: Track, note: Note) -> list[Track]:
