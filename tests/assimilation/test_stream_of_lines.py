@@ -270,3 +270,10 @@ def test_lines_may_end_with_cr_alone_and_are_gone_on_with(tmp_path):
     assert len(one) == len(clean)
     assert [row.partition(",")[2] for row in one] == [row.partition(",")[2] for row in other]
     assert other[-1].partition(",")[0] == str(len(mixed))
+
+
+def test_a_number_of_another_sensor_is_said_once(tmp_path, caplog):
+    lines = ["time,sensor,q,p", "1,ruler,1.0,", *(f"{k},ruler,1.{k},0.3" for k in (2, 3)), "4,radar,1.1,0.3"]
+    with caplog.at_level(logging.WARNING, "ahnn"):
+        session("\n".join(lines), tmp_path / "out.csv").run()
+    assert caplog.messages == ["measurements: p is not used in lines of sensor ruler, which has none"]
