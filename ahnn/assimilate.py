@@ -91,6 +91,7 @@ def assimilate(arguments: list[str]) -> None:
         from ahnn.assimilation.view import View, said
         from ahnn.cli import stream
         from ahnn.cli.again import run_config
+        from ahnn.cli.unread import refuse, unread_online
         from ahnn.data.tracks import described
         from ahnn.errors import UserError
         from ahnn.runs import load
@@ -103,6 +104,7 @@ def assimilate(arguments: list[str]) -> None:
         raise UserError(message)
     run = load(request.source, request.ckpt)
     cfg = run_config(run.folder, stream.with_filter(request, run))
+    refuse(unread_online(cfg.plugins, covariance=run.uncertainty is not None), request.overrides)
     torch.set_num_threads(cfg.threads)
     state = None if options.state is None else Path(options.state)
     if state is None or not state.exists():

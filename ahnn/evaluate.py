@@ -37,7 +37,7 @@ def evaluate(arguments: list[str]) -> None:
     with importing():
         from ahnn.cli.again import Request, run_config
         from ahnn.cli.parts import build_plugins, build_sensor, build_source, report_options, robust_of
-        from ahnn.cli.unread import refuse, unread_of_data
+        from ahnn.cli.unread import refuse, unread_of_data, unread_of_plugins
         from ahnn.data import SplitData
         from ahnn.data.splits import SAME
         from ahnn.evaluation import evaluation_folder, load_results, report
@@ -54,7 +54,8 @@ def evaluate(arguments: list[str]) -> None:
     set_threads(cfg.threads)
     source = build_source(cfg)
     sensor = build_sensor(cfg, source)
-    refuse(unread_of_data(cfg, source, sensor), request.overrides)
+    unread = (*unread_of_data(cfg, source, sensor), *unread_of_plugins(cfg.plugins))
+    refuse(unread, request.overrides)
     splits = SplitData(source, list(cfg.data.split), sensor)  # it needs no windows
     plugins = build_plugins(cfg, splits)
     note = splits.beside(run.about.get("data"), run.about.get("seen") or ())

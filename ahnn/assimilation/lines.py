@@ -113,5 +113,5 @@ def end_of_lines(file: BinaryIO) -> bytes:
 
 
 def ahead_of(file: BinaryIO) -> bytes:
-    """Return bytes that are read next, without reading on; none where nothing can be looked at, or is left."""
+    """Return bytes that are read next, without reading on; none where that is not possible."""
     return file.peek() if isinstance(file, io.BufferedReader) else b""

@@ -107,7 +107,7 @@ class Assimilation:
 
         Raises:
             UserError: a sensor that there is none of, or another number of values than it has.
-            BadLine: numbers that leave no finite, precise estimate; the state from before the reading is kept.
+            BadLine: numbers that leave no finite, precise estimate; the state from before it is kept.
             Diverged: the filter has lost what it follows; the state from before the reading is kept.
         """
         reading = self._named(reading)

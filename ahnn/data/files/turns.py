@@ -40,7 +40,7 @@ def unwrapped(content: Content, note: Note = refuse) -> Content:
 
 
 def turns_of(track: Track, columns: int) -> NDArray[np.int64]:
-    """Return the turns, -1, 0 or 1, by which each sample of the first columns jumps from the last known one."""
+    """Return the turns, -1, 0 or 1, by which samples of the first columns jump from the last known one."""
     found = np.zeros((len(track.times), columns), dtype=np.int64)
     for c in range(columns):
         known = np.flatnonzero(np.isfinite(track.values[:, c]))

@@ -2,30 +2,17 @@
 
 from __future__ import annotations
 
-import shutil
 import time
 import zipfile
-from pathlib import Path
 
 import pytest
 import torch
 from entry import call
-from foreign import change, configured, doors, refused, trained
+from foreign import change, configured, doors, refused
 
 import ahnn
 from ahnn.checkpoints import Weights, read_weights, write_weights
 from ahnn.errors import UserError
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    return trained(tmp_path_factory.mktemp("foreign") / "run")
-
-
-@pytest.fixture
-def run(finished, tmp_path):
-    return Path(shutil.copytree(finished, tmp_path / "run"))
-
 
 INF, NAN = float("inf"), float("nan")
 ABOUT = [

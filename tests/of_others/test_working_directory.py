@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 from entry import call
-from foreign import configured, trained
+from foreign import configured
 
 from ahnn.cli.again import Request, run_config
 from ahnn.cli.compose import composed
@@ -21,9 +21,9 @@ PLUGINS = ("hydra_plugins/mine", "ahnn_plugins/__init__", "hydra_plugins/ahnn_sw
 
 
 @pytest.fixture(scope="module")
-def hostile(tmp_path_factory):
+def hostile(finished, tmp_path_factory):
     """A run folder with files named as libraries and plugins, which leave a trace when they are imported."""
-    folder = trained(tmp_path_factory.mktemp("hostile") / "run")
+    folder = Path(shutil.copytree(finished, tmp_path_factory.mktemp("hostile") / "run"))
     for name in (*LIBRARIES, *PLUGINS):
         path = folder / f"{name}.py"
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -79,8 +79,7 @@ def test_a_module_that_the_command_line_names_is_found_behind_all_others(mine):
     assert sys.path.index(str(mine)) == len(sys.path) - 1
 
 
-def test_one_that_a_run_folder_names_is_found_where_the_user_trusts_it(mine, capfd):
-    run = trained(mine / "run")
+def test_one_that_a_run_folder_names_is_found_where_the_user_trusts_it(mine, run, capfd):
     configured(run, "system._target_", "module_of_mine.Mine")
     assert call("ahnn.evaluate", f"run={run}") == 2
     assert "add --trust" in capfd.readouterr().err
@@ -89,4 +88,3 @@ def test_one_that_a_run_folder_names_is_found_where_the_user_trusts_it(mine, cap
     run_config(run, Request(run, run, "best", None, [], trust=True))
     assert str(mine) in sys.path
     assert yaml.safe_load((run / "config.yaml").read_text())["system"]["_target_"] == "module_of_mine.Mine"
-    shutil.rmtree(run)

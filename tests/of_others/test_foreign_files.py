@@ -11,19 +11,9 @@ from pathlib import Path
 import pytest
 import yaml
 from entry import call
-from foreign import FIRST, configured, doors, refused, trained
+from foreign import FIRST, configured, doors, refused
 
 import ahnn
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    return trained(tmp_path_factory.mktemp("foreign") / "run")
-
-
-@pytest.fixture
-def run(finished, tmp_path):
-    return Path(shutil.copytree(finished, tmp_path / "run"))
 
 
 @pytest.mark.parametrize("name", ["evaluate", "assimilate"])
