@@ -69,7 +69,7 @@ MAY_IMPORT = {
     "uncertainty": GROUND | {"dynamics", "shooting"},
     "training": GROUND | {"dynamics", "data", "shooting", "uncertainty"},
     "models": GROUND | {"dynamics", "training"},
-    "estimation": GROUND | {"systems", "data"},
+    "estimation": GROUND | {"systems", "data", "dynamics", "shooting"},
     "evaluation": GROUND | {"dynamics", "systems", "data", "estimation", "shooting", "uncertainty"},
     "graphs": GROUND | {"dynamics", "evaluation", "runs"},
     "prediction": GROUND | {"dynamics", "data", "evaluation", "shooting", "uncertainty"},

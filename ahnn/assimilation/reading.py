@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from ahnn.arguments import nearest
 from ahnn.assimilation.cells import BadLine, is_missing, number
 from ahnn.assimilation.clock import Clock
-from ahnn.assimilation.process import Sensor
+from ahnn.assimilation.sensor import Sensor
 from ahnn.data.files.table import HEADER
 from ahnn.data.files.units import factor
 from ahnn.errors import UserError

@@ -1,4 +1,4 @@
-"""The filter with a learned flow as an online process: Q of a step of any length, with or without memory.
+"""An estimator with a learned flow as an online process: Q of a step of any length, with or without memory.
 
 What is fitted belongs to one sampling interval h of the training data. Over a step dt it is taken as white
 noise of the same rate, Q dt / h; a force error with memory has a law for any step.
@@ -15,31 +15,31 @@ import torch
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from ahnn.assimilation import Process
 from ahnn.dynamics.recorded import recorded
 from ahnn.estimation.covariances import Factor, covariance_factor
+from ahnn.estimation.estimator import Recursive
+from ahnn.estimation.force_error import ForceError
+from ahnn.estimation.parameter_error import ParameterError
+from ahnn.estimation.process import Process
 from ahnn.numbers import Numbers
 from ahnn.types import Flow
-from ahnn_plugins.ukf.estimator import UnscentedKalmanFilter
-from ahnn_plugins.ukf.force_error import ForceError
-from ahnn_plugins.ukf.parameter_error import ParameterError
 
 LENGTHS = 1000
 """Lengths of steps whose factors are kept."""
 
 
 def online_process(
-    estimator: UnscentedKalmanFilter,
+    estimator: Recursive[Any],
     flow: Flow,
     interval: float,
     process_noise: Numbers,
     force_error: ForceError | ParameterError | None = None,
     about: dict[str, Any] | None = None,
 ) -> Process:
-    """Return the online process of a filter.
+    """Return the online process of an estimator.
 
     Args:
-        estimator: with its sigma points, form and gate.
+        estimator: with its gate.
         flow: the process model, for steps of up to `interval`.
         interval: h, the longest step, and the one that `process_noise` is of.
         process_noise: Q of one step of h, (D, D).
@@ -53,9 +53,7 @@ def online_process(
     chol = covariance_factor(q, "process_noise", batch=1, size=q.shape[-1], definite=False)
     known = {
         **(about or {}),
-        "parameters": [float(value) for value in estimator.parameters],
-        "form": estimator.form.name,
-        "gate": estimator.gate,
+        **estimator.about,
         "process_noise": q.tolist(),
         "force_error": None if force_error is None else force_error.about,
     }

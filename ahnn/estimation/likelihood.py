@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from ahnn.errors import UserError
-from ahnn_plugins.ukf.types import FilterResult
+from ahnn.estimation.results import FilterResult
 
 LOST = 1e12
 """Negative log-likelihood of a filter that loses a member."""
@@ -42,7 +42,7 @@ def learned_noise(
     """Return the parameters under which the measurements are most probable.
 
     Args:
-        filtered: runs `unscented_filter(..., gradients=True)` with the noise of parameters (P,).
+        filtered: runs a filter with `gradients=True` with the noise of parameters (P,).
         guess: (P,) parameters to begin with, of order one: take logarithms.
         iterations: of the search, at most.
         step: of the central differences of the gradient, for the deviations.

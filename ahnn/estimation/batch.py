@@ -13,17 +13,16 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.estimation.arc import Arc, Fit, followed
 from ahnn.estimation.belief import Belief, Status, choose
+from ahnn.estimation.checks import check_belief, checked_rows, checked_sensor
 from ahnn.estimation.linalg import tria
 from ahnn.estimation.state import initial_state
+from ahnn.estimation.steps import Grid
 from ahnn.measurements.base import Measurement
 from ahnn.numbers import Numbers
 from ahnn.shooting.starts import GROWTH, SHORTEST, damped_moves
 from ahnn.types import Flow
-from ahnn_plugins.ukf.arc import Arc, Fit, followed
-from ahnn_plugins.ukf.checks import check_belief, checked_rows, checked_sensor
-from ahnn_plugins.ukf.square_root import SQUARE_ROOT
-from ahnn_plugins.ukf.steps import Grid
 
 ROUGHLY, ITERATIONS = 3, 20
 """Steps on a span that is still to grow, and on the last one, at most."""
@@ -81,10 +80,10 @@ def batch_least_squares(
         start_time: time of the belief.
 
     Raises:
-        ValueError: names the parameter, as `unscented_filter` does.
+        ValueError: names the parameter, as a filter does.
     """
     check_belief(belief)
-    sensor = checked_sensor(measurement, measurement_noise, belief, SQUARE_ROOT, None)
+    sensor = checked_sensor(measurement, measurement_noise, belief, None)
     shape = (len(belief.mean), "T", len(measurement.names))
     rows = checked_rows(measurements, "measurements", shape, belief.mean.device)
     grid = Grid.of(dt, rows.shape[1], initial_state(belief, start_time).time)

@@ -1,4 +1,4 @@
-"""Checks at the entrance of the filter, so that its kernel can trust what it is given.
+"""Checks at the entrance of a filter, so that its kernel can trust what it is given.
 
 Covariances go on as factors, numbers of any kind as float64 tensors.
 """
@@ -13,12 +13,11 @@ from torch import Tensor
 from ahnn.errors import UserError
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.covariances import Covariance, covariance_factor
+from ahnn.estimation.estimator import Sensor
 from ahnn.estimation.gate import Gate, thresholds
 from ahnn.estimation.state import FilterState
 from ahnn.measurements.base import Measurement
 from ahnn.numbers import Numbers, as_float64, described
-from ahnn_plugins.ukf.kernel import Sensor
-from ahnn_plugins.ukf.types import Form
 
 
 def check_belief(belief: Belief) -> None:
@@ -44,15 +43,8 @@ def check_state(state: FilterState) -> None:
     check_belief(state.belief)
 
 
-def check_form(form: Form) -> None:
-    """Raise ValueError for what is no form."""
-    if not isinstance(form, Form):
-        message = f"form: expected a Form, SQUARE_ROOT or STANDARD; received {form!r}"
-        raise UserError(message)
-
-
 def checked_sensor(
-    measurement: Measurement, noise: Covariance, belief: Belief, form: Form, gate: Gate | None
+    measurement: Measurement, noise: Covariance, belief: Belief, gate: Gate | None, *, definite: bool = False
 ) -> Sensor:
     """Return a measurement model with the factor of its noise R, (M, M) or (B, M, M).
 
@@ -67,10 +59,10 @@ def checked_sensor(
         )
         raise ValueError(message)
     batch, width, device = len(belief.mean), len(measurement.names), belief.mean.device
-    chol_r = covariance_factor(noise, "R", batch=batch, size=width, definite=form.squares)
+    chol_r = covariance_factor(noise, "R", batch=batch, size=width, definite=definite)
     chol_r = chol_r.to(device).expand(batch, width, width)
     if gate is None:
-        return Sensor(measurement, chol_r, None, torch.inf)
+        return Sensor(measurement, chol_r)
     return Sensor(measurement, chol_r, thresholds(gate, width, device), gate.patience)
 
 

@@ -16,12 +16,12 @@ import torch
 from torch import Tensor
 
 from ahnn.estimation.consistency import correlation_time
+from ahnn.estimation.force_error import ForceError
+from ahnn.estimation.process_noise import crossing, mean_nees
 from ahnn.estimation.scenario import Problem, Setting
+from ahnn.estimation.trial import Filter
 from ahnn.statistics import Statistics
 from ahnn.types import Flow, Trajectories
-from ahnn_plugins.ukf.assimilation import Filter
-from ahnn_plugins.ukf.force_error import ForceError
-from ahnn_plugins.ukf.process_noise import crossing, mean_nees
 
 SCALES = tuple(10.0**k for k in range(-1, 3))
 """Candidates for the factor of size²."""

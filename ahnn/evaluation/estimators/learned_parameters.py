@@ -11,11 +11,11 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from ahnn.dynamics import Dynamics
+from ahnn.estimation.parameter_error import ParameterError, field_columns
 from ahnn.estimation.scenario import Setting, simulated
 from ahnn.evaluation import Case
 from ahnn.measurements import Instrument, Segment
 from ahnn.uncertainty.directions import ARCS, Chosen, Watched
-from ahnn_plugins.ukf.parameter_error import ParameterError, field_columns
 
 ENOUGH = 0.01
 """What other directions may add to the NEES, per state component, where what a filter sees is known."""

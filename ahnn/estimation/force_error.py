@@ -22,9 +22,9 @@ import torch
 from torch import Tensor
 
 from ahnn.estimation.belief import Belief
+from ahnn.estimation.results import FilterResult, SmootherResult
 from ahnn.measurements import Measurement, Time, periods, residual
 from ahnn.types import Flow, TimeStep
-from ahnn_plugins.ukf.types import FilterResult, SmootherResult
 
 
 class ForceError(NamedTuple):

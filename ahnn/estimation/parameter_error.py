@@ -18,9 +18,9 @@ from torch.nn.utils import parameters_to_vector
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.estimation.belief import Belief
+from ahnn.estimation.force_error import OfStates
 from ahnn.measurements.base import Measurement
 from ahnn.types import Flow, TimeStep
-from ahnn_plugins.ukf.force_error import OfStates
 
 
 class ParameterError(NamedTuple):

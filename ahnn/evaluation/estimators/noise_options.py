@@ -14,18 +14,18 @@ from ahnn.arguments import Positive, Within, check_arguments, checked
 from ahnn.deviations import require_squares
 from ahnn.dynamics import Dynamics
 from ahnn.errors import UserError
+from ahnn.estimation.force_error import ForceError
+from ahnn.estimation.force_error_fit import fitted_force_error
+from ahnn.estimation.parameter_error import ParameterError
+from ahnn.estimation.process_noise import fitted_process_noise
 from ahnn.estimation.scenario import Problem, Setting
+from ahnn.estimation.trial import Filter
 from ahnn.evaluation import Case
+from ahnn.evaluation.estimators.learned_parameters import ENOUGH, parameters_as_states, simulated_filter
 from ahnn.systems import System
 from ahnn.types import Flow, Space
 from ahnn.uncertainty import Uncertainty, growth
 from ahnn.uncertainty.directions import MOST, Chosen, filtered_directions
-from ahnn_plugins.ukf.assimilation import Filter
-from ahnn_plugins.ukf.force_error import ForceError
-from ahnn_plugins.ukf.force_error_fit import fitted_force_error
-from ahnn_plugins.ukf.learned_parameters import ENOUGH, parameters_as_states, simulated_filter
-from ahnn_plugins.ukf.parameter_error import ParameterError
-from ahnn_plugins.ukf.process_noise import fitted_process_noise
 
 log = logging.getLogger(__name__)
 

@@ -24,9 +24,9 @@ from torch import Tensor
 
 from ahnn.estimation.consistency import nees
 from ahnn.estimation.scenario import Problem, Setting
+from ahnn.estimation.trial import Filter, assimilate, shown
 from ahnn.statistics import Statistics
 from ahnn.types import Flow, Trajectories
-from ahnn_plugins.ukf.assimilation import Filter, assimilate, shown
 
 SCALES = tuple(10.0**k for k in range(-1, 5))
 """Candidates for c; measured optima lie between 20 and 100."""

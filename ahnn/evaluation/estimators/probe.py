@@ -6,14 +6,13 @@ import torch
 
 from ahnn.errors import UserError
 from ahnn.estimation.belief import Status
-from ahnn.estimation.gate import Gate
+from ahnn.estimation.estimator import Estimator
+from ahnn.estimation.force_error import ForceError
 from ahnn.estimation.scenario import Problem, Setting
+from ahnn.estimation.trial import Filter, assimilate
+from ahnn.evaluation.estimators.noise_options import NoiseOption, given_noise
 from ahnn.systems import System
 from ahnn.types import TimeStep
-from ahnn_plugins.ukf.assimilation import Filter, assimilate
-from ahnn_plugins.ukf.force_error import ForceError
-from ahnn_plugins.ukf.noise_options import NoiseOption, given_noise
-from ahnn_plugins.ukf.types import Form, UnscentedParameters
 
 
 @torch.no_grad()
@@ -21,9 +20,7 @@ def require_possible(
     setting: Setting,
     system: System,
     option: NoiseOption,
-    parameters: UnscentedParameters,
-    form: Form,
-    gate: Gate | None,
+    estimator: Estimator,
 ) -> None:
     """Refuse numbers with which a filter fails in its first step already.
 
@@ -31,9 +28,7 @@ def require_possible(
         setting: measurements and start.
         system: gives a state.
         option: process noise; one that is fitted to data is left out.
-        parameters: of the sigma points.
-        form: of the covariances.
-        gate: of the measurements.
+        estimator: with its constants.
 
     Raises:
         UserError: a filter whose status is not OK, or a covariance that is none.
@@ -43,8 +38,7 @@ def require_possible(
     known = given_noise(option, system.space) if not isinstance(option, str) else None
     q, error = (nothing, None) if known is None else known
     error = error if isinstance(error, ForceError) else None
-    constants = setting.measurement_noise, parameters, form, gate
-    still = Filter("still", _still, q, *constants, force_error=error)
+    still = Filter("still", _still, q, setting.measurement_noise, estimator, error)
     y = setting.measurement(x, system.dt).unsqueeze(1)
     try:
         status = int(assimilate(still, setting, Problem(x.unsqueeze(1), x, y, system.dt)).status)
@@ -52,10 +46,11 @@ def require_possible(
     except ValueError as error:
         reason = f"has no covariance ({error})"
     if reason:
+        constants = "".join(f", {name}" for name in estimator.about if name != "gate")
         message = (
-            "measurement_sd, start_sd, process_noise, alpha: expected numbers that float64 holds with their "
-            f"squares; received a filter that {reason}: measurement_sd "
-            f"{setting.measurement_sd.tolist()}, start_sd {setting.start_sd.tolist()}, {parameters}"
+            f"measurement_sd, start_sd, process_noise{constants}: expected numbers that float64 holds with "
+            f"their squares; received a filter that {reason}: measurement_sd "
+            f"{setting.measurement_sd.tolist()}, start_sd {setting.start_sd.tolist()}, {estimator.about}"
         )
         raise UserError(message)
 

@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 
 from ahnn.estimation.belief import Belief
+from ahnn.estimation.checks import checked_steps
 from ahnn.estimation.covariances import Covariance, covariance_factor
+from ahnn.estimation.results import ProcessNoise
 from ahnn.numbers import Numbers
-from ahnn_plugins.ukf.checks import checked_steps
-from ahnn_plugins.ukf.types import ProcessNoise
 
 
 class Grid(NamedTuple):

@@ -1,8 +1,7 @@
 """What float64 leaves of an estimate: where rounding may show, a member gets a status and stops.
 
-The sigma points lie r = alpha sqrt(D + kappa) standard deviations from the mean. The mean of their images y
-is formed from differences, each of which is rounded to eps |y|, with weights that sum to D / r², its
-crowding: it is off by about
+A mean that a kernel forms of images y is rounded to eps |y|. Sigma points r standard deviations away form it
+from differences, each rounded so, with weights that sum to D / r², its crowding: it is off by about
 
     (1 + D / r²) eps |y|.
 
@@ -10,7 +9,7 @@ An update forms the innovation from numbers of the size of y, and triangularises
 off by eps (|y| + s). The gain K brings that into the mean, and since K R Kᵀ is a part of the covariance after
 the update, in standard deviations it is no more than what R makes of it: L_R⁻¹ eps (|y| + s).
 
-A form that squares, which forms covariances, loses twice as many digits: of P it keeps eps P, of which a
+A kernel that squares, which forms covariances, loses twice as many digits: of P it keeps eps P, of which a
 subtraction may leave nothing, and of the innovation covariance eps s sᵀ.
 
 What a flow or a measurement model rounds by itself, in float32 say, comes on top and is not known here.
@@ -18,39 +17,61 @@ What a flow or a measurement model rounds by itself, in float32 say, comes on to
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.consistency import deviations
 from ahnn.estimation.linalg import EPS
-from ahnn_plugins.ukf.types import Updated, Weights
+from ahnn.estimation.results import Updated
 
 LIMIT = 1e-3
 """Fraction of a standard deviation that rounding may cost in a step of either kind; members.c has it too."""
 
 
-def lost_in_prediction(before: Belief, after: Belief, weights: Weights, *, squares: bool) -> Tensor:
+class Rounding(NamedTuple):
+    """What a kernel amplifies of rounding.
+
+    Attributes:
+        crowding: (B or 1, ...) by which its means amplify rounding, of members for whom it matters, 0 of the
+            others; None if it matters for no member.
+        squares: whether it forms covariances, which costs digits and needs a definite measurement noise.
+        subtracts: whether negative weights may leave what has to be mended: such a repair is no loss.
+    """
+
+    crowding: Tensor | None = None
+    squares: bool = False
+    subtracts: bool = False
+
+
+def lost_in_prediction(
+    before: Belief, after: Belief, repaired: Tensor | None, rounding: Rounding
+) -> Tensor | None:
     """Return for which members rounding in a prediction exceeds the limit, (B,) bool.
 
     Args:
         before: belief.
         after: belief that was predicted.
-        weights: of the points.
-        squares: whether the form forms covariances.
+        repaired: (B,) bool, or None for nobody.
+        rounding: of the kernel.
+
+    Returns:
+        None where nothing is amplified.
     """
+    if rounding.crowding is None and not rounding.squares:
+        return None
     loss = torch.zeros_like(after.mean[:, 0])
-    if weights.crowding is not None:
+    if rounding.crowding is not None:
         means = torch.maximum(*(_coarseness(belief) for belief in (before, after)))
-        loss = EPS * weights.crowding.flatten() * means
-    if squares:
+        loss = EPS * rounding.crowding.flatten() * means
+    if rounding.squares:
         loss = torch.maximum(loss, _lost_digits(after.chol.detach(), deviations(after.chol.detach())))
-    return ~(loss <= LIMIT)
+    return _not_mended(~(loss <= LIMIT), repaired, rounding)
 
 
-def lost_in_update(
-    prior: Belief, updated: Updated, y: Tensor, chol_r: Tensor, weights: Weights, *, squares: bool
-) -> Tensor:
+def lost_in_update(prior: Belief, updated: Updated, y: Tensor, chol_r: Tensor, rounding: Rounding) -> Tensor:
     """Return for which members rounding in an update exceeds the limit, (B,) bool.
 
     Args:
@@ -58,8 +79,7 @@ def lost_in_update(
         updated: its result.
         y: (B, M), NaN where missing.
         chol_r: (B, M, M) factor of R.
-        weights: of the points.
-        squares: whether the form forms covariances.
+        rounding: of the kernel.
     """
     present = ~y.isnan()
     spread = torch.where(present, updated.deviation.detach(), 0.0)
@@ -70,17 +90,22 @@ def lost_in_update(
     noisy = (present & ~exact).unsqueeze(-1)
     noise = torch.where(noisy, chol_r.detach(), torch.diag_embed(torch.where(exact, spread, 1.0)))
     loss = _whitened(noise, torch.where(present, sizes, 0.0))
-    if squares:
+    if rounding.squares:
         loss = loss + _whitened(noise, spread).square() * (1.0 + updated.nis.detach().sqrt())
     coarse = torch.where(exact.any(-1), 0.0, _coarseness(updated.belief))
     loss = EPS * torch.maximum(loss, coarse)
-    if weights.crowding is not None:
-        crowding = weights.crowding.flatten()
+    if rounding.crowding is not None:
+        crowding = rounding.crowding.flatten()
         loss = torch.maximum((1.0 + crowding) * loss, EPS * crowding * _coarseness(prior))
-    if squares:
+    if rounding.squares:
         before = deviations(prior.chol.detach())
         loss = torch.maximum(loss, _lost_digits(updated.belief.chol.detach(), before))
-    return ~(loss <= LIMIT)
+    return _not_mended(~(loss <= LIMIT), updated.repairs, rounding)
+
+
+def _not_mended(lost: Tensor, repairs: Tensor | None, rounding: Rounding) -> Tensor:
+    """Return who lost digits, and not by negative weights: their repairs are counted and are no loss."""
+    return lost if repairs is None or not rounding.subtracts else lost & (repairs == 0)
 
 
 def _coarseness(belief: Belief) -> Tensor:

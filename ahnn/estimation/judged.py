@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from ahnn.estimation.consistency import band, independent_count
-from ahnn_plugins.ukf.types import FilterResult
+from ahnn.estimation.results import FilterResult
 
 
 class Judged(NamedTuple):

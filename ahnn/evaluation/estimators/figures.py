@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -13,17 +13,17 @@ from ahnn.estimation.consistency import band
 from ahnn.estimation.scenario import Setting
 from ahnn.evaluation import Case, style
 from ahnn.evaluation.case import Start
+from ahnn.evaluation.estimators.outcome import Outcome, name
+from ahnn.evaluation.estimators.series import Sawtooth, blocks, kept, rms_over_members, sawtooth, smoothed_rms
 from ahnn.evaluation.figures import SMOOTHING
 from ahnn.evaluation.titles import MODEL
-from ahnn_plugins.ukf.outcome import Outcome, name
-from ahnn_plugins.ukf.series import Sawtooth, blocks, kept, rms_over_members, sawtooth, smoothed_rms
 
 Chosen = dict[tuple[Start, bool], Outcome]
 """The outcomes that are drawn, by start and by whether it is a floor."""
 
 
-def ukf_figures(
-    case: Case, setting: Setting, outcomes: Iterable[Outcome], without: dict[Start, Tensor]
+def filter_figures(
+    case: Case, setting: Setting, outcomes: Sequence[Outcome], without: dict[Start, Tensor]
 ) -> tuple[dict[str, Tensor], dict[str, Figure]]:
     """Return the arrays and the figures of an evaluation under their names.
 
@@ -55,9 +55,10 @@ def ukf_figures(
     return arrays, figures
 
 
-def drawn(outcomes: Iterable[Outcome]) -> Chosen:
-    """Return the outcomes of the plain filter, of the model and of the floor."""
-    plain = (o for o in outcomes if o.who.estimator == "ukf" and (o.who.floor or o.who.process == MODEL))
+def drawn(outcomes: Sequence[Outcome]) -> Chosen:
+    """Return the outcomes of the plain filter, which comes first, of the model and of the floor."""
+    name = outcomes[0].who.estimator
+    plain = (o for o in outcomes if o.who.estimator == name and (o.who.floor or o.who.process == MODEL))
     return {(o.who.start, o.who.floor): o for o in plain}
 
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.estimation.batch import BatchResult
 from ahnn.estimation.belief import Status
 from ahnn.estimation.consistency import (
     GAUSSIAN,
@@ -17,6 +18,9 @@ from ahnn.estimation.consistency import (
     nees,
     share_within,
 )
+from ahnn.estimation.estimator import Smoothed
+from ahnn.estimation.judged import Judged, judged_nees, judged_nis
+from ahnn.estimation.results import FilterResult
 from ahnn.estimation.scenario import Problem, Setting
 from ahnn.estimation.state import initial_state
 from ahnn.evaluation import Case, Row, Who
@@ -24,13 +28,7 @@ from ahnn.evaluation.titles import title
 from ahnn.labels import quantity
 from ahnn.metrics import Scores
 from ahnn.types import Space
-from ahnn_plugins.ukf.batch import BatchResult
-from ahnn_plugins.ukf.iterated import Iterated
-from ahnn_plugins.ukf.judged import Judged, judged_nees, judged_nis
-from ahnn_plugins.ukf.types import FilterResult, SmootherResult
 
-SMOOTHED, ITERATED = "_smoothed", "_iterated"
-"""Endings of estimators that are a smoother behind a filter."""
 BATCH = "batch_least_squares"
 
 
@@ -67,20 +65,12 @@ def filtered(who: Who, setting: Setting, problem: Problem, result: FilterResult)
 
 
 def smoothed(
-    who: Who, setting: Setting, problem: Problem, result: FilterResult, s: SmootherResult
+    who: Who, setting: Setting, problem: Problem, result: FilterResult, name: str, found: Smoothed
 ) -> Outcome:
-    """Return the outcome of the smoother behind a filter."""
-    behind = who._replace(estimator=f"{who.estimator}{SMOOTHED}")
-    result = result._replace(initial=s.initial, backward=None)
-    return _outcome(behind, (s.means, s.chols), setting, problem, result)
-
-
-def iterated(who: Who, setting: Setting, problem: Problem, result: FilterResult, i: Iterated) -> Outcome:
-    """Return the outcome of the iterated smoother behind a filter."""
-    outcome = smoothed(who, setting, problem, result, i.smoothed)
-    unsettled = int((~i.settled & (result.status == Status.OK)).sum())
-    more = {"iterations": i.iterations, "unsettled": unsettled}
-    return outcome._replace(who=who._replace(estimator=f"{who.estimator}{ITERATED}"), more=more)
+    """Return the outcome of the smoother of this name behind a filter."""
+    behind, (beliefs, more) = who._replace(estimator=f"{who.estimator}_{name}"), found
+    result = result._replace(initial=beliefs.initial, backward=None)
+    return _outcome(behind, (beliefs.means, beliefs.chols), setting, problem, result)._replace(more=more)
 
 
 def fitted(who: Who, setting: Setting, problem: Problem, fit: BatchResult) -> Outcome:

@@ -1,9 +1,8 @@
-"""What an estimator is told of a motion and of the instruments that see it."""
+"""The instruments of a stream."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
@@ -11,48 +10,9 @@ from torch import Tensor
 
 from ahnn.deviations import require_squares
 from ahnn.errors import UserError
-from ahnn.estimation import Belief, Covariance, Factor, FilterState, Recursive
+from ahnn.estimation import Factor
 from ahnn.measurements import Measurement, Position, State
-from ahnn.substeps import substeps
-from ahnn.types import Flow, Space
-
-
-def same(value: Any) -> Any:
-    """Return what is given."""
-    return value
-
-
-class Process(NamedTuple):
-    """An estimator with its process model.
-
-    Attributes:
-        estimator: it predicts and updates.
-        flow: the process model.
-        noise: Q of a step, as a function of its length.
-        max_step: longest step of the flow; longer gaps are cut into equal ones.
-        lifted: from a belief about the state to one about all that is estimated, the state first.
-        seen: from a measurement model of the state to one of all that is estimated.
-        about: plain values that say what this is.
-    """
-
-    estimator: Recursive[FilterState]
-    flow: Flow
-    noise: Callable[[float], Covariance]
-    max_step: float
-    lifted: Callable[[Belief], Belief] = same
-    seen: Callable[[Measurement], Measurement] = same
-    about: dict[str, Any] = {}  # noqa: RUF012 - never written to
-
-    def advanced(self, state: FilterState, since: float, time: float) -> FilterState:
-        """Return the state of the time `since` at a later one."""
-        gap = time - since
-        if not gap > 0.0:
-            return state
-        count = substeps(gap, self.max_step)
-        length = gap / count
-        for _ in range(count):
-            state = self.estimator.predict(state, self.flow, length, self.noise(length))
-        return state._replace(time=torch.tensor(time, dtype=torch.float64))
+from ahnn.types import Space
 
 
 class Sensor(NamedTuple):

@@ -9,9 +9,9 @@ from torch import Tensor
 
 from ahnn.estimation.consistency import deviations
 from ahnn.evaluation import Case
+from ahnn.evaluation.estimators.outcome import Outcome
 from ahnn.evaluation.figures import SMOOTHING
 from ahnn.metrics import moving_average
-from ahnn_plugins.ukf.outcome import Outcome
 
 
 class Sawtooth(NamedTuple):

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from ahnn.estimation.belief import Belief
+from ahnn.estimation.results import Backward, FilterResult, Updated
 from ahnn.estimation.state import FilterState
-from ahnn_plugins.ukf.types import Backward, FilterResult, Updated
 
 
 class Step(NamedTuple):

@@ -9,11 +9,11 @@ from torch import Tensor
 
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.consistency import deviations
+from ahnn.estimation.estimator import Sensor
+from ahnn.estimation.steps import Grid
 from ahnn.jacobians import pointwise_jacobian
 from ahnn.measurements import residual
 from ahnn.types import Flow
-from ahnn_plugins.ukf.kernel import Sensor
-from ahnn_plugins.ukf.steps import Grid
 
 DIFFERENCE = 1e-3
 """Half width of a central difference, in standard deviations of the prior."""
