@@ -44,10 +44,10 @@ def fit(
     from ahnn.cli.compose import compose_job
     from ahnn.cli.guard import in_words
     from ahnn.cli.settings import check_settings
+    from ahnn.cli.training import train_once
     from ahnn.data import Given
     from ahnn.runs import load
     from ahnn.stored import about_space
-    from ahnn.train import train_once
 
     texts = check_given(overrides, folder)
     with in_words():

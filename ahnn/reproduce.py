@@ -72,10 +72,10 @@ def one(cfg: DictConfig) -> float:
     A run that is finished is kept, and one that another process works on is left to it.
     """
     from ahnn.cli.before import begin
+    from ahnn.cli.training import train_once
     from ahnn.errors import Occupied
     from ahnn.files import claimed
     from ahnn.reproduction import is_finished
-    from ahnn.train import train_once
 
     folder = Path(cfg.folder)
     begin(cfg)

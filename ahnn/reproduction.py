@@ -135,7 +135,7 @@ def require_same_settings(made: Plan) -> None:
 
 def settings(cfg: DictConfig, folder: str) -> dict[str, Any]:
     """Return what a training in a folder writes into its config.yaml."""
-    from ahnn.train import stored
+    from ahnn.cli.build import stored
 
     own = cfg.copy()
     own.folder = folder

@@ -23,7 +23,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, RandomSampler
 
 from ahnn.cli.before import quiet
-from ahnn.cli.parts import build_trainer
+from ahnn.cli.prepare import build_trainer
 
 LENGTHS = (1, 5)
 

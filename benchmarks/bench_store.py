@@ -31,7 +31,8 @@ from omegaconf import DictConfig
 
 from ahnn.cli.before import quiet
 from ahnn.cli.build import OmegaConf  # registers the resolvers of conf/
-from ahnn.cli.parts import build_data, build_model, build_source, build_trainer
+from ahnn.cli.parts import build_source
+from ahnn.cli.prepare import build_data, build_model, build_trainer
 from ahnn.data import store
 from ahnn.data.datamodule import WindowDataModule
 from ahnn.paths import conf_dir
@@ -115,7 +116,7 @@ def fitted(cfg: DictConfig, data: WindowDataModule, statistics: Statistics) -> d
     """Return milliseconds of a step: median and mean of the wall clock, median of the processor's."""
     model = build_model(cfg, data)
     model.calibrate(statistics)
-    model.about["dt"] = statistics.dt
+    model.learns_from(dt=statistics.dt)
     trainer, watch = build_trainer(cfg), Stopwatch()
     trainer.callbacks.append(watch)
     faults = resource.getrusage(resource.RUSAGE_SELF).ru_majflt

@@ -21,7 +21,8 @@ from timing import markdown, shown
 from torch.utils.data import DataLoader, TensorDataset
 
 from ahnn.cli.build import OmegaConf  # registers the resolvers of conf/
-from ahnn.cli.parts import build_data, build_model, build_source
+from ahnn.cli.parts import build_source
+from ahnn.cli.prepare import build_data, build_model
 from ahnn.integrators import INTEGRATORS
 from ahnn.metrics import errors, rmse_norm
 from ahnn.paths import conf_dir

@@ -25,7 +25,8 @@ from timing import Row, settle, table
 
 from ahnn.cli.before import quiet
 from ahnn.cli.build import OmegaConf  # registers the resolvers of conf/
-from ahnn.cli.parts import build_data, build_model, build_source, build_trainer
+from ahnn.cli.parts import build_source
+from ahnn.cli.prepare import build_data, build_model, build_trainer
 from ahnn.paths import conf_dir
 
 MODELS = ("mlp", "node", "hnn", "ahnn", "hnn_derivative")
@@ -49,7 +50,7 @@ def calibrated(cfg) -> tuple:
     data = build_data(cfg, build_source(cfg))
     model = build_model(cfg, data)
     model.calibrate(data.statistics())
-    model.about["dt"] = data.statistics().dt
+    model.learns_from(dt=data.statistics().dt)
     return data, model
 
 

@@ -76,6 +76,8 @@ MAY_IMPORT = {
     "assimilation": GROUND | {"data", "estimation", "evaluation"},
     "pretrained": OPEN | {"checkpoints"},
     "runs": GROUND | {"dynamics", "pretrained", "evaluation", "prediction", "uncertainty"},
+    "jobs": GROUND
+    | {"data", "dynamics", "evaluation", "models", "runs", "shooting", "training", "uncertainty"},
 }
 ENTRIES = {
     "train",
@@ -148,6 +150,7 @@ LIGHTNING = {
     "training/callbacks",
     "training/checkpoint_io.py",
     "training/restore.py",
+    "jobs",
     "models",
     "data/datamodule.py",
 }

@@ -13,7 +13,8 @@ from hydra.utils import get_object
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from ahnn.cli.build import build, build_all
-from ahnn.cli.parts import SENSOR, SIMULATION, build_data, build_model, build_source, build_trainer
+from ahnn.cli.parts import SENSOR, SIMULATION, build_source
+from ahnn.cli.prepare import build_data, build_model, build_trainer
 from ahnn.data.splits import split_sizes
 from ahnn.errors import UserError
 from ahnn.integrators import GaussLegendre4

@@ -95,6 +95,12 @@ def plain_config(cfg: Any, who: str = "configuration") -> dict[str, Any]:
     return OmegaConf.to_container(cfg, resolve=True)  # pyright: ignore[reportReturnType]
 
 
+def stored(cfg: DictConfig) -> bytes:
+    """Return the configuration as plain YAML; what plugins take from `measurement` stays linked to it."""
+    plugins = OmegaConf.to_container(cfg.plugins, resolve=False)
+    return OmegaConf.to_yaml(OmegaConf.create({**plain_config(cfg), "plugins": plugins})).encode()
+
+
 def new_folder(path: str) -> str:
     """Make a folder of this name, or with a number behind it, that no other process has; resolver of YAML.
 

@@ -6,7 +6,8 @@ from functools import partial
 
 from ahnn.cli import commandline
 from ahnn.cli.compose import compose_job
-from ahnn.cli.parts import build_data, build_model, build_plugins, build_source
+from ahnn.cli.parts import build_plugins, build_source
+from ahnn.cli.prepare import build_data, build_model
 from ahnn.cli.settings import check_settings
 
 KEYS = [

@@ -15,9 +15,10 @@ import numpy as np
 import torch
 
 import ahnn
-import ahnn.train as training
+from ahnn.cli import training
 from ahnn.cli.compose import compose_job
-from ahnn.cli.parts import build_data, build_source
+from ahnn.cli.parts import build_source
+from ahnn.cli.prepare import build_data
 from ahnn.types import Space, Trajectories, Units
 
 NAMES = {1: ("q",), 2: ("x", "y"), 3: ("x", "y", "z")}
