@@ -71,7 +71,7 @@ def one(cfg: DictConfig) -> float:
 
     A run that is finished is kept, and one that another process works on is left to it.
     """
-    from ahnn.cli.before import begin
+    from ahnn.cli.before import begin, require_new
     from ahnn.cli.training import train_once
     from ahnn.errors import Occupied
     from ahnn.files import claimed
@@ -86,6 +86,7 @@ def one(cfg: DictConfig) -> float:
                 return math.nan
             cfg.ckpt = "last" if (folder / "checkpoints" / "last.ckpt").exists() else None
             log.info("%s: %s", folder.name, "begins" if cfg.ckpt is None else "goes on")
+            require_new(folder, cfg.ckpt)
             return train_once(cfg)
     except Occupied:
         log.info("%s: another process works on it", folder.name)

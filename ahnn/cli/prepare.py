@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +11,9 @@ from lightning import Callback, Trainer, seed_everything
 from lightning.pytorch.loggers import Logger
 from omegaconf import DictConfig, OmegaConf
 
+from ahnn.arguments import flatten
 from ahnn.checkpoints import FORMAT
-from ahnn.cli.build import build, build_all, plain_config, stored
+from ahnn.cli.build import Part, each, factories, plain_config, stored
 from ahnn.cli.parts import (
     SENSOR,
     SIMULATION,
@@ -26,12 +27,18 @@ from ahnn.cli.unread import require_read
 from ahnn.data import Source
 from ahnn.data.datamodule import WindowDataModule
 from ahnn.errors import UserError
-from ahnn.jobs.checks import check_learnable, check_together
+from ahnn.jobs.checks import check_together
 from ahnn.jobs.prepared import Assessment, Prepared
 from ahnn.models import AbstractModel, Optimisation
 from ahnn.stored import about_space
 from ahnn.training.checkpoint_io import AtomicCheckpointIO
-from ahnn.training.restore import resume_point
+
+Factories = dict[str, Callable[..., Any]]
+
+DECISIVE = ("max_epochs", "gradient_clip_val", "gradient_clip_algorithm", "accumulate_grad_batches")
+"""What of the trainer changes the weights."""
+CHOOSING = ("callbacks.best.monitor", "callbacks.rollout.count", "callbacks.rollout.every")
+"""What chooses the best of them."""
 
 
 def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] | None = None) -> Prepared:
@@ -47,82 +54,74 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
     """
     torch.set_num_threads(cfg.threads)
     seed_everything(cfg.seed, verbose=False)
-    data = build_data(cfg, source or build_source(cfg))
-    model = build_model(cfg, data)
+    values, made = plain_config(cfg), factories(parts_of(cfg))
+    source, folder = source or build_source(cfg), Path(cfg.folder)
+    options, sensor = report_options(cfg), build_sensor(cfg, source)
+    data = made["data"](source=source, window=cfg.window, sensor=sensor)
     plugins = build_plugins(cfg, data.splits)
-    trainer = build_trainer(cfg)
-    check_together(trainer, model, data)
+    model = build_model(values, made, data)
+    trainer = build_trainer(made, folder)
     data.feed(trainer)
+    checkpoint = None if cfg.ckpt is None else Path(cfg.ckpt)
+    if cfg.ckpt in ("last", "best"):
+        checkpoint = folder / "checkpoints" / f"{cfg.ckpt}.ckpt"
     prepared = Prepared(
         label=cfg.label,
         seed=cfg.seed,
-        folder=Path(cfg.folder),
+        folder=folder,
         config=stored(cfg),
         data=data,
         model=model,
         trainer=trainer,
-        checkpoint=resume_point(cfg.ckpt, model, trainer, Path(cfg.folder) / "checkpoints"),
+        checkpoint=checkpoint,
         weights=cfg.weights,
         recorded=cfg.cuda_graphs,
         robust=cfg.loss.get("robust", "none"),
-        assessment=Assessment(plugins, cfg.evaluation.seed, report_options(cfg), searched_settings(cfg)),
+        assessment=Assessment(plugins, cfg.evaluation.seed, options, searched(values)),
     )
+    check_together(prepared)
     require_read(cfg, prepared, asked)
     return prepared
 
 
-def build_data(cfg: DictConfig, source: Source) -> WindowDataModule:
-    """Build the DataModule of a training."""
-    left_out = (*SIMULATION, *SENSOR)
-    options = {key: value for key, value in plain_config(cfg.data).items() if key not in left_out}
-    sensor = build_sensor(cfg, source)
-    return build(OmegaConf.create(options), "data", source=source, window=cfg.window, sensor=sensor)
+def parts_of(cfg: DictConfig) -> dict[str, Part]:
+    """Return the nodes of a training that are built from their own keys and a few objects."""
+    data = {key: value for key, value in plain_config(cfg.data).items() if key not in (*SIMULATION, *SENSOR)}
+    trainer = cfg.trainer.copy()
+    if cfg.loss.get("stages") and trainer.accelerator == "auto":
+        trainer.accelerator = "cpu"  # where measurements are learned from
+    parts = {
+        "data": Part(OmegaConf.create(data), WindowDataModule, ("source", "window", "sensor")),
+        "model": Part(cfg.model, AbstractModel, ("dof", "inertia", "window")),
+        "optimizer": Part(cfg.optimizer),
+        **({"scheduler": Part(cfg.scheduler)} if cfg.scheduler else {}),
+        "trainer": Part(trainer, Trainer, ("plugins", "callbacks", "logger", "default_root_dir")),
+    }
+    return parts | each(cfg.callbacks, "callbacks", Callback) | each(cfg.logger, "logger", Logger)
 
 
-def build_model(cfg: DictConfig, data: WindowDataModule) -> AbstractModel:
-    """Build the model, with the factories of its optimiser, and what checkpoints say of it."""
-    space = data.source.space
-    given = {"dof": space.dof, "inertia": space.inertia, "window": cfg.window}
-    model = build(cfg.model, "model", **given).to(data.dtype)
-    check_learnable(model, data, cfg.loss.get("balance", 0.0))
-    if model.curriculum.span is not None:
-        data.require_span(model.curriculum.span)
-    else:
-        data.follow(model.curriculum, cfg.trainer.max_epochs)
-    scheduler = build(cfg.scheduler, "scheduler") if cfg.scheduler else None
-    known = {"recipe": data.source.recipe(), "split": list(data.splits.fractions)}
-    about = {"format": FORMAT, "space": about_space(space), "data": known, "settings": settings_of(cfg)}
-    model.train_by(Optimisation(build(cfg.optimizer, "optimizer"), scheduler), about)
+def build_model(values: dict[str, Any], made: Factories, data: WindowDataModule) -> AbstractModel:
+    """Build the model, with its optimiser and what its checkpoints say of the training."""
+    space, source, scheduler = data.source.space, data.source, made.get("scheduler")
+    model = made["model"](dof=space.dof, inertia=space.inertia, window=data.window).to(data.dtype)
+    known = {"recipe": source.recipe(), "split": list(data.splits.fractions)}
+    about = {"format": FORMAT, "space": about_space(space), "data": known, "settings": settings_of(values)}
+    model.train_by(Optimisation(made["optimizer"](), scheduler and scheduler()), about)
     return model
 
 
-DECISIVE = ("max_epochs", "gradient_clip_val", "gradient_clip_algorithm", "accumulate_grad_batches")
-"""What of the trainer changes the weights."""
-CHOOSING = ("callbacks.best.monitor", "callbacks.rollout.count", "callbacks.rollout.every")
-"""What chooses the best of them."""
-
-
-def settings_of(cfg: DictConfig) -> dict[str, Any]:
-    """Return all that determines a training besides its data: what a resumed one must share."""
-    parts = {name: plain_config(cfg[name]) for name in ("model", "loss", "optimizer", "scheduler", "data")}
-    parts["data"] = {key: value for key, value in parts["data"].items() if key not in SIMULATION}
-    parts |= {key: OmegaConf.select(cfg, key) for key in (*CHOOSING, "window", "seed")}
-    return {**parts, "trainer": {key: cfg.trainer.get(key) for key in DECISIVE}}
-
-
-def build_trainer(cfg: DictConfig) -> Trainer:
+def build_trainer(made: Factories, folder: Path) -> Trainer:
     """Build the Lightning trainer with its callbacks and loggers.
 
     Raises:
         UserError: several devices inside the process of a sweep, which the first job would not give back.
     """
-    callbacks = list(build_all(cfg.callbacks, "callbacks", Callback).values())
-    logger = list(build_all(cfg.logger, "logger", Logger).values())
-    parts = {"callbacks": callbacks, "logger": logger, "default_root_dir": cfg.folder}
-    own = cfg.trainer.copy()
-    if cfg.loss.get("stages") and own.accelerator == "auto":
-        own.accelerator = "cpu"  # where measurements are learned from
-    trainer = build(own, "trainer", Trainer, plugins=[AtomicCheckpointIO()], **parts)
+    callbacks, loggers = (
+        [build_it() for name, build_it in made.items() if name.startswith(group)]
+        for group in ("callbacks.", "logger.")
+    )
+    parts = {"callbacks": callbacks, "logger": loggers, "default_root_dir": str(folder)}
+    trainer = made["trainer"](plugins=[AtomicCheckpointIO()], **parts)
     environment = getattr(trainer.strategy, "cluster_environment", None)
     own = environment is not None and environment.creates_processes_externally
     if trainer.world_size > 1 and is_multirun() and not own:
@@ -134,8 +133,17 @@ def build_trainer(cfg: DictConfig) -> Trainer:
     return trainer
 
 
-def searched_settings(cfg: DictConfig) -> dict[str, Any]:
+def settings_of(values: dict[str, Any]) -> dict[str, Any]:
+    """Return all that determines a training besides its data: what a resumed one must share."""
+    parts = {name: values[name] for name in ("model", "loss", "optimizer", "scheduler", "data")}
+    parts["data"] = {key: value for key, value in parts["data"].items() if key not in SIMULATION}
+    flat = flatten(values)
+    parts |= {key: flat.get(key) for key in (*CHOOSING, "window", "seed")}
+    return {**parts, "trainer": {key: values["trainer"].get(key) for key in DECISIVE}}
+
+
+def searched(values: dict[str, Any]) -> dict[str, Any]:
     """Return what a search varies, for TensorBoard's comparison of runs."""
-    groups = {name: plain_config(cfg[name]) for name in ("model", "optimizer", "scheduler") if cfg[name]}
-    amounts = {"window": cfg.window, "batch_size": cfg.data.batch_size, "epochs": cfg.trainer.max_epochs}
-    return {**groups, **amounts, "seed": cfg.seed}
+    groups = {name: values[name] for name in ("model", "optimizer", "scheduler") if values[name]}
+    amounts = {"window": values["window"], "batch_size": values["data"]["batch_size"]}
+    return {**groups, **amounts, "epochs": values["trainer"]["max_epochs"], "seed": values["seed"]}

@@ -70,14 +70,12 @@ def train_once(cfg: DictConfig, source: Source | None = None, asked: Sequence[st
         source: of the trajectories; None takes the system of the configuration.
         asked: overrides behind it; None takes those of the command line.
     """
-    folder = Path(cfg.folder)
-    require_new(folder, cfg.ckpt)
     with held():
         from ahnn.cli.prepare import prepare
         from ahnn.jobs.fitting import fit
 
         prepared = prepare(cfg, source, asked)
-    trainer = prepared.trainer
+    folder, trainer = prepared.folder, prepared.trainer
     prepared.data.train_dataloader()  # the last that may be refused: from here on files are written
 
     require_writable(folder)

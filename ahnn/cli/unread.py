@@ -41,7 +41,8 @@ def require_read(cfg: DictConfig, prepared: Prepared, texts: Iterable[str] | Non
     values = {key: value for key, _, value in (text.partition("=") for text in texts)}
     several = values.get("seeds", "null") != "null"
     data = unread_of_data(cfg, prepared.data.source, prepared.data.sensor)
-    refuse((*data, *unread_of_training(cfg, prepared, several=several)), texts)
+    training = unread_of_training(cfg, prepared, several=several)
+    refuse((*data, *training), texts)
 
 
 def refuse(found: Iterable[tuple[str, str]], texts: Iterable[str]) -> None:

@@ -4,23 +4,40 @@ from __future__ import annotations
 
 from typing import Any
 
-from lightning import Trainer
-
 from ahnn.data.datamodule import WindowDataModule
+from ahnn.jobs.prepared import Prepared
 from ahnn.memory import require_memory
 from ahnn.models import AbstractModel
 from ahnn.training.identifiability import require_identifiable, require_unbiased
 from ahnn.training.normal_equations import memory_of, memory_of_parts
 from ahnn.training.objectives import PARTS
+from ahnn.training.restore import require_resumable
 
 
-def check_learnable(model: AbstractModel, data: WindowDataModule, balance: float) -> None:
+def check_together(prepared: Prepared) -> None:
+    """Let data, model, trainer and checkpoint refuse each other; model and callbacks do by a method `check`.
+
+    Raises:
+        UserError: names the key of what does not fit.
+    """
+    data, model, trainer = prepared.data, prepared.model, prepared.trainer
+    require_learnable(model, data)
+    if model.curriculum.span is not None:
+        data.require_span(model.curriculum.span)
+    else:
+        data.follow(model.curriculum, int(trainer.max_epochs or 1))
+    parts: list[Any] = [model, *trainer.callbacks]  # pyright: ignore[reportAttributeAccessIssue]
+    for part in parts:
+        if check := getattr(part, "check", None):
+            check(trainer)
+    if not model.stepper.automatic:
+        require_equations(model, data)
+    if prepared.checkpoint is not None:
+        require_resumable(prepared.checkpoint, model, trainer)
+
+
+def require_learnable(model: AbstractModel, data: WindowDataModule) -> None:
     """Refuse dynamics that the data cannot determine, or that the floor cannot be integrated with.
-
-    Args:
-        model: with its objectives.
-        data: with what training sees of them.
-        balance: of the loss, 1 weighs residuals by the local increment.
 
     Raises:
         UserError: names the key.
@@ -29,17 +46,7 @@ def check_learnable(model: AbstractModel, data: WindowDataModule, balance: float
         method.require(data.source.truth)  # the floor goes through the integrator of the model
     if data.sensor is not None:
         require_identifiable(model.dynamics, data.sensor, windows=model.curriculum.span is not None)
-        require_unbiased(balance)
-
-
-def check_together(trainer: Trainer, model: AbstractModel, data: WindowDataModule) -> None:
-    """Let model and callbacks refuse, by a method `check`, what they cannot work with; raises UserError."""
-    parts: list[Any] = [model, *trainer.callbacks]  # pyright: ignore[reportAttributeAccessIssue]
-    for part in parts:
-        if check := getattr(part, "check", None):
-            check(trainer)
-    if not model.stepper.automatic:
-        require_equations(model, data)
+        require_unbiased(model.about["settings"]["loss"].get("balance", 0.0))
 
 
 def require_equations(model: AbstractModel, data: WindowDataModule) -> None:
