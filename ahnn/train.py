@@ -5,11 +5,6 @@
 
 from __future__ import annotations
 
-if __name__ == "__main__":  # until `guard` listens, Ctrl-C ends this process without a traceback
-    import signal
-
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
 import os
 
 from ahnn.cli.entry import run_hydra

@@ -21,7 +21,7 @@ from ahnn.cli.again import Request, run_config
 from ahnn.cli.build import stored
 from ahnn.cli.compose import compose_job
 from ahnn.cli.help import ABOUT
-from ahnn.reproduction import plan
+from ahnn.cli.plan import plan
 from ahnn.rollouts import rollout
 from ahnn.systems.truth import exact_flow
 

@@ -8,19 +8,17 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from ahnn.arguments import check_arguments, flatten
+from ahnn.arguments import check_arguments
 from ahnn.cli.build import build, build_all, plain_config
 from ahnn.data import Simulated, Source, SplitData
 from ahnn.data.files.recordings import Recordings
 from ahnn.data.recorded import Recorded
 from ahnn.data.sensor import Sensor
 from ahnn.errors import UserError
-from ahnn.shooting.robust import ROBUST, RobustName
 from ahnn.systems import System
 
 if TYPE_CHECKING:
     from ahnn.evaluation import EvaluationPlugin
-    from ahnn.runs import Run
 
 SIMULATION = ("trajectories", "seed", "cache")
 """Keys of `data` that say how many trajectories are simulated, and where they are kept."""
@@ -110,19 +108,6 @@ def report_options(cfg: DictConfig) -> dict[str, Any]:
     asked = cfg.evaluation
     detail = asked.get("detail", False)  # runs of earlier versions do not have it
     return {"predictions": asked.save_predictions, "figures": asked.figures, "detail": detail}
-
-
-def robust_of(run: Run) -> RobustName:
-    """Return the loss of single residuals that a training took, of which its weights tell.
-
-    Raises:
-        UserError: there is no such loss.
-    """
-    name = flatten(run.about).get("settings.loss.robust", "none")
-    if name not in [*ROBUST]:
-        message = f"loss.robust: expected one of {', '.join(ROBUST)}; received {name!r}"
-        raise UserError(message)
-    return name
 
 
 def is_multirun() -> bool:

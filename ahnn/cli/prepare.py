@@ -27,7 +27,7 @@ from ahnn.cli.unread import require_read
 from ahnn.data import Source
 from ahnn.data.datamodule import WindowDataModule
 from ahnn.errors import UserError
-from ahnn.jobs.checks import check_together
+from ahnn.jobs.compatible import check_together
 from ahnn.jobs.prepared import Assessment, Prepared
 from ahnn.models import AbstractModel, Optimisation
 from ahnn.stored import about_space
@@ -87,15 +87,15 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
 def parts_of(cfg: DictConfig) -> dict[str, Part]:
     """Return the nodes of a training that are built from their own keys and a few objects."""
     data = {key: value for key, value in plain_config(cfg.data).items() if key not in (*SIMULATION, *SENSOR)}
-    trainer = cfg.trainer.copy()
-    if cfg.loss.get("stages") and trainer.accelerator == "auto":
-        trainer.accelerator = "cpu"  # where measurements are learned from
+    node = cfg.trainer.copy()
+    if cfg.loss.get("stages") and node.accelerator == "auto":
+        node.accelerator = "cpu"  # where measurements are learned from
     parts = {
         "data": Part(OmegaConf.create(data), WindowDataModule, ("source", "window", "sensor")),
         "model": Part(cfg.model, AbstractModel, ("dof", "inertia", "window")),
         "optimizer": Part(cfg.optimizer),
         **({"scheduler": Part(cfg.scheduler)} if cfg.scheduler else {}),
-        "trainer": Part(trainer, Trainer, ("plugins", "callbacks", "logger", "default_root_dir")),
+        "trainer": Part(node, Trainer, ("plugins", "callbacks", "logger", "default_root_dir")),
     }
     return parts | each(cfg.callbacks, "callbacks", Callback) | each(cfg.logger, "logger", Logger)
 
