@@ -174,7 +174,7 @@ def test_a_key_like_no_other_lists_the_top_level_alone(tmp_path, capfd, monkeypa
 @pytest.fixture
 def no_evaluation(monkeypatch):
     """The evaluation after a training has tests of its own."""
-    monkeypatch.setattr("ahnn.train.judge", lambda *_, **__: 0.0)
+    monkeypatch.setattr("ahnn.jobs.closing.judge", lambda *_, **__: 0.0)
 
 
 @pytest.mark.usefixtures("no_evaluation")

@@ -63,8 +63,9 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
 
 def named_folder(overrides: Sequence[str]) -> Path | None:
     """Return the run folder that a command line names; None takes a new one."""
-    named = [text.partition("=")[2] for text in overrides if text.startswith(("run=", "hydra.run.dir="))]
-    return Path(named[-1].strip("'\"")) if named else None
+    named = [text for text in overrides if text.startswith(("run=", "hydra.run.dir="))]
+    single = [text for text in named if not commandline.parse(text).is_sweep_override()]
+    return Path(str(commandline.pair(single[-1])[1])) if single else None
 
 
 def forget(folder: Path) -> None:

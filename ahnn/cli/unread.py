@@ -16,7 +16,7 @@ from ahnn.data.recorded import Recorded
 from ahnn.data.sensor import Sensor
 
 if TYPE_CHECKING:
-    from ahnn.train import Parts
+    from ahnn.jobs.prepared import Prepared
 
 log = logging.getLogger(__name__)
 
@@ -28,12 +28,12 @@ Unread = Iterator[tuple[str, str]]
 """Keys, and why they are not read."""
 
 
-def require_read(cfg: DictConfig, parts: Parts, texts: Iterable[str] | None = None) -> None:
+def require_read(cfg: DictConfig, prepared: Prepared, texts: Iterable[str] | None = None) -> None:
     """Refuse overrides that none of the parts of a training reads.
 
     Args:
         cfg: of the training.
-        parts: built from it.
+        prepared: built from it.
         texts: overrides; None takes those of the command line.
 
     Raises:
@@ -43,9 +43,9 @@ def require_read(cfg: DictConfig, parts: Parts, texts: Iterable[str] | None = No
         texts = HydraConfig.get().overrides.task if HydraConfig.initialized() else ()
     values = {key: value for key, _, value in (text.partition("=") for text in texts)}
     several = values.get("seeds", "null") != "null"
-    data = unread_of_data(cfg, parts.data.source, parts.data.sensor)
-    plugins = unread_of_plugins(cfg.plugins)
-    refuse((*data, *unread_of_training(cfg, parts, several=several), *plugins), texts)
+    data = unread_of_data(cfg, prepared.data.source, prepared.data.sensor)
+    training, plugins = unread_of_training(cfg, prepared, several=several), unread_of_plugins(cfg.plugins)
+    refuse((*data, *training, *plugins), texts)
 
 
 def refuse(found: Iterable[tuple[str, str]], texts: Iterable[str]) -> None:
@@ -72,9 +72,9 @@ def unread_of_data(cfg: DictConfig, source: Source, sensor: Sensor | None) -> Un
     )
 
 
-def unread_of_training(cfg: DictConfig, parts: Parts, *, several: bool) -> Unread:
+def unread_of_training(cfg: DictConfig, prepared: Prepared, *, several: bool) -> Unread:
     """Yield the keys that model, optimiser and trainer leave unread; `several` seeds are named."""
-    automatic, staged = parts.model.stepper.automatic, parts.data.stages is not None
+    automatic, staged = prepared.model.stepper.automatic, prepared.data.stages is not None
     rolled = OmegaConf.select(cfg, "callbacks.rollout.count") != 0
     clipped = bool(cfg.trainer.get("gradient_clip_val"))
     derived = staged or cfg.loss.derivative > 0

@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Annotated, Any, Literal, Protocol
 
 import torch
-from lightning import LightningDataModule
+from lightning import LightningDataModule, Trainer
 from torch import Tensor
 
 from ahnn.arguments import Count, Seed, Within, checked
@@ -131,6 +131,10 @@ class WindowDataModule(LightningDataModule):
         names = self.source.space.components if self.sensor is None else self.sensor.measurement.names
         stated = None if self.sensor is None or self.stages is None else self.sensor.deviations
         return remark_on(self.trajectories("train").spread(), names, stated)
+
+    def feed(self, trainer: Trainer) -> None:
+        """Gather batches where a trainer takes its steps, before it asks for any."""
+        self.trainer = trainer
 
     def follow(self, stages: Stages, epochs: int) -> None:
         """Hand out stretches of measurements that grow over so many epochs, in place of windows.

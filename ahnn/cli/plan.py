@@ -9,7 +9,7 @@ import yaml
 from omegaconf import DictConfig
 
 from ahnn.arguments import flatten
-from ahnn.cli.commandline import parse
+from ahnn.cli.commandline import pair, parse
 from ahnn.cli.compose import compose_sweep
 from ahnn.contents import read_plain
 from ahnn.errors import UserError
@@ -67,12 +67,12 @@ def plan(arguments: list[str], usage: str) -> Plan:
             f"{wrong[0]}: expected none, since reproduce sets it for each run; received {given[wrong[0]]!r}"
         )
         raise UserError(message)
-    values = {key: text.partition("=")[2].strip("'\"") for key, text in given.items()}
+    values = dict(pair(given[key]) for key in ("system", "budget", "run") if key in given)
     for key, known in (("system", SYSTEMS), ("budget", BUDGETS)):
         if (value := values.get(key, "nothing")) not in known:
             message = f"{key}: expected one of {', '.join(known)}; received {value}. {usage}"
             raise UserError(message)
-    folder = Path(values.get("run", f"runs/reproduce/{values['system']}_{values['budget']}"))
+    folder = Path(str(values.get("run", f"runs/reproduce/{values['system']}_{values['budget']}")))
     own = [f"sweep=reproduce_{values['budget']}", f"run='{folder}'"]
     overrides = [*(text for key, text in given.items() if key not in ("budget", "run")), *own]
     jobs = compose_sweep(overrides)
@@ -135,7 +135,7 @@ def require_same_settings(made: Plan) -> None:
 
 def settings(cfg: DictConfig, folder: str) -> dict[str, Any]:
     """Return what a training in a folder writes into its config.yaml."""
-    from ahnn.train import stored
+    from ahnn.cli.build import stored
 
     own = cfg.copy()
     own.folder = folder
