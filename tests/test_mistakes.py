@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 from entry import SMALL, call
+from hydra._internal.config_loader_impl import ConfigLoaderImpl
+from hydra._internal.hydra import Hydra
 from hydra.core.global_hydra import GlobalHydra
 
 from ahnn.cli.commandline import compose, config_loader
@@ -161,6 +163,21 @@ def test_a_potential_is_not_asked_for_where_there_is_a_beginning_or_another_obje
     asked = ["system=molniya", "sensor=orbit_positions", "hamiltonian=mechanical"]
     for named in ("recipe=noisy_positions", "ckpt=last", "weights=other", "loss.stages=[[weak,1.0]]"):
         assert compose(config_loader(), "train", [*asked, named]).model.hamiltonian == "mechanical"
+
+
+def test_a_command_line_is_composed_twice_and_no_more(tmp_path, monkeypatch):
+    compose, names = ConfigLoaderImpl.load_configuration, []
+
+    def counted(self, name, *arguments, **options):
+        names.append(name)
+        return compose(self, name, *arguments, **options)
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(ConfigLoaderImpl, "load_configuration", counted)
+    look_up = Hydra.get_mode
+    assert call("ahnn.train", "trainer.max_epochs=-5") == 2
+    assert names == ["train", "train"]
+    assert Hydra.get_mode is look_up
 
 
 def test_a_key_like_no_other_lists_the_top_level_alone(tmp_path, capfd, monkeypatch):

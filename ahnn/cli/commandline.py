@@ -130,15 +130,17 @@ def config_loader(folder: str | None = None) -> ConfigLoaderImpl:
     return ConfigLoaderImpl(path)
 
 
-def check(args: Namespace, config_name: str) -> None:
+def check(args: Namespace, config_name: str) -> DictConfig | None:
     """Compose what a command line asks for, each swept option of a group with the first of all others.
+
+    Returns the configuration of the first job, None where the command line asks for no job.
 
     Raises:
         UserError: an option or key that is unknown, options that do not go together, a sweep without -m, or
             one into a folder of somebody else.
     """
     if args.config_path or args.experimental_rerun or args.shell_completion:
-        return
+        return None
     loader, name = config_loader(args.config_dir), args.config_name or config_name
     overrides = [parse(text) for text in args.overrides]
     values = [alternatives(o, loader) for o in overrides]
@@ -155,6 +157,7 @@ def check(args: Namespace, config_name: str) -> None:
         require_folder(folder, "hydra.sweep.dir", [folder / "multirun.yaml"])
     require_referenced(composed, args.overrides)
     warn_of_twins(composed, [" ".join(job) for job in jobs])
+    return composed[0]
 
 
 def alternatives(override: Override, loader: ConfigLoaderImpl) -> list[str]:

@@ -7,11 +7,12 @@ import functools
 import os
 import shutil
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import hydra
+from hydra._internal.hydra import Hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
@@ -38,7 +39,7 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
         return show_help(args)
     if args.shell_completion and show_completion(args):
         return None
-    commandline.check(args, config_name)
+    first = commandline.check(args, config_name)
     own = named_folder(args.overrides)
     is_new = own is None or not own.exists()
     above = [path for path in (own or Path("runs", "day")).absolute().parents if not path.exists()]
@@ -58,7 +59,19 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
             leave(code)  # past Hydra, which would say that there was an error
         return None
 
-    return hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name=config_name)(tidy)()
+    with contextlib.nullcontext() if first is None else known_mode(first.hydra.mode):
+        return hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name=config_name)(tidy)()
+
+
+@contextlib.contextmanager
+def known_mode(mode: RunMode | None) -> Iterator[None]:
+    """Spare Hydra the composition, half a second, in which it looks up its mode."""
+    look_up = Hydra.get_mode
+    Hydra.get_mode = lambda *_, **__: mode
+    try:
+        yield
+    finally:
+        Hydra.get_mode = look_up
 
 
 def named_folder(overrides: Sequence[str]) -> Path | None:
