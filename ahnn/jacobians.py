@@ -37,3 +37,30 @@ def step_jacobians(increment: Callable[[Tensor, Tensor], Tensor], states: Tensor
         return pointwise_jacobian(lambda z: z + increment(z, dt[part]), x[part])
 
     return torch.cat(each(rows, slices(len(x), TOGETHER // x.shape[1]), x.device)).unflatten(0, lengths.shape)
+
+
+def moved(step: Callable[[Tensor], Tensor], x: Tensor) -> tuple[Tensor, Tensor]:
+    """Return states (B, D) after a step of states with variations, and its Jacobians (B, D, D)."""
+    beside = torch.eye(x.shape[1]).to(x).expand(len(x), -1, -1)
+    after = step(torch.cat((x.unsqueeze(1), beside), dim=1))
+    return after[:, 0], after[:, 1:].mT
+
+
+def differenced(
+    flow: Callable[[Tensor, float], Tensor], x: Tensor, dt: float, half: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return states (B, D) after a step of a flow, and its Jacobians (B, D, D), by central differences.
+
+    One call of the flow on B (1 + 2 D) states, for flows that cost more when they are followed.
+
+    Args:
+        flow: accurate to rounding.
+        x: (B, D).
+        dt: length of the step.
+        half: (D,) half widths of the differences.
+    """
+    offsets = torch.diag(half).to(x)
+    at = torch.cat((x.unsqueeze(1), x.unsqueeze(1) + offsets, x.unsqueeze(1) - offsets), dim=1)
+    after = flow(at.flatten(0, 1), dt).unflatten(0, at.shape[:2])
+    plus, minus = after[:, 1:].chunk(2, dim=1)
+    return after[:, 0], ((plus - minus) / (2.0 * half.to(x).unsqueeze(-1))).mT

@@ -8,7 +8,7 @@ from torch import Tensor
 from ahnn.dynamics.fields import HamiltonianDynamics
 from ahnn.dynamics.variations import varied
 from ahnn.integrators import ExplicitRungeKutta, SymmetricComposition
-from ahnn.jacobians import pointwise_jacobian
+from ahnn.jacobians import moved, pointwise_jacobian
 from ahnn.types import Flow
 
 
@@ -24,10 +24,7 @@ def transition(flow: Flow, x: Tensor, dt: float) -> tuple[Tensor, Tensor]:
     if not torch.is_grad_enabled() and isinstance(flow, HamiltonianDynamics):
         field, method = varied(flow.field), flow.integrator
         if field is not None and isinstance(method, ExplicitRungeKutta | SymmetricComposition):
-            beside = torch.eye(x.shape[1]).to(x).expand(len(x), -1, -1)
-            moving = torch.cat((x.unsqueeze(1), beside), dim=1)
-            after = moving + method.increment(field, moving, dt)
-            return after[:, 0], after[:, 1:].mT
+            return moved(lambda z: z + method.increment(field, z, dt), x)
     with torch.inference_mode(mode=False):
         x = x.clone() if x.is_inference() else x
         return flow(x, dt), pointwise_jacobian(lambda z: flow(z, dt).to(z.dtype), x)

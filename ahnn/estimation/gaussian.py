@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import torch
 from torch import Tensor
@@ -42,17 +42,19 @@ class GaussianFilter(ABC):
     """A filter with additive noise for a batch of B members; an `Estimator` whose subclasses are dataclasses.
 
     Attributes:
-        name: of its rows.
         gate: refuses improbable measurement rows; None takes all.
-        definite: whether it needs a measurement noise that is positive definite.
     """
 
-    name: ClassVar[str]
     gate: Gate | None
 
     def __post_init__(self) -> None:
         """Refuse what is no gate; raises ValueError."""
         check_gate(self.gate, "gate")
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """What its rows are called, and its node of the configuration."""
 
     @property
     def definite(self) -> bool:

@@ -179,9 +179,8 @@ def _named(state: Any) -> dict[str, Tensor]:
 def _filled(like: S, parts: Mapping[str, Tensor]) -> S:
     """Return a state with other tensors."""
     fields = cast(Any, like)._asdict().items()
-    return like._replace(
-        **{k: _filled(part, parts) if isinstance(part, tuple) else parts[k] for k, part in fields}
-    )
+    filled = {k: _filled(cast(Any, p), parts) if isinstance(p, tuple) else parts[k] for k, p in fields}
+    return like._replace(**filled)
 
 
 def _order(tensor: Tensor) -> list[int]:

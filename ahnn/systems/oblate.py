@@ -5,13 +5,14 @@ from __future__ import annotations
 import ctypes
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import torch
 from torch import Tensor
 
 from ahnn.cores import each, slices
 from ahnn.integrators import SymmetricComposition
+from ahnn.jacobians import differenced
 from ahnn.libraries import NUMBER as N
 from ahnn.libraries import PART, REAL, compiled_library, numbers_alone
 from ahnn.libraries import POINTER as P
@@ -45,7 +46,7 @@ class OblateFlow:
     """A flow by a composition of leapfrogs, of states (B, 6) on the CPU; other states follow `flow`.
 
     Args:
-        flow: what it stands for.
+        flow: what it stands for, of `exact_flow`.
         constants: of the equations of motion.
         method: the composition.
         longest: step that is not cut into several.
@@ -70,6 +71,10 @@ class OblateFlow:
 
         each(follow, slices(len(x), PART), x.device)
         return out
+
+    def transition(self, x: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+        """Return the states (B, 6) after dt, and the state transitions (B, 6, 6)."""
+        return differenced(self, x, dt, cast(Any, self.flow).half)
 
     def _follow(self, x: Tensor, h: Tensor, count: int, out: Tensor) -> None:
         """Write the states after `count` steps of length h to `out`."""

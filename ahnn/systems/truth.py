@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ahnn.errors import UserError
 from ahnn.integrators import INTEGRATORS
+from ahnn.jacobians import differenced
 from ahnn.substeps import substeps
 from ahnn.systems.base import System
 from ahnn.types import Flow, TimeStep
@@ -21,6 +22,8 @@ TRIED, STEPS = 16, 24
 """Trajectories and sampling intervals of a trial."""
 FINEST = 64
 """Most substeps of a sampling interval."""
+DIFFERENCE = 1e-3
+"""Half width of central differences of a flow, in deviations of the system's default starts."""
 _KNOWN: dict[str, int] = {}
 """What was found for the systems of this process; their parameters may be lists, which no cache takes."""
 
@@ -32,7 +35,7 @@ def exact_flow(system: System) -> Flow:
         UserError: no admissible number of substeps is accurate.
     """
     count = accurate_substeps(system)
-    return system.compiled(_substeps_flow(system, count), system.dt / count)
+    return system.compiled(SubstepsFlow(system, count), system.dt / count)
 
 
 def varied_flow(system: System, constants: Mapping[str, Tensor]) -> Flow:
@@ -48,7 +51,7 @@ def varied_flow(system: System, constants: Mapping[str, Tensor]) -> Flow:
     varied = copy.copy(system)
     for name, values in constants.items():
         object.__setattr__(varied, name, values)  # frozen, and its checks expect one number for all
-    return _substeps_flow(varied, accurate_substeps(system))
+    return SubstepsFlow(varied, accurate_substeps(system))
 
 
 def accurate_substeps(system: System) -> int:
@@ -83,7 +86,7 @@ def _trial_error(system: System, count: int) -> float:
     start = system.initial_states(TRIED, torch.Generator().manual_seed(0))
     whole = int(system.durations(start).max())
     steps = min(whole, max(4, STEPS // count))
-    coarse, fine = (_substeps_flow(system, n) for n in (count, 2 * count))
+    coarse, fine = (SubstepsFlow(system, n) for n in (count, 2 * count))
     x = y = start
     size = start.abs()
     for _ in range(steps):
@@ -97,14 +100,22 @@ def _trial_error(system: System, count: int) -> float:
     return worst if math.isfinite(worst) else 0.0  # who generates it will see it diverge
 
 
-def _substeps_flow(system: System, count: int) -> Flow:
-    """Return the flow with `count` substeps in a sampling interval, in proportion for other steps."""
-    integrator = INTEGRATORS[system.integrator]
+class SubstepsFlow:
+    """The flow of a system with `count` substeps in a sampling interval, in proportion for other steps."""
 
-    def flow(x: Tensor, dt: TimeStep) -> Tensor:
-        parts = substeps(dt, system.dt / count)
+    def __init__(self, system: System, count: int) -> None:
+        self.system, self.longest = system, system.dt / count
+        self.integrator = INTEGRATORS[system.integrator]
+
+        self.half = DIFFERENCE * system.deviations()
+
+    def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
+        """Return the states (B, D) after dt."""
+        parts = substeps(dt, self.longest)
         for _ in range(parts):
-            x = integrator.step(system, x, dt / parts)
+            x = self.integrator.step(self.system, x, dt / parts)
         return x
 
-    return flow
+    def transition(self, x: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+        """Return the states (B, D) after dt, and the state transitions (B, D, D)."""
+        return differenced(self, x, dt, self.half)

@@ -99,6 +99,13 @@ def estimator(entries: Iterable[Entry]) -> str | None:
     return next((name for name in FILTERS if name in shared), min(name for name in shared if name))
 
 
+def plain_filter(entries: Iterable[Entry]) -> str:
+    """Return the filter that figures show: the plain one of the paper, or the first there is."""
+    names = dict.fromkeys(row.who.estimator for entry in entries for row in entry.results.rows)
+    plain = [name for name in names if name and "_" not in name]
+    return FILTERS[-1] if FILTERS[-1] in plain or not plain else plain[0]
+
+
 def sample(entries: Iterable[Entry], who: Who, quantity: str) -> Sample:
     """Return a score of one row over the runs that have it."""
     rows = (entry.results.row(who) for entry in entries)

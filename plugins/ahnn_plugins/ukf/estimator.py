@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, ClassVar, cast, final
+from typing import Any, cast, final
 
 import torch
 from torch import Tensor
@@ -46,7 +46,6 @@ class UnscentedKalmanFilter(GaussianFilter):
         ValueError: a form or a gate that is none.
     """
 
-    name: ClassVar[str] = "ukf"
     parameters: UnscentedParameters = DEFAULTS
     form: Form = SQUARE_ROOT
     gate: Gate | None = None
@@ -57,6 +56,11 @@ class UnscentedKalmanFilter(GaussianFilter):
             message = f"form: expected a Form, SQUARE_ROOT or STANDARD; received {self.form!r}"
             raise UserError(message)
         super().__post_init__()
+
+    @property
+    def name(self) -> str:
+        """What its rows are called."""
+        return "ukf"
 
     @property
     def definite(self) -> bool:

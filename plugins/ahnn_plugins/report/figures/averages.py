@@ -83,7 +83,7 @@ def _panel(task: Task, key: str, column: int, label: str, smooth: Callable[[Tens
         there = [smooth(run.rms[key][:, column]) for run in runs if key in run.rms]
         if there:
             mean, band = over_seeds(there)
-            name = f"{model} + UKF" if role == "filter" else model
+            name = f"{model} + {runs[0].filter}" if role == "filter" else model
             series.append(curve(name, lead.time, mean, role=role, slot=runs[0].slot, band=band, log=True))
     series += _floor(task, key, column, smooth)
     return Panel(tuple(series), time_label(lead), label, log=True)
@@ -99,7 +99,11 @@ def _floor(task: Task, key: str, column: int, smooth: Callable[[Tensor], Tensor]
         if prefix and block >= 0 and f"{prefix}/floor_{start}" in run.averages:
             values = run.averages[f"{prefix}/floor_{start}"][block]
         if values is not None:
-            return [curve("floor + UKF" if prefix else "floor", run.time, values, role="floor", log=True)]
+            return [
+                curve(
+                    f"floor + {run.filter}" if prefix else "floor", run.time, values, role="floor", log=True
+                )
+            ]
     return []
 
 
@@ -110,7 +114,7 @@ def _blocks(run: Kept) -> tuple[tuple[str, str], tuple[str, str]]:
 def _title(task: Task, prefix: str, start: str, in_paper: bool) -> str:
     number = PAPER.get((task.system, bool(prefix))) if in_paper else None
     paper = f" (figure {number} of the paper)" if number and start != "fitted" else ""
-    setting = "with UKF" if prefix else "without measurements"
+    setting = f"with {task.lead.filter}" if prefix else "without measurements"
     return f"moving average of the error {setting}, {start} start{paper}"
 
 

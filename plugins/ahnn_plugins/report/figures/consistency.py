@@ -36,7 +36,13 @@ def _panel(task: Task, start: str) -> Panel:
             mean, seeds = over_seeds(there)
             series.append(
                 curve(
-                    f"{model} + UKF", lead.time, mean, role="filter", slot=runs[0].slot, band=seeds, log=True
+                    f"{model} + {runs[0].filter}",
+                    lead.time,
+                    mean,
+                    role="filter",
+                    slot=runs[0].slot,
+                    band=seeds,
+                    log=True,
                 )
             )
     return Panel(tuple(series), time_label(lead), f"mean NEES, {start} start", log=True)

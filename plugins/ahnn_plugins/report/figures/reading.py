@@ -11,11 +11,13 @@ from torch import Tensor
 
 from ahnn.contents import require_regular
 from ahnn.errors import UserError
+from ahnn.evaluation.titles import estimator_title
 from ahnn.metrics import errors
 from ahnn.systems import System
 from ahnn.types import Space
 from ahnn_plugins.report.collection import PREDICTIONS, Entry
 from ahnn_plugins.report.figures.equations import system_of
+from ahnn_plugins.report.scores import plain_filter
 
 HOURS = 7200.0
 """Seconds beyond which an axis of time has hours."""
@@ -75,6 +77,11 @@ class Kept(NamedTuple):
     nees: dict[str, Tensor]
     teeth: dict[str, Teeth]
     deviations: Tensor | None
+
+    @property
+    def filter(self) -> str:
+        """Name of the filter in figures."""
+        return estimator_title(plain_filter([self.entry]))
 
     @property
     def space(self) -> Space:
@@ -145,8 +152,9 @@ def _reduced(arrays: Arrays, entry: Entry, slot: int) -> Kept | None:
         *(batch, truth[0].clone(), {}, {}, {}, {}, {}),
         None if sigma is None else sigma[0].clone(),
     )
+    own = plain_filter([entry])
     for start in STARTS:
-        for key, name in _names(start):
+        for key, name in _names(start, own):
             states = arrays.get(key, (batch, samples, size))
             if states is None:
                 continue
@@ -154,21 +162,21 @@ def _reduced(arrays: Arrays, entry: Entry, slot: int) -> Kept | None:
             error = states - truth if name.startswith("ukf/") else errors(states, truth)
             found.rms[name] = _rms(error, space.divisor)
             found.first[name] = states[0].clone()  # a view would hold the whole array
-        nees = arrays.get(f"ukf/{start}_nees", (batch, samples))
-        average = arrays.get(f"ukf/{start}_sma_floor", (2, samples))
-        teeth = _teeth(arrays, start, truth, time, space.divisor)
+        nees = arrays.get(f"{own}/{start}_nees", (batch, samples))
+        average = arrays.get(f"{own}/{start}_sma_floor", (2, samples))
+        teeth = _teeth(arrays, f"{own}/{start}", truth, time, space.divisor)
         found.nees.update({} if nees is None else {start: nees.nanmean(0)})
         found.averages.update({} if average is None else {f"ukf/floor_{start}": average.clone()})
         found.teeth.update({} if teeth is None else {start: teeth})
     return found
 
 
-def _names(start: str) -> tuple[tuple[str, str], ...]:
-    """Return the keys of the rollouts of a start, and what they are called here."""
+def _names(start: str, own: str) -> tuple[tuple[str, str], ...]:
+    """Return the keys of the rollouts of a start, and what they are called here, whatever the filter."""
     return (
         (f"{start}_start", start),
         (f"floor_{start}_start", f"floor_{start}"),
-        (f"ukf/{start}_start", f"ukf/{start}"),
+        (f"{own}/{start}_start", f"ukf/{start}"),
     )
 
 
@@ -203,12 +211,12 @@ def _rms(error: Tensor, inertia: float) -> Tensor:
     return torch.cat((squares, *norms), dim=-1).nanmean(0).sqrt()
 
 
-def _teeth(arrays: Arrays, start: str, truth: Tensor, time: Tensor, inertia: float) -> Teeth | None:
+def _teeth(arrays: Arrays, prefix: str, truth: Tensor, time: Tensor, inertia: float) -> Teeth | None:
     """Return the drawn trajectory of a filter, None of an evaluation that did not keep it."""
     shape = (2 * len(time) - 1, truth.shape[-1])
-    mean = arrays.get(f"ukf/{start}_sawtooth_mean", shape)
-    deviation = arrays.get(f"ukf/{start}_sawtooth_deviation", shape)
-    number = arrays.get(f"ukf/{start}_sawtooth_member", (1,))
+    mean = arrays.get(f"{prefix}_sawtooth_mean", shape)
+    deviation = arrays.get(f"{prefix}_sawtooth_deviation", shape)
+    number = arrays.get(f"{prefix}_sawtooth_member", (1,))
     if mean is None or deviation is None or number is None or float(number) not in range(len(truth)):
         return None
     sample = torch.arange(len(time)).repeat_interleave(2)[1:]

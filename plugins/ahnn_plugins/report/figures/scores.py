@@ -8,18 +8,20 @@ from typing import Literal, NamedTuple, get_args
 import torch
 
 from ahnn.evaluation.style import LOST
+from ahnn.evaluation.titles import estimator_title
 from ahnn_plugins.report.collection import Collection, Entry
 from ahnn_plugins.report.drawing import Drawing, Panel, Role, Series
 from ahnn_plugins.report.figures.models import one_each, ordered
 from ahnn_plugins.report.figures.reading import STARTS
 from ahnn_plugins.report.figures.task import file_name
 from ahnn_plugins.report.paper import printed_value
+from ahnn_plugins.report.scores import plain_filter
 
 Quantity = Literal["position", "velocity", "energy"]
 
 BESIDE = 0.17
 """How far left of its place a model stands, and how far right of it the same model with a filter."""
-SIDES = "Left without measurements, right of it with the UKF. "
+SIDES = "Left without measurements, right of it with the filter. "
 DOTS = "Dots are means over seeds, lines their range. "
 MEANING = "RMSE: mean over test trajectories of the rms vector norm; floor: what perfect knowledge scores."
 
@@ -61,10 +63,10 @@ def _of_start(
 
 
 def _of_model(runs: list[Entry], start: str, quantity: Quantity, place: int, slot: int) -> list[Series]:
-    model, found = runs[0].model, []
+    model, found, own = runs[0].model, [], plain_filter(runs)
     kinds: tuple[tuple[str | None, str, Role, Role, float], ...] = (
         (None, "", "model", "floor", -BESIDE),
-        ("ukf", " + UKF", "filter", "floor", BESIDE),
+        (own, f" + {estimator_title(own)}", "filter", "floor", BESIDE),
     )
     for estimator, suffix, role, floor_role, offset in kinds:
         scores = _scores(runs, start, quantity, estimator, floor=False)

@@ -10,6 +10,7 @@ from ahnn_plugins.report.figures.curves import curve
 from ahnn_plugins.report.figures.models import ORDER
 from ahnn_plugins.report.figures.reading import Kept, Teeth, velocities
 from ahnn_plugins.report.figures.task import Task, state_labels, time_label
+from ahnn_plugins.report.scores import plain_filter
 
 WIDE = 3.0
 """Half width of the bands, in standard deviations."""
@@ -39,7 +40,8 @@ def _filtered(task: Task) -> Kept | None:
 
 def _score(run: Kept) -> float:
     """Return the least position error of a filter from any start, infinite where it was not scored."""
-    rows = [row for row in run.entry.results.rows if row.who.estimator == "ukf" and not row.who.floor]
+    own = plain_filter([run.entry])
+    rows = [row for row in run.entry.results.rows if row.who.estimator == own and not row.who.floor]
     return min((row.scores.position for row in rows if row.scores.position < torch.inf), default=torch.inf)
 
 
@@ -47,7 +49,7 @@ def _states(task: Task, run: Kept, teeth: Teeth, start: str) -> Drawing:
     panels = []
     for i, label in enumerate(state_labels(run)):
         truth, mean, wide = teeth.truth[:, i], teeth.mean[:, i], WIDE * teeth.deviation[:, i]
-        name, slot = f"{run.entry.model} + UKF, ±{WIDE:g}σ", run.slot
+        name, slot = f"{run.entry.model} + {run.filter}, ±{WIDE:g}σ", run.slot
         band = mean - wide, mean + wide
         series = (
             curve(name, teeth.time, mean, role="filter", slot=slot, band=band),
@@ -58,7 +60,7 @@ def _states(task: Task, run: Kept, teeth: Teeth, start: str) -> Drawing:
     number = PAPER.get(task.system)
     same = number and start == "perturbed" and run.entry.model.upper() == ORDER[-1]
     paper = f" (figure {number} of the paper)" if same else ""
-    title = f"state estimated by {run.entry.model} + UKF, {start} start{paper}"
+    title = f"state estimated by {run.entry.model} + {run.filter}, {start} start{paper}"
     caption = (
         f"{_which(run, teeth)}, before and after every update; its band is ±{WIDE:g} standard deviations."
     )
@@ -70,7 +72,7 @@ def _errors(task: Task, run: Kept, teeth: Teeth, start: str) -> Drawing:
     settled = teeth.updates.cumsum(0) > 0
     for i, label in enumerate(state_labels(run)):
         error, wide = (teeth.mean - teeth.truth)[:, i], WIDE * teeth.deviation[:, i]
-        name, band = f"{run.entry.model} + UKF: estimate - truth, ±{WIDE:g}σ", (-wide, wide)
+        name, band = f"{run.entry.model} + {run.filter}: estimate - truth, ±{WIDE:g}σ", (-wide, wide)
         main = curve(name, teeth.time, error, role="filter", slot=run.slot, band=band)
         series = (main, _marks(teeth, error))
         shown = torch.cat((-wide[settled], wide[settled], error[settled]))
@@ -78,7 +80,7 @@ def _errors(task: Task, run: Kept, teeth: Teeth, start: str) -> Drawing:
     caption = (
         f"{_which(run, teeth)}: its error and its band. The scale is that of the time after the first update."
     )
-    title = f"error of {run.entry.model} + UKF in its band, {start} start"
+    title = f"error of {run.entry.model} + {run.filter} in its band, {start} start"
     return task.drawing("ukf_error", title, caption, panels)
 
 
