@@ -28,6 +28,7 @@ from pathlib import Path
 import torch
 
 from ahnn.cli.commandline import compose, config_loader
+from ahnn.cli.compose import composed
 from ahnn.cli.prepare import prepare
 from ahnn.errors import TrainingError, UserError
 from ahnn.metrics import errors, rmse_norm
@@ -67,7 +68,7 @@ def trained(overrides: list[str], seconds: float) -> float:
     """
     with tempfile.TemporaryDirectory() as folder:
         place = [f"folder={folder}", f"run={folder}", "data.trajectories=625"]
-        prepared = prepare(compose(config_loader(), "train", [*place, *overrides]))
+        prepared = prepare(composed("train", [*place, *overrides]))
         data, model = prepared.data, prepared.model
     statistics = data.statistics()
     model.calibrate(statistics)

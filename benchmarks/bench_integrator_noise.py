@@ -15,7 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from ahnn.cli.commandline import compose, config_loader
+from ahnn.cli.compose import composed
 from ahnn.cli.prepare import prepare
 from ahnn.evaluation.explained import explain
 from ahnn.integrators import INTEGRATORS
@@ -42,7 +42,7 @@ def main() -> None:
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as folder:
         options = ["experiment=molniya_positions", "plugins=none", f"folder={folder}", f"run={folder}"]
-        data: Any = prepare(compose(config_loader(), "train", options)).data
+        data: Any = prepare(composed("train", options)).data
         data.statistics()
         unseen = data.whole("val")
         for step in STEPS:

@@ -12,9 +12,9 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import get_object
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from ahnn.cli.build import build, build_all
-from ahnn.cli.parts import SENSOR, SIMULATION
-from ahnn.cli.prepare import prepare
+from ahnn.cli.build import build, build_all, factories, plain_config
+from ahnn.cli.parts import SENSOR, SIMULATION, build_sensor, build_source
+from ahnn.cli.prepare import build_model, parts_of, prepare
 from ahnn.data.splits import split_sizes
 from ahnn.errors import UserError
 from ahnn.integrators import GaussLegendre4
@@ -32,12 +32,20 @@ BUILT = ["system", "model", "data", "optimizer", "scheduler", "loss", "integrato
 
 def composed(tmp_path, *overrides):
     with untouched(), initialize_config_dir(str(conf_dir()), version_base="1.3"):
-        return compose("train", [f"folder={tmp_path}", *overrides], return_hydra_config=True)
+        place = [f"folder={tmp_path}", f"run={tmp_path}"]
+        return compose("train", [*place, *overrides], return_hydra_config=True)
+
+
+def job(cfg):
+    """What a task takes of a configuration: all but the part of Hydra."""
+    return OmegaConf.masked_copy(cfg, [key for key in cfg if key != "hydra"])
 
 
 def build_parts(cfg):
-    prepared = prepare(cfg)
-    return prepared.data, prepared.model
+    cfg = job(cfg)
+    made, source = factories(parts_of(cfg)), build_source(cfg)
+    data = made["data"](source=source, window=cfg.window, sensor=build_sensor(cfg, source))
+    return data, build_model(plain_config(cfg), made, data)
 
 
 def targets(node):
@@ -143,7 +151,7 @@ def test_measurements_are_learned_from_on_the_cpu_where_there_is_a_gpu(tmp_path,
         accelerator = f"lightning.{part}.accelerators.CUDAAccelerator"
         monkeypatch.setattr(f"{accelerator}.is_available", staticmethod(lambda: True))
     parts = ["logger=none"]
-    trainer = prepare(composed(tmp_path, "experiment=pendulum_angles", *parts)).trainer
+    trainer = prepare(job(composed(tmp_path, "experiment=pendulum_angles", *parts))).trainer
     assert trainer.strategy.root_device.type == "cpu"
     with pytest.raises(UserError, match=r"^trainer: .*(gpu|cuda|GPU|CUDA)"):
-        prepare(composed(tmp_path, *parts))
+        prepare(job(composed(tmp_path, *parts)))

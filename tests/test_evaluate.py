@@ -209,7 +209,7 @@ def test_an_evaluation_weighs_residuals_as_the_training_did(run, capfd, monkeypa
         message = "as far as this test goes"
         raise UserError(message)
 
-    monkeypatch.setattr("ahnn.evaluation.prepare.make_case", case)
+    monkeypatch.setattr("ahnn.jobs.evaluating.make_case", case)
     for robust in ("student", "cauchy", ["none"]):
         content = read_checkpoint(path)
         content["ahnn"]["settings"]["loss"]["robust"] = robust

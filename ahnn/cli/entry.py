@@ -20,6 +20,7 @@ from omegaconf import DictConfig
 from ahnn.cli import commandline
 from ahnn.cli.guard import guard, leave
 from ahnn.cli.help import show_completion, show_help
+from ahnn.cli.stops import arrived
 from ahnn.paths import conf_dir
 
 
@@ -48,6 +49,8 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
 
     @functools.wraps(task)
     def tidy(cfg: DictConfig) -> Any:
+        if stop := arrived():  # what composes a configuration swallowed what it raised
+            raise stop
         if HydraConfig.get().mode is RunMode.MULTIRUN or cfg.get("trial") is not None:
             return task(cfg)  # who runs several jobs has to see how each of them ended
         if code := guard(lambda: task(cfg)):
