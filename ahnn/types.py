@@ -16,6 +16,8 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 from torch import Tensor
 
+from ahnn.clock import Clock
+
 TimeStep = float | Tensor
 """A time step in the unit of the space: one number, or a (B,) tensor with one step for each member."""
 
@@ -77,6 +79,7 @@ class Space(NamedTuple):
         frame: in which positions are given, such as `EME2000, EARTH`; "" where nobody said.
         mechanical: whether p = m dq/dt holds; momenta of another H, with a matrix of masses or in a rotating
             frame, are not called velocities (`ahnn.labels`).
+        controls: names of numbers that are set from outside, on which the motion depends.
     """
 
     name: str
@@ -85,6 +88,7 @@ class Space(NamedTuple):
     inertia: float = 1.0
     frame: str = ""
     mechanical: bool = True
+    controls: tuple[str, ...] = ()
 
     @property
     def dof(self) -> int:
@@ -103,10 +107,19 @@ class Trajectories(NamedTuple):
     Attributes:
         states: (B, T, D) float64; a sample with any NaN is absent.
         times: (B, T) float64, increasing in each row; NaN only where the sample is absent.
+        controls: (B, T, m) float64, those of each sample on; None where nothing is controlled.
+        linear: whether controls are interpolated linearly between samples; else they are held.
     """
 
     states: Tensor
     times: Tensor
+    controls: Tensor | None = None
+    linear: bool = False
+
+    @property
+    def clock(self) -> Clock:
+        """Time and controls of all samples."""
+        return Clock.of(self.times, self.controls, self.linear)
 
     @property
     def present(self) -> Tensor:
@@ -115,7 +128,8 @@ class Trajectories(NamedTuple):
 
     def part(self, rows: slice) -> Trajectories:
         """Return some of the trajectories."""
-        return Trajectories(self.states[rows], self.times[rows])
+        controls = None if self.controls is None else self.controls[rows]
+        return self._replace(states=self.states[rows], times=self.times[rows], controls=controls)
 
     def parts(self) -> Iterator[Trajectories]:
         """Yield all trajectories in their order, so many at once as `PART` holds."""

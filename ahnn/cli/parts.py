@@ -112,7 +112,8 @@ def build_model(cfg: DictConfig, data: WindowDataModule) -> AbstractModel:
 
     space = data.source.space
     given = {"dof": space.dof, "inertia": space.inertia, "window": cfg.window}
-    model = build(cfg.model, "model", **given).to(data.dtype)
+    model = build(cfg.model, "model", controls=len(space.controls), **given).to(data.dtype)
+    data.clock = model.dynamics.clock
     if (method := getattr(model.dynamics, "integrator", None)) and data.source.truth is not None:
         method.require(data.source.truth)  # the floor goes through the integrator of the model
     if data.sensor is not None:

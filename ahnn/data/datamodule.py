@@ -17,7 +17,7 @@ from ahnn.data.segments import Segments, whole
 from ahnn.data.sensor import Sensor
 from ahnn.data.sources import Source
 from ahnn.data.splits import Split, SplitData
-from ahnn.data.windows import Windows, require_span
+from ahnn.data.windows import Windows, on_clock, require_span
 from ahnn.errors import UserError
 from ahnn.measurements import Instrument, Segment
 from ahnn.measurements.smoothing import Local, as_states, smoothed
@@ -78,6 +78,7 @@ class WindowDataModule(LightningDataModule):
         self.splits = SplitData(source, split, sensor)
         self.stages: Stages | None = None
         self.epochs = 1
+        self.clock = 0  # coordinates of extended states, as the dynamics want them
         self._cut: dict[int | None, Segments] = {}
         self._windows: dict[tuple[Split, int], Windows] = {}
         self.window, self.span, self.batch_size = window, window, batch_size
@@ -103,7 +104,8 @@ class WindowDataModule(LightningDataModule):
     @cached_property
     def smooth(self) -> Local:
         """Polynomials at some of the training measurements, which scalings and widths are read off."""
-        return smoothed(self.splits.instrument(), *self.trajectories("train"), EXAMPLES)
+        train = self.trajectories("train")
+        return smoothed(self.splits.instrument(), train.states, train.times, EXAMPLES)
 
     @cached_property
     def instrument(self) -> Instrument:
@@ -115,7 +117,7 @@ class WindowDataModule(LightningDataModule):
         train = self.trajectories("train")
         if self.sensor is None:
             return Statistics.of(train)
-        return measured_statistics(self.smooth, self.instrument, train.times)
+        return measured_statistics(self.smooth, self.instrument, train)
 
     def examples(self) -> Tensor:
         """Return training states (M, D) float64, measurements smoothed."""
@@ -187,7 +189,8 @@ class WindowDataModule(LightningDataModule):
         self, split: Split, span: int, limit: int | None, seed: int | None, emphasis: float = 0.0
     ) -> WindowLoader:
         if (split, span) not in self._windows:
-            self._windows[split, span] = Windows(self.trajectories(split), span, self.dtype)
+            data = on_clock(self.trajectories(split), self.clock)
+            self._windows[split, span] = Windows(data, span, self.dtype)
         windows = self._windows[split, span]
         size = 16.0 * min(self.batch_size, len(windows)) * (span + 1) * windows.flat.shape[-1]
         require_memory("data.batch_size", "the windows of a batch", size)

@@ -92,7 +92,7 @@ def content_of(given: Trajectories, space: Space) -> Content:
     Raises:
         UserError: what `check_trajectories` refuses.
     """
-    states, times = check_trajectories(given, space)
+    states, times, *_ = check_trajectories(given, space)
     q, p = space.components[: space.dof], space.components[space.dof :]
     alone = bool(states[..., len(q) :].isnan().all())
     values = (states[..., : len(q)] if alone else states).numpy()

@@ -155,6 +155,6 @@ def remark_on(samples: Trajectories, names: Sequence[str], stated: Tensor | None
 
 def looked_at(trajectories: Trajectories) -> Trajectories:
     """Return the beginnings of some trajectories, evenly chosen, of `LOOKED_AT` samples in all."""
-    states, times = trajectories.part(slice(None, None, max(1, trajectories.times.numel() // LOOKED_AT)))
+    states, times, *_ = trajectories.part(slice(None, None, max(1, trajectories.times.numel() // LOOKED_AT)))
     samples = max(LOOKED_AT // len(times), ORDERS[-1] + 1)
     return Trajectories(states[:, :samples], times[:, :samples])

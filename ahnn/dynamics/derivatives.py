@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from torch.func import functional_call, jacrev, vmap
 
 from ahnn.dynamics.base import HasField
+from ahnn.dynamics.forced import Forced
 from ahnn.dynamics.hamiltonians import SeparableHamiltonian
 from ahnn.dynamics.separable_rows import has_separable_rows, separable_rows
 from ahnn.types import TimeStep
@@ -136,4 +137,5 @@ def increment_jacobian(
 
 def knows_velocities(field: nn.Module) -> bool:
     """Return whether no parameter moves dq/dt: T(p) is known."""
-    return isinstance(field, SeparableHamiltonian) and not list(field.kinetic.parameters())
+    inner = field.hamiltonian if isinstance(field, Forced) else field
+    return isinstance(inner, SeparableHamiltonian) and not list(inner.kinetic.parameters())

@@ -27,6 +27,8 @@ class AHNN(AbstractModel):
         integrator: `name` and options of the one-step method.
         window: W, steps of the recursive predictions in the loss.
         loss: options of `LossOptions`.
+        forces: beside the Hamiltonian, name -> options.
+        controls: m, numbers that forces may depend on.
     """
 
     def __init__(
@@ -43,8 +45,12 @@ class AHNN(AbstractModel):
         integrator: dict[str, Any],
         window: int,
         loss: dict[str, Any],
+        forces: dict[str, dict[str, Any]] | None = None,
+        controls: int = 0,
     ) -> None:
         options = {"inertia": inertia, "hamiltonian": hamiltonian, "mu": mu, "falloff": falloff}
         options |= {"inputs": inputs, "scaling": scaling, "network": network, "integrator": integrator}
+        if forces:  # weights of a Hamiltonian alone keep their arguments
+            options |= {"forces": forces, "controls": controls}
         super().__init__(make_dynamics("hamiltonian", dof=dof, **options), dof, window, loss)
         self.save_hyperparameters()

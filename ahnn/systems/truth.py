@@ -5,12 +5,15 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from ahnn.clock import Clock
 from ahnn.errors import UserError
 from ahnn.integrators import INTEGRATORS
+from ahnn.rollouts import rollout
 from ahnn.substeps import substeps
 from ahnn.systems.base import System
 from ahnn.types import Flow, TimeStep
@@ -32,7 +35,7 @@ def exact_flow(system: System) -> Flow:
         UserError: no admissible number of substeps is accurate.
     """
     count = accurate_substeps(system)
-    return system.compiled(_substeps_flow(system, count), system.dt / count)
+    return system.compiled(SubstepsFlow(system, count), system.dt / count)
 
 
 def varied_flow(system: System, constants: Mapping[str, Tensor]) -> Flow:
@@ -48,7 +51,8 @@ def varied_flow(system: System, constants: Mapping[str, Tensor]) -> Flow:
     varied = copy.copy(system)
     for name, values in constants.items():
         object.__setattr__(varied, name, values)  # frozen, and its checks expect one number for all
-    return _substeps_flow(varied, accurate_substeps(system))
+    vars(varied).pop("forces", None)  # made of the constants of before
+    return SubstepsFlow(varied, accurate_substeps(system))
 
 
 def accurate_substeps(system: System) -> int:
@@ -80,15 +84,15 @@ def accurate_substeps(system: System) -> int:
 @torch.no_grad()
 def _trial_error(system: System, count: int) -> float:
     """Return the estimated error of a trajectory with `count` substeps, relative to its size."""
-    start = system.initial_states(TRIED, torch.Generator().manual_seed(0))
+    generator = torch.Generator().manual_seed(0)
+    start = system.initial_states(TRIED, generator)
     whole = int(system.durations(start).max())
     steps = min(whole, max(4, STEPS // count))
-    coarse, fine = (_substeps_flow(system, n) for n in (count, 2 * count))
-    x = y = start
-    size = start.abs()
-    for _ in range(steps):
-        x, y = coarse(x, system.dt), fine(y, system.dt)
-        size = torch.maximum(size, y.abs())
+    times = torch.arange(steps + 1, dtype=torch.float64) * system.dt
+    clock = Clock.of(times.expand(TRIED, -1), system.signal(times, TRIED, generator), system.linear)
+    flows = [SubstepsFlow(system, n) for n in (count, 2 * count)]
+    coarse, fine = (rollout(flow, start, system.dt, steps + 1, clock=clock) for flow in flows)
+    x, y, size = coarse[:, -1], fine[:, -1], fine.abs().amax(1)
     blocks = zip((x - y).chunk(2, dim=-1), size.chunk(2, dim=-1), strict=True)
     errors = [
         float(difference.norm(dim=-1).max() / extent.norm(dim=-1).max()) for difference, extent in blocks
@@ -97,14 +101,20 @@ def _trial_error(system: System, count: int) -> float:
     return worst if math.isfinite(worst) else 0.0  # who generates it will see it diverge
 
 
-def _substeps_flow(system: System, count: int) -> Flow:
-    """Return the flow with `count` substeps in a sampling interval, in proportion for other steps."""
-    integrator = INTEGRATORS[system.integrator]
+class SubstepsFlow(NamedTuple):
+    """The flow with `count` substeps in a sampling interval, in proportion for other steps."""
 
-    def flow(x: Tensor, dt: TimeStep) -> Tensor:
-        parts = substeps(dt, system.dt / count)
+    system: System
+    count: int
+
+    @property
+    def clock(self) -> int:
+        """Clock coordinates of its states."""
+        return self.system.clock
+
+    def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
+        """Return the states after dt."""
+        integrator, parts = INTEGRATORS[self.system.integrator], substeps(dt, self.system.dt / self.count)
         for _ in range(parts):
-            x = integrator.step(system, x, dt / parts)
+            x = integrator.step(self.system, x, dt / parts)
         return x
-
-    return flow

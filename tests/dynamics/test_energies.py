@@ -27,7 +27,7 @@ def statistics(seed=0, mass=1.0, mu=5.0, extra=0.0, count=200):
     high = torch.tensor([6.0, 5.0, 8.0, 0.3, 0.6, 0.5], dtype=torch.float64)
     rate = torch.tensor([0.3, 0.2, 0.5, 0.07, 0.05, 0.02], dtype=torch.float64)
     radius = torch.stack((r.min(), r.max()))
-    return Statistics(low, high, 0.1 * rate, rate, radius, q, forces, 0.1)
+    return Statistics(low, high, 0.1 * rate, rate, radius, q, forces, forces, q[:, :1], 0.1)
 
 
 def body(mass=1.0, mu=None, falloff=0.0):

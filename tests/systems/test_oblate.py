@@ -8,7 +8,7 @@ from helpers import close, generator
 
 from ahnn.libraries import PART
 from ahnn.systems import Molniya, oblate
-from ahnn.systems.truth import _substeps_flow, accurate_substeps, exact_flow
+from ahnn.systems.truth import SubstepsFlow, accurate_substeps, exact_flow
 
 F64 = torch.float64
 
@@ -27,7 +27,7 @@ def along(flow, x, dt, steps):
 
 @pytest.mark.parametrize("dt", [60.0, -60.0, 0.5, 200.0])
 def test_it_is_the_composition_to_rounding(molniya, dt):
-    x, plain = molniya.initial_states(45, generator(0)), _substeps_flow(molniya, accurate_substeps(molniya))
+    x, plain = molniya.initial_states(45, generator(0)), SubstepsFlow(molniya, accurate_substeps(molniya))
     fast = exact_flow(molniya)
     assert isinstance(fast, oblate.OblateFlow)
     q, p = (along(fast, x, dt, 20) - along(plain, x, dt, 20)).chunk(2, dim=-1)
@@ -38,7 +38,7 @@ def test_it_is_the_composition_to_rounding(molniya, dt):
 def test_each_state_may_have_a_step_of_its_own(molniya):
     x, plain = (
         molniya.initial_states(PART + 21, generator(1)),
-        _substeps_flow(molniya, accurate_substeps(molniya)),
+        SubstepsFlow(molniya, accurate_substeps(molniya)),
     )
     dt = 10 + 50 * torch.rand(len(x), generator=generator(2), dtype=F64)
     fast = exact_flow(molniya)
@@ -65,7 +65,7 @@ def test_derivatives_and_other_numbers_take_the_formulas(molniya):
 def test_without_a_compiler_it_is_the_formulas(molniya, monkeypatch):
     x, fast = molniya.initial_states(3, generator(5)), exact_flow(molniya)
     monkeypatch.setattr(oblate, "library", lambda: None)
-    assert torch.equal(fast(x, 60.0), _substeps_flow(molniya, accurate_substeps(molniya))(x, 60.0))
+    assert torch.equal(fast(x, 60.0), SubstepsFlow(molniya, accurate_substeps(molniya))(x, 60.0))
 
 
 def test_a_state_that_is_not_finite_leaves_the_others_alone(molniya):

@@ -90,13 +90,13 @@ def test_what_is_not_finite_is_left_to_the_generation(drifting):
 )
 def test_other_steps_take_substeps_in_proportion(drifting, dt, count, parts):
     steps = drifting(0.0)
-    truth._substeps_flow(SYSTEM, count)(ONE, dt)
+    truth.SubstepsFlow(SYSTEM, count)(ONE, dt)
     assert steps == pytest.approx([dt / parts] * parts)
 
 
 def test_the_longest_step_of_the_members_decides(drifting):
     steps = drifting(0.0)
     lengths = torch.tensor([0.2, -1.1], dtype=torch.float64)
-    truth._substeps_flow(SYSTEM, 2)(ONE, lengths)
+    truth.SubstepsFlow(SYSTEM, 2)(ONE, lengths)
     assert len(steps) == 5  # ceil(2 * 1.1 / 0.5)
     assert all(torch.allclose(h, lengths / 5) for h in steps)
