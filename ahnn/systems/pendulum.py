@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import final
-
 import torch
 from torch import Generator, Tensor
 
@@ -12,7 +10,6 @@ from ahnn.arguments import Positive, Range
 from ahnn.systems.base import FilterNoise, System, Units, uniform
 
 
-@final
 @dataclass(frozen=True, kw_only=True)
 class Pendulum(System):
     """A point mass on a rigid rod; the coordinate is the angle from the downward vertical.
@@ -52,3 +49,4 @@ class Pendulum(System):
         """Draw the angle uniformly, at rest, shape (count, 2)."""
         q = uniform(self.q0, count, generator)
         return torch.stack((q, torch.zeros_like(q)), dim=-1)
+
