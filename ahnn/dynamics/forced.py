@@ -12,7 +12,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor, nn
 
-from ahnn.clock import reduced, split
+from ahnn.clock import split
 from ahnn.dynamics.forces import Force, Instant, make_force
 from ahnn.statistics import Statistics
 
@@ -86,16 +86,15 @@ class Forced(nn.Module):
             left = statistics.without(total(self.known, at))
         cast(Any, self.hamiltonian).fit(left)
 
-    def seen(self, z: Tensor) -> Tensor:
-        """Return what the networks of H see, shape (..., F)."""
-        return cast(Any, self.hamiltonian).seen(reduced(z, self.clock))
+    def seen(self, x: Tensor) -> Tensor:
+        """Return what the networks of H see of the states x, shape (..., 2n): (..., F)."""
+        return cast(Any, self.hamiltonian).seen(x)
 
-    def energy(self, z: Tensor) -> Tensor:
-        """Return H and the potentials of forces that have one, shape (...)."""
-        q, c, p, _ = split(z, self.clock)
-        x = torch.cat((q, p), dim=-1)
+    def energy(self, x: Tensor) -> Tensor:
+        """Return H and the potentials of forces that have one, shape (...), at the states x, (..., 2n)."""
+        q, nothing = x.chunk(2, dim=-1)[0], x[..., :0]
         value = cast(Any, self.hamiltonian).energy(x)
-        at = Instant(c[..., :1], c[..., 1:], q, torch.zeros_like(q))
+        at = Instant(nothing, nothing, q, torch.zeros_like(q))
         potentials = [force.potential(at) for force in self.parts]
         return cast(Tensor, sum((part for part in potentials if part is not None), value))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+
 import torch
 from torch import Generator, Tensor
 
@@ -49,4 +50,3 @@ class Pendulum(System):
         """Draw the angle uniformly, at rest, shape (count, 2)."""
         q = uniform(self.q0, count, generator)
         return torch.stack((q, torch.zeros_like(q)), dim=-1)
-
