@@ -17,9 +17,14 @@ import sys
 # Before any other import: `python -m` puts the working directory first, and what lies there would be imported
 # in place of libraries, and as plugins. It may be a folder of somebody else (docs/extending.md).
 _names_us = any(word.removeprefix("-m").partition(".")[0] == __name__ for word in sys.orig_argv[1:])
-if _names_us and sys.argv[:1] == ["-m"] and not sys.flags.safe_path:  # while `-m` looks for its module
+_is_command = _names_us and sys.argv[:1] == ["-m"]  # while `-m` looks for its module
+if _is_command and not sys.flags.safe_path:
     del sys.path[0]
     os.environ["PYTHONSAFEPATH"] = "1"  # for the processes of a sweep
+if _is_command:  # until `cli.guard` listens, Ctrl-C ends this process without a traceback
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 from importlib import import_module  # noqa: E402
 from typing import TYPE_CHECKING, Any  # noqa: E402

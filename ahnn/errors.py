@@ -28,11 +28,6 @@ class Stopped(BaseException):
         super().__init__(message)
         self.signal = signal.Signals(number)
 
-    @property
-    def code(self) -> int:
-        """Exit code of a process that a signal ended, as a shell counts."""
-        return 128 + self.signal
-
     def saying(self, how_to_go_on: str) -> Stopped:
         """Return the stop with a message for the user."""
         cause = "Ctrl-C" if self.signal == signal.SIGINT else self.signal.name

@@ -11,79 +11,26 @@ KEY=VALUE           of system, data, evaluation, measurement and plugins: on oth
 
 from __future__ import annotations
 
-if __name__ == "__main__":  # until `guard` listens, Ctrl-C ends this process without a traceback
-    import signal
-
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
 import logging
-import sys
-from typing import Any
 
 from ahnn.cli.guard import run_command
 from ahnn.cli.importing import importing
-
-log = logging.getLogger("ahnn")
 
 USAGE = "usage: python -m ahnn.evaluate run=DIR | pretrained=NAME [name=NAME] [plugins=.] [key=value]"
 
 
 def evaluate(arguments: list[str]) -> None:
-    """Evaluate the weights of a run and write the results into a folder of their own.
-
-    Raises:
-        UserError: no such run, or an override that has no effect on a finished one.
-    """
+    """Evaluate the run that a command line names; raises as `cli.evaluation`."""
     with importing():
-        from ahnn.cli.again import Request, run_config
-        from ahnn.cli.parts import build_plugins, build_sensor, build_source, report_options, robust_of
-        from ahnn.cli.unread import refuse, unread_of_data
-        from ahnn.data import SplitData
-        from ahnn.data.splits import SAME
-        from ahnn.evaluation import evaluation_folder, load_results, report
-        from ahnn.evaluation.prepare import make_case
-        from ahnn.evaluation.sinks import TensorBoardSink
-        from ahnn.evaluation.sinks.board import Board
-        from ahnn.runs import load, weights_path
+        from ahnn.cli.evaluation import read_evaluation
+        from ahnn.jobs import evaluating
 
-    logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
-    log.setLevel(logging.INFO)
-    request = Request.of(arguments, USAGE)
-    run = load(request.source, request.ckpt)
-    cfg = run_config(run.folder, request)
-    set_threads(cfg.threads)
-    source = build_source(cfg)
-    sensor = build_sensor(cfg, source)
-    refuse(unread_of_data(cfg, source, sensor), request.overrides)
-    splits = SplitData(source, list(cfg.data.split), sensor)  # it needs no windows
-    plugins = build_plugins(cfg, splits)
-    note = splits.beside(run.about.get("data"), run.about.get("seen") or ())
-    remark = "" if note == SAME else f"test data: {note}"
-    training = load_results(run.folder).training if (run.folder / "metrics.json").exists() else {}
-    options = report_options(cfg)
-    learned = {"uncertainty": run.uncertainty, "domain": run.domain, "robust": robust_of(run)}
-    named = {"label": cfg.label, "seed": cfg.evaluation.seed, "remark": remark}
-    if remark:
-        log.warning(remark)
-    last = request.ckpt == "best" and weights_path(run.folder).stem == "last"
-    about = {"ckpt": "last" if last else request.ckpt, "data": note}
-    known: dict[str, Any] = {**training, "val_loss": run.about.get("val_loss"), **about}
-    with evaluation_folder(request.folder, request.name) as folder:
-        case = make_case(run.dynamics, splits, folder=folder, **named, **learned)
-        board = TensorBoardSink(Board(folder), about)
-        report(case, plugins, known, more=[board] if cfg.evaluation.figures else [], **options)
-
-
-def set_threads(count: int) -> None:
-    """Set the number of threads of torch."""
-    import torch
-
-    torch.set_num_threads(count)
+    evaluating.evaluate(read_evaluation(arguments, USAGE))
 
 
 def main() -> None:
     """Entry point of `python -m ahnn.evaluate` and `ahnn-evaluate`."""
-    run_command(evaluate, __doc__)
+    run_command(evaluate, __doc__, logging.INFO)
 
 
 if __name__ == "__main__":

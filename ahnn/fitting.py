@@ -40,14 +40,14 @@ def fit(
         UserError: trajectories or overrides that make no training, or a folder with another one.
     """
     from ahnn.arguments import check_arguments
-    from ahnn.cli.before import quiet
+    from ahnn.cli.before import quiet, require_new
     from ahnn.cli.compose import compose_job
     from ahnn.cli.guard import in_words
     from ahnn.cli.settings import check_settings
+    from ahnn.cli.training import train_once
     from ahnn.data import Given
     from ahnn.runs import load
     from ahnn.stored import about_space
-    from ahnn.train import train_once
 
     texts = check_given(overrides, folder)
     with in_words():
@@ -59,6 +59,7 @@ def fit(
         quiet()
         cfg.system = {"name": space.name, "given": about_space(space)}
         check_settings(cfg)
+        require_new(Path(cfg.folder), cfg.ckpt)
         train_once(cfg, source, texts)
     return load(folder)
 

@@ -17,100 +17,21 @@ frame=[EME2000,EARTH,UTC]       frame, centre and time system, where neither mod
 
 from __future__ import annotations
 
-if __name__ == "__main__":  # until `guard` listens, Ctrl-C ends this process without a traceback
-    import signal
-
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-import logging
-import sys
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
-
-from ahnn.arguments import Positive
 from ahnn.cli.guard import run_command
 from ahnn.cli.importing import importing
-
-log = logging.getLogger("ahnn")
 
 USAGE = (
     "usage: python -m ahnn.predict run=DIR | pretrained=NAME start=FILE|[numbers] duration=1d [output=FILE]"
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Asked:
-    """The keys of the command; the module's help says what they are."""
-
-    start: str | list[Any]
-    duration: str | float
-    start_sd: list[Positive] | None = None
-    run: str | list[str] | None = None
-    pretrained: str | None = None
-    ckpt: str = "best"
-    step: str | float | None = None
-    output: str | None = None
-    figure: str | None = None
-    epoch: str | None = None
-    frame: str | list[str] | None = None
-
-
 def predict(arguments: list[str]) -> None:
-    """Predict, write what is asked for and show a summary.
-
-    Raises:
-        UserError: no such run, starts that are no states of it, or an output that cannot be written.
-        TrainingError: a predicted state is not finite.
-    """
+    """Predict what a command line asks for; raises as `jobs.predicting`."""
     with importing():
-        from ahnn.cli.pairs import named_runs, read_pairs
-        from ahnn.data.reference import Reference
-        from ahnn.data.starts import referred, starts
-        from ahnn.errors import UserError
-        from ahnn.evaluation.terminal import show
-        from ahnn.prediction import amounts, output, together
-        from ahnn.prediction.kernel import require_finite_prediction
-        from ahnn.prediction.summary import summary, warning
+        from ahnn.cli.pairs import read_pairs
+        from ahnn.jobs import predicting
 
-    logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
-    asked = read_pairs(arguments, Asked, USAGE)
-    runs = named_runs(asked.run, asked.pretrained, asked.ckpt)
-    space, clock = runs[0].space, runs[0].space.units.time
-    named = ", ".join(asked.frame) if isinstance(asked.frame, list) else asked.frame or ""
-    ours = Reference.of(space.frame).chosen(Reference.of(named)).since(asked.epoch)
-    begin = starts(asked.start, space, ours, sd=asked.start_sd)
-    if asked.epoch is not None and begin.reference.epoch is not None:
-        message = f"epoch: expected none, since the file of the start has its own; received {asked.epoch}"
-        raise UserError(message)
-    begin = referred(begin, ours)
-    total = amounts.duration(asked.duration, "duration", clock)
-    step = runs[0].dt if asked.step is None else amounts.duration(asked.step, "step", clock)
-    times = amounts.grid(total, step)
-    if asked.output is not None:
-        output.require_output(Path(asked.output), begin, space)
-    if asked.figure is not None:
-        output.require_figure(Path(asked.figure))
-    if asked.output is not None and isinstance(asked.start, str):
-        output.require_other(Path(asked.output), Path(asked.start))
-    if not all(run.uncertainty for run in runs):  # the mean of what some know would be of nobody
-        runs = [replace(run, uncertainty=None) for run in runs]
-    text, known = "predicting with {}".format, begin.covariances
-    found = together(
-        [run.predict(begin.states, times, text(run.folder.name), start_covariance=known) for run in runs]
-    )
-    require_finite_prediction(found, clock)
-    title = " + ".join(run.folder.name for run in runs)
-    if asked.output is not None:
-        output.write(Path(asked.output), found, begin, space)
-    if asked.figure is not None:
-        output.draw(Path(asked.figure), found, space, title)
-    show(summary(found, begin, space, title))
-    if known is not None and not runs[0].uncertainty:
-        what = "the start" if len(runs) == 1 else "the start and of what the runs differ by"
-        log.warning("1 sigma: that of %s; how well the dynamics are known these weights do not say", what)
-    if remark := warning(found, begin, space):
-        log.warning(remark)
+    predicting.predict(read_pairs(arguments, predicting.Asked, USAGE))
 
 
 def main() -> None:

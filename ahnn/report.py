@@ -11,13 +11,6 @@ Written are report.html, which needs no network, tables.csv, tables/*.tex and fi
 
 from __future__ import annotations
 
-if __name__ == "__main__":  # until `guard` listens, Ctrl-C ends this process without a traceback
-    import signal
-
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-from pathlib import Path
-
 from ahnn.cli.guard import run_command
 from ahnn.cli.importing import importing
 
@@ -25,34 +18,11 @@ USAGE = "usage: python -m ahnn.report DIR... | run=DIR [output=FOLDER]"
 
 
 def report(arguments: list[str]) -> None:
-    """Write the report of the runs in some folders.
-
-    Raises:
-        UserError: no runs, an unknown key, or a folder of something else.
-    """
+    """Write the report that a command line asks for; raises as `cli.reporting`."""
     with importing():
-        from ahnn.cli.build import build
-        from ahnn.cli.compose import composed
-        from ahnn.errors import UserError
-        from ahnn.evaluation.results import FILE
-        from ahnn.evaluation.terminal import show
-        from ahnn.manifest import require_plain
+        from ahnn.cli import reporting
 
-    given = [text for text in arguments if "=" not in text or Path(text).is_dir()]
-    cfg = composed("report", [text for text in arguments if text not in given])
-    if (cfg.run is None) == (not given):
-        message = f"{USAGE}; received {'both' if given else 'neither'}"
-        raise UserError(message)
-    if cfg.run is not None and not (Path(str(cfg.run)) / FILE).is_file():
-        message = (
-            f"run={cfg.run}: expected one evaluated run; received no {FILE} there. Leave out run= for many"
-        )
-        raise UserError(message)
-    folders = [Path(text) for text in given] or [Path(str(cfg.run))]
-    output = folders[0] / "report" if cfg.output is None else Path(str(cfg.output))
-    if cfg.output is None:
-        require_plain(output)
-    show(build(cfg.report, "report")(folders, output))
+    reporting.report(arguments, USAGE)
 
 
 def main() -> None:

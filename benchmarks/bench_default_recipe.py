@@ -28,11 +28,11 @@ from pathlib import Path
 import torch
 
 from ahnn.cli.commandline import compose, config_loader
+from ahnn.cli.prepare import prepare
 from ahnn.errors import TrainingError, UserError
 from ahnn.metrics import errors, rmse_norm
 from ahnn.rollouts import rollout
 from ahnn.statistics import sampling_interval
-from ahnn.train import prepare
 
 LEVELS = {
     "spring": ("spring_noisy", ["0.001", "0.01"]),
@@ -67,7 +67,8 @@ def trained(overrides: list[str], seconds: float) -> float:
     """
     with tempfile.TemporaryDirectory() as folder:
         place = [f"folder={folder}", f"run={folder}", "data.trajectories=625"]
-        data, model, *_ = prepare(compose(config_loader(), "train", [*place, *overrides]))
+        prepared = prepare(compose(config_loader(), "train", [*place, *overrides]))
+        data, model = prepared.data, prepared.model
     statistics = data.statistics()
     model.calibrate(statistics)
     loader, optimizer = data.train_dataloader(), model.configure_optimizers()

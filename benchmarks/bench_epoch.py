@@ -23,7 +23,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, RandomSampler
 
 from ahnn.cli.before import quiet
-from ahnn.cli.parts import build_trainer
+from ahnn.cli.prepare import prepare
 
 LENGTHS = (1, 5)
 
@@ -77,7 +77,7 @@ def measured(windows: int, repeats: int) -> Iterator[Row]:
                 amount = f"data.windows_per_epoch={windows}"
                 cfg = configuration(["model=ahnn", f"window={window}", amount, f"folder={folder}"])
                 data, model = calibrated(cfg)
-                trainer, batches, dt = build_trainer(cfg), loader(data, windows), data.statistics().dt
+                trainer, batches, dt = prepare(cfg).trainer, loader(data, windows), data.statistics().dt
                 found = (
                     (load, "ahnn", seconds(lambda data=data: [*data.train_dataloader()])),
                     (load, "plain loop", seconds(lambda batches=batches: [*batches])),

@@ -16,9 +16,9 @@ import torch
 from torch import Tensor, nn
 
 from ahnn.cli.commandline import compose, config_loader
+from ahnn.cli.prepare import prepare
 from ahnn.evaluation.explained import explain
 from ahnn.integrators import INTEGRATORS
-from ahnn.train import prepare
 from ahnn.types import TimeStep, VectorField
 
 STEPS = (60.0, 150.0, 300.0)
@@ -42,7 +42,7 @@ def main() -> None:
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as folder:
         options = ["experiment=molniya_positions", "plugins=none", f"folder={folder}", f"run={folder}"]
-        data: Any = prepare(compose(config_loader(), "train", options))[0]
+        data: Any = prepare(compose(config_loader(), "train", options)).data
         data.statistics()
         unseen = data.whole("val")
         for step in STEPS:

@@ -31,7 +31,8 @@ from omegaconf import DictConfig
 
 from ahnn.cli.before import quiet
 from ahnn.cli.build import OmegaConf  # registers the resolvers of conf/
-from ahnn.cli.parts import build_data, build_model, build_source, build_trainer
+from ahnn.cli.parts import build_source
+from ahnn.cli.prepare import prepare
 from ahnn.data import store
 from ahnn.data.datamodule import WindowDataModule
 from ahnn.paths import conf_dir
@@ -113,10 +114,10 @@ def drop(path: Path, states: torch.Tensor) -> None:
 
 def fitted(cfg: DictConfig, data: WindowDataModule, statistics: Statistics) -> dict[str, float]:
     """Return milliseconds of a step: median and mean of the wall clock, median of the processor's."""
-    model = build_model(cfg, data)
+    prepared = prepare(cfg)
+    model, trainer, watch = prepared.model, prepared.trainer, Stopwatch()
     model.calibrate(statistics)
-    model.about["dt"] = statistics.dt
-    trainer, watch = build_trainer(cfg), Stopwatch()
+    model.learns_from(dt=statistics.dt)
     trainer.callbacks.append(watch)
     faults = resource.getrusage(resource.RUSAGE_SELF).ru_majflt
     trainer.fit(model, data)
@@ -134,7 +135,7 @@ def measured(mode: str, cfg: DictConfig, path: Path) -> dict[str, dict[str, floa
     The statistics are those of one part: one pass less over all.
     """
     begin = time.perf_counter()
-    data = build_data(cfg, build_source(cfg))
+    data = prepare(cfg).data
     if mode == "memory":
         whole = data.source.read()
         held = whole._replace(states=whole.states.clone())

@@ -21,7 +21,7 @@ from timing import markdown, shown
 from torch.utils.data import DataLoader, TensorDataset
 
 from ahnn.cli.build import OmegaConf  # registers the resolvers of conf/
-from ahnn.cli.parts import build_data, build_model, build_source
+from ahnn.cli.prepare import prepare
 from ahnn.integrators import INTEGRATORS
 from ahnn.metrics import errors, rmse_norm
 from ahnn.paths import conf_dir
@@ -119,9 +119,8 @@ def raced(cap: float) -> Iterator[tuple[str, float, float | None]]:
         with initialize_config_dir(str(conf_dir()), version_base="1.3"):
             cfg = compose("train", [*overrides, "folder=."])
         OmegaConf.resolve(cfg)
-        torch.manual_seed(cfg.seed)
-        data = build_data(cfg, build_source(cfg))
-        model, rival = build_model(cfg, data), build_model(cfg, data)
+        prepared, rival = prepare(cfg), prepare(cfg).model
+        data, model = prepared.data, prepared.model
         for either in (model, rival):
             either.calibrate(data.statistics())
         model.configure_optimizers()  # which says how steps are taken

@@ -25,7 +25,7 @@ from timing import Row, settle, table
 
 from ahnn.cli.before import quiet
 from ahnn.cli.build import OmegaConf  # registers the resolvers of conf/
-from ahnn.cli.parts import build_data, build_model, build_source, build_trainer
+from ahnn.cli.prepare import prepare
 from ahnn.paths import conf_dir
 
 MODELS = ("mlp", "node", "hnn", "ahnn", "hnn_derivative")
@@ -46,16 +46,16 @@ class Stopwatch(Callback):
 
 def calibrated(cfg) -> tuple:
     """Return the data and the model of a configuration, ready to train."""
-    data = build_data(cfg, build_source(cfg))
-    model = build_model(cfg, data)
+    prepared = prepare(cfg)
+    data, model = prepared.data, prepared.model
     model.calibrate(data.statistics())
-    model.about["dt"] = data.statistics().dt
+    model.learns_from(dt=data.statistics().dt)
     return data, model
 
 
 def through_library(cfg, steps: int) -> float:
     """Return CPU seconds per step of a fit with the default callbacks and TensorBoard."""
-    return _fit(cfg, build_trainer(cfg), steps)
+    return _fit(cfg, prepare(cfg).trainer, steps)
 
 
 def through_lightning(cfg, steps: int) -> float:

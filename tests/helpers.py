@@ -111,9 +111,9 @@ def ready_model(name: str, data: WindowDataModule, seed: int = 0, **changes: Any
     model = build_model(name, data.source.truth, **({"window": data.window} | changes)).to(data.dtype)
     data.require_span(model.curriculum.span)
     model.calibrate(data.statistics())
-    model.optimisation = Optimisation(partial(torch.optim.AdamW, lr=1e-2), None)
     space = data.source.space
-    model.about = {"format": FORMAT, "space": about_space(space), "dt": data.statistics().dt}
+    about = {"format": FORMAT, "space": about_space(space), "dt": data.statistics().dt}
+    model.train_by(Optimisation(partial(torch.optim.AdamW, lr=1e-2), None), about)
     return model
 
 

@@ -71,13 +71,16 @@ MAY_IMPORT = {
     "uncertainty": GROUND | {"dynamics", "shooting"},
     "training": GROUND | {"dynamics", "data", "shooting", "uncertainty"},
     "models": GROUND | {"dynamics", "training"},
-    "estimation": GROUND | {"systems", "data"},
+    "estimation": GROUND | {"systems", "data", "dynamics", "shooting"},
     "evaluation": GROUND | {"dynamics", "systems", "data", "estimation", "shooting", "uncertainty"},
     "graphs": GROUND | {"dynamics", "evaluation", "runs"},
     "prediction": GROUND | {"dynamics", "data", "evaluation", "shooting", "uncertainty"},
     "assimilation": GROUND | {"data", "estimation", "evaluation"},
     "pretrained": OPEN | {"checkpoints"},
     "runs": GROUND | {"dynamics", "pretrained", "evaluation", "prediction", "uncertainty"},
+    "jobs": GROUND
+    | {"assimilation", "data", "dynamics", "evaluation", "graphs", "models", "prediction", "pretrained"}
+    | {"runs", "shooting", "training", "uncertainty"},
 }
 ENTRIES = {
     "train",
@@ -87,13 +90,14 @@ ENTRIES = {
     "assimilate",
     "report",
     "reproduce",
-    "reproduction",
     "fitting",
     "cli",
     "__init__",
     "__main__",
 }
 """The doors of the house: they may import every room, and no room imports them."""
+DOORS = [*("train", "evaluate", "predict", "export", "assimilate", "report", "reproduce"), "data/__main__"]
+"""What users call: a command line goes in, `cli` makes values of it, and `jobs` does what they say."""
 
 
 def name(path):
@@ -140,16 +144,65 @@ def test_the_library_never_names_a_plugin_and_hydra_stays_at_the_doors(path):
     modules = set(imports(path))
     assert not {m for m in modules if m.split(".")[0] in ("ahnn_plugins", "hydra_plugins", "optuna")}
     assert "ahnn_plugins" not in path.read_text()
-    if part(path) in ENTRIES:
+    if part(path) == "cli":
         return
     assert not {m for m in modules if m.split(".")[0] in ("hydra", "omegaconf")}
     assert "sys.exit" not in path.read_text()
+
+
+@pytest.mark.parametrize("door", DOORS)
+def test_doors_are_thin(door):
+    path = ROOT / "ahnn" / f"{door}.py"
+    ours = {tuple(m.split(".")[:2]) for m in imports(path) if m.startswith("ahnn")}
+    assert ours <= {("ahnn", "cli"), ("ahnn", "jobs")}
+    tree = ast.parse(path.read_text())
+    assert sum(node.end_lineno - node.lineno + 1 for node in tree.body[1:]) <= 30
+    assert path.read_text().endswith('if __name__ == "__main__":\n    main()\n')
+
+
+def reached(*rooms):
+    """The files that some rooms import when they are imported themselves, step by step."""
+    names = {path: ".".join(path.relative_to(ROOT).with_suffix("").parts) for path in LIBRARY}
+    files = {name.removesuffix(".__init__"): path for path, name in names.items()}
+    todo, found = [m for m in files for room in rooms if f"{m}.".startswith(f"ahnn.{room}.")], set()
+    while todo:
+        module = todo.pop()
+        if module in files and module not in found:
+            found.add(module)
+            for node in ast.parse(files[module].read_text()).body:
+                if isinstance(node, ast.Import | ast.ImportFrom):
+                    names = [a.name for a in node.names]
+                    base = getattr(node, "module", None)
+                    todo += [base, *(f"{base}.{n}" for n in names)] if base else names
+    return found
+
+
+def test_who_loads_predicts_evaluates_or_estimates_builds_no_optimiser_loader_or_trainer():
+    jobs = ("jobs.predicting", "jobs.exporting", "jobs.evaluating", "jobs.assimilating")
+    there = reached("runs", "prediction", "estimation", "assimilation", "evaluation", *jobs)
+    trained = ("training", "models", "data.datamodule", "data.loader", "jobs.prepared")
+    assert not {m for m in there if m.removeprefix("ahnn.").startswith(trained)}
+    assert {"ahnn.dynamics.base", "ahnn.measurements.base"} <= there
+
+
+def test_nothing_is_attached_to_a_model_by_another_module():
+    """What a training adds to a model is given to its methods."""
+    names = {"model", "pl_module", "dynamics", "data", "prepared", "trainer"}
+    for path in (*LIBRARY, *PLUGINS):
+        for node in ast.walk(ast.parse(path.read_text())):
+            targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+            for target in targets:
+                inner = target.value if isinstance(target, ast.Subscript) else target
+                if isinstance(inner, ast.Attribute) and isinstance(inner.value, ast.Name):
+                    assert inner.value.id not in names, f"{name(path)}:{inner.lineno}"
 
 
 LIGHTNING = {
     "training/callbacks",
     "training/checkpoint_io.py",
     "training/restore.py",
+    "jobs/prepared.py",
+    "jobs/closing.py",
     "models",
     "data/datamodule.py",
 }

@@ -214,6 +214,12 @@ def test_a_stream_of_which_nothing_counts_is_a_failure_with_its_cure(word, place
         assert {path.name for path in place.iterdir()} == LEFT
 
 
+@pytest.mark.parametrize("key", ["seed=3", "smoother=true", "patience=9", "cadence=7", "start_sd=[1,1]"])
+def test_keys_of_the_filter_that_a_stream_leaves_unread_are_refused(key, capsys):
+    assert assimilate(*NUMBERS, PLAIN, f"plugins.ukf.{key}") == 2
+    assert f"plugins.ukf.{key.partition('=')[0]}: expected a key with an effect" in capsys.readouterr().err
+
+
 def test_a_stream_of_times_alone_asks_for_predictions():
     Path("asks.csv").write_text("time\n60\n")
     assert assimilate(*NUMBERS, "measurements=asks.csv") == 0

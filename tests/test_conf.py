@@ -13,7 +13,8 @@ from hydra.utils import get_object
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from ahnn.cli.build import build, build_all
-from ahnn.cli.parts import SENSOR, SIMULATION, build_data, build_model, build_source, build_trainer
+from ahnn.cli.parts import SENSOR, SIMULATION
+from ahnn.cli.prepare import prepare
 from ahnn.data.splits import split_sizes
 from ahnn.errors import UserError
 from ahnn.integrators import GaussLegendre4
@@ -35,8 +36,8 @@ def composed(tmp_path, *overrides):
 
 
 def build_parts(cfg):
-    data = build_data(cfg, build_source(cfg))
-    return data, build_model(cfg, data)
+    prepared = prepare(cfg)
+    return prepared.data, prepared.model
 
 
 def targets(node):
@@ -142,7 +143,7 @@ def test_measurements_are_learned_from_on_the_cpu_where_there_is_a_gpu(tmp_path,
         accelerator = f"lightning.{part}.accelerators.CUDAAccelerator"
         monkeypatch.setattr(f"{accelerator}.is_available", staticmethod(lambda: True))
     parts = ["logger=none"]
-    trainer = build_trainer(composed(tmp_path, "experiment=pendulum_angles", *parts))
+    trainer = prepare(composed(tmp_path, "experiment=pendulum_angles", *parts)).trainer
     assert trainer.strategy.root_device.type == "cpu"
     with pytest.raises(UserError, match=r"^trainer: .*(gpu|cuda|GPU|CUDA)"):
-        build_trainer(composed(tmp_path, *parts))
+        prepare(composed(tmp_path, *parts))

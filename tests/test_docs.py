@@ -18,12 +18,12 @@ from helpers import close, generator
 
 from ahnn.cli import commandline
 from ahnn.cli.again import Request, run_config
+from ahnn.cli.build import stored
 from ahnn.cli.compose import compose_job
 from ahnn.cli.help import ABOUT
-from ahnn.reproduction import plan
+from ahnn.cli.plan import plan
 from ahnn.rollouts import rollout
 from ahnn.systems.truth import exact_flow
-from ahnn.train import stored
 
 ROOT = Path(__file__).parents[1]
 ELSEWHERE = ROOT / "docs" / "extending.md"  # tests/test_extending.py installs its package and runs it

@@ -17,6 +17,7 @@ COSINE = "scheduler=cosine"
 ADAMW = ["optimizer=adamw", "scheduler=none"]
 MISTAKES = {
     # options of groups
+    "--config-name nope": "--config-name: unknown option 'nope'; it takes assimilate, report, train",
     "experiment=sprng": "experiment: unknown option 'sprng'; did you mean 'spring'?",
     "sweep=quik": "sweep: unknown option 'quik'; did you mean 'quick'?",
     "model=anhn": "model: unknown option 'anhn'; did you mean 'ahnn'?",
@@ -125,6 +126,16 @@ def test_a_mistake_is_one_message_and_leaves_nothing(mistake, tmp_path, capfd, m
     assert not GlobalHydra.instance().is_initialized()
 
 
+@pytest.mark.parametrize("named", [[], ["run=a/b/c"], ["run=runs/mine"]])
+@pytest.mark.parametrize("there", [False, True])
+def test_a_refusal_leaves_none_of_the_folders_above_that_it_made(named, there, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    if there:
+        (tmp_path / "runs").mkdir()
+    assert call("ahnn.train", "trainer.max_epochs=-5", *named) == 2
+    assert [path.name for path in tmp_path.rglob("*")] == ["runs"] * there
+
+
 @pytest.mark.parametrize(
     ("given", "said"),
     [
@@ -163,7 +174,7 @@ def test_a_key_like_no_other_lists_the_top_level_alone(tmp_path, capfd, monkeypa
 @pytest.fixture
 def no_evaluation(monkeypatch):
     """The evaluation after a training has tests of its own."""
-    monkeypatch.setattr("ahnn.train.judge", lambda *_, **__: 0.0)
+    monkeypatch.setattr("ahnn.jobs.closing.judge", lambda *_, **__: 0.0)
 
 
 @pytest.mark.usefixtures("no_evaluation")

@@ -14,9 +14,9 @@ from test_own_data import SMALL as FILES
 
 import ahnn
 from ahnn.cli.compose import compose_job
+from ahnn.cli.prepare import prepare
 from ahnn.data import SPLITS, Given
 from ahnn.data.recorded import Recorded
-from ahnn.train import prepare
 
 SMALL = [
     *(text for text in FILES if not text.startswith("system=")),

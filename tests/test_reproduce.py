@@ -10,11 +10,11 @@ import pytest
 import torch
 from entry import CutAfter, call
 
-import ahnn.train
 from ahnn.checkpoints import read_checkpoint
+from ahnn.cli.plan import plan
 from ahnn.errors import UserError
 from ahnn.files import claimed
-from ahnn.reproduction import plan
+from ahnn.jobs.fitting import fit
 
 TINY = [
     "system=mass_spring",
@@ -90,13 +90,13 @@ def test_finished_runs_are_kept_and_an_evaluation_that_was_cut_is_made_again(cop
 
 
 def test_a_training_that_was_cut_goes_on_to_the_same_bits(whole, tmp_path, monkeypatch, capsys):
-    def cut(cfg, trainer, *others):
-        trainer.callbacks.append(CutAfter(13, ctrl_c=True))
-        return fit(cfg, trainer, *others)
+    def cut(prepared):
+        prepared.trainer.callbacks.append(CutAfter(13, ctrl_c=True))
+        return fit(prepared)
 
-    fit, folder, alone = ahnn.train.fit, tmp_path / "cut", ["experiment=paper_ahnn5"]
+    folder, alone = tmp_path / "cut", ["experiment=paper_ahnn5"]
     with monkeypatch.context() as patch:
-        patch.setattr("ahnn.train.fit", cut)
+        patch.setattr("ahnn.jobs.fitting.fit", cut)
         assert reproduce(folder, *alone) == 130
     assert capsys.readouterr().err.endswith("the same command goes on where it was stopped\n")
     assert read_checkpoint(folder / "AHNN5_7" / "checkpoints" / "last.ckpt")["global_step"] >= 10

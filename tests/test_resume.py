@@ -15,7 +15,7 @@ from omegaconf import DictConfig
 
 from ahnn.checkpoints import read_checkpoint
 from ahnn.cli.compose import compose_job
-from ahnn.train import train
+from ahnn.cli.training import train
 
 CASES = {
     "mlp": ["model=mlp"],
@@ -52,7 +52,7 @@ RESUMES_FROM = {
 def no_evaluation():
     """Training alone is compared; the evaluation after it has tests of its own."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ahnn.train.judge", lambda *_, **__: 0.0)
+        patch.setattr("ahnn.jobs.closing.judge", lambda *_, **__: 0.0)
         yield
 
 

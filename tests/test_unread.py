@@ -8,6 +8,7 @@ from omegaconf import OmegaConf
 
 from ahnn.cli.commandline import compose, config_loader
 from ahnn.cli.referenced import BY_REFERENCE, keys_of, unreferenced
+from ahnn.cli.unread import EVALUATED, SIMULATED, unread_online
 
 NONE = "nothing that was chosen takes it"
 UNREAD = {
@@ -28,6 +29,8 @@ UNREAD = {
     "sensor=spring_states callbacks.rollout.count=3": ("callbacks.rollout.count", "measurements have no"),
     "sensor=spring_states optimizer.tolerance=0.1": ("optimizer.tolerance", "steps on measurements hold"),
     "+trainer.gradient_clip_algorithm=norm": ("trainer.gradient_clip_algorithm", "trainer.gradient_clip_val"),
+    "plugins=ukf plugins.ukf.patience=3": ("plugins.ukf.patience", "gate=null refuses nothing"),
+    "plugins=ukf plugins.ukf.times=[0.3] plugins.ukf.cadence=7": ("plugins.ukf.cadence", "times says when"),
     "system=molniya system.periods=2.0 system.steps=9": ("system.steps", "system.periods says"),
 }
 
@@ -92,3 +95,23 @@ def built(cfg):
 def test_keys_are_those_that_are_set():
     texts = ["a.b=1", "+c=2", "~d", "++e.f=3", "g@h.i=j", "~k=l"]
     assert keys_of(texts) == ["a.b", "c", "e.f", "h.i"]
+
+
+@pytest.mark.parametrize(
+    ("noise", "covariance", "fitted"),
+    [
+        ("fitted", True, True),
+        ("force_error", False, True),
+        ({"size": 1e-5, "memory": None}, False, True),
+        ({"size": 1e-5, "memory": 60.0}, False, False),
+        ([1e-6, 1e-6], False, False),
+        ("parameter_error", True, False),
+        ("parameter_error", False, True),
+    ],
+)
+def test_a_stream_reads_keys_of_simulated_measurements_where_a_process_noise_is_fitted(
+    noise, covariance, fitted
+):
+    nodes = OmegaConf.create({"ukf": {"process_noise": noise, "gate": 0.9, "times": None}})
+    keys = {key.rpartition(".")[2] for key, _ in unread_online(nodes, covariance=covariance)}
+    assert keys == {*EVALUATED, *(() if fitted else SIMULATED)}

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from ahnn.assimilation.online import Assimilation, Estimate
-from ahnn.assimilation.process import Process, Sensor
 from ahnn.assimilation.reading import Reading
+from ahnn.assimilation.sensor import Sensor
+from ahnn.estimation.process import Process
 
 __all__ = ["Assimilation", "Estimate", "Process", "Reading", "Sensor"]

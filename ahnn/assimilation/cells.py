@@ -12,13 +12,18 @@ class BadLine(ValueError):
     """A line that is no measurement: what was expected, and what was received."""
 
 
+def is_missing(cell: Any) -> bool:
+    """Return whether a cell holds nothing."""
+    return cell is None or (isinstance(cell, str) and cell.lower() in MISSING)
+
+
 def number(cell: Any, name: str) -> float:
     """Return the number in a cell, NaN where it is missing.
 
     Raises:
         BadLine: something else, or infinity.
     """
-    if cell is None or (isinstance(cell, str) and cell.lower() in MISSING):
+    if is_missing(cell):
         return math.nan
     try:
         if isinstance(cell, bool) or (isinstance(cell, str) and "_" in cell):

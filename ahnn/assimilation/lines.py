@@ -13,6 +13,7 @@ from ahnn.errors import UserError
 
 LONGEST = 1 << 20
 """Bytes of a line; what is longer is no measurement, and not kept."""
+CR = b"\r"
 
 
 class Lines:
@@ -34,6 +35,7 @@ class Lines:
         self.file = io.BufferedReader(stream) if isinstance(stream, Journal) else stream
         self.number = self.place = 0
         self._hash = hashlib.blake2b(digest_size=16)
+        self._end = b""
 
     def __iter__(self) -> Iterator[str]:
         """Yield lines without their ends."""
@@ -83,12 +85,33 @@ class Lines:
 
     def _next(self) -> bytes:
         """Return the next line with its end; of one that is too long the beginning."""
-        raw = part = self.file.readline(LONGEST)
+        self._end = self._end or end_of_lines(self.file)
+        raw = part = self._part()
         while part:
             self.place += len(part)
             self._hash.update(part)
-            if len(part) < LONGEST or part.endswith(b"\n"):
+            if len(part) < LONGEST or part.endswith(self._end):
                 self.number += 1
                 break
-            part = self.file.readline(LONGEST)
+            part = self._part()
         return raw
+
+    def _part(self) -> bytes:
+        """Return bytes up to the end of a line, at most `LONGEST`."""
+        if self._end == b"\n":
+            return self.file.readline(LONGEST)
+        found = b""
+        while not found.endswith(CR) and (ahead := ahead_of(self.file)[: LONGEST - len(found)]):
+            found += self.file.read(ahead.find(CR) + 1 or len(ahead))
+        return found
+
+
+def end_of_lines(file: BinaryIO) -> bytes:
+    """Return what ends the lines of a stream: CR where only that stands among what it has at hand."""
+    ahead = ahead_of(file)
+    return CR if CR in ahead[:-1] and b"\n" not in ahead else b"\n"
+
+
+def ahead_of(file: BinaryIO) -> bytes:
+    """Return bytes that are read next, without reading on; none where that is not possible."""
+    return file.peek() if isinstance(file, io.BufferedReader) else b""

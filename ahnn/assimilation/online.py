@@ -14,19 +14,20 @@ from torch import Tensor
 
 from ahnn.arguments import Count, Finite, Positive, Within, checked
 from ahnn.assimilation.cells import BadLine
-from ahnn.assimilation.process import Process, Sensor, plain
 from ahnn.assimilation.reading import Reading
+from ahnn.assimilation.sensor import Sensor, plain
 from ahnn.assimilation.window import Entry, Window
 from ahnn.errors import UserError
-from ahnn.estimation import Belief, FilterState, Innovation, Status, load_notes, load_state, save_state
+from ahnn.estimation import Belief, Innovation, State, Status, load_notes, load_state, save_state
+from ahnn.estimation.process import Process
 
 HOPELESS = 1e16
 """NIS of a number, 1e8 standard deviations: what is added to the state has no digit of it left."""
 FURTHEST = 10_000
 """Steps of the flow that a reading may lie ahead, where nothing else is asked for."""
 
-LOST = (Status.NOT_FINITE, Status.COLLAPSED)
-"""What a single reading of absurd size makes of a filter."""
+LOST = (Status.NOT_FINITE, Status.COLLAPSED, Status.IMPRECISE)
+"""What a single reading of absurd size, or of absurd precision, makes of a filter."""
 Outcome = Literal["taken", "rejected", "predicted", "repeated", "late", "ahead"]
 """What became of a reading: it counted, the gate refused it, it was empty, it was there already, it came too
 late, or it lies too far ahead. The last three leave the estimate as it was."""
@@ -107,7 +108,7 @@ class Assimilation:
 
         Raises:
             UserError: a sensor that there is none of, or another number of values than it has.
-            BadLine: numbers that leave no finite estimate; the state from before the reading is kept.
+            BadLine: numbers that leave no finite, precise estimate; the state from before it is kept.
             Diverged: the filter has lost what it follows; the state from before the reading is kept.
         """
         reading = self._named(reading)
@@ -148,7 +149,7 @@ class Assimilation:
             UserError: no such file, a damaged one, or one of another process, sensors or window.
         """
         try:
-            state, notes = load_state(path), load_notes(path)
+            state, notes = load_state(path, like=self.window.anchor), load_notes(path)
             window = Window(state, float(state.time))
             if ours := notes["of"] == self.identity:
                 for time, values, sensor, sd in json.loads(notes["readings"]):
@@ -213,21 +214,21 @@ class Assimilation:
         entry = Entry(reading.time, reading, state, innovation)
         return window._replace(entries=(*window.entries, entry))
 
-    def _require_reading_at_fault(self, state: FilterState, reading: Reading) -> None:
+    def _require_reading_at_fault(self, state: State, reading: Reading) -> None:
         """Raise BadLine where the filter takes what it expects to read: the reading is no measurement."""
         model, sensor = self._models[reading.sensor], self.sensors[reading.sensor]
-        y = model(state.belief.mean, reading.time)
+        y = model(state.moments.mean, reading.time)
         factor = sensor.factor(sensor.deviations or (1.0,) * len(sensor.columns))
         after, _ = self.process.estimator.update(state, y, model, factor)
         if int(after.status) not in LOST:
             said = [f"{name} {value:g}" for name, value in zip(sensor.columns, reading.values, strict=True)]
             said += [f"sd {sd:g}" for sd in reading.deviations or ()]
-            message = f"expected numbers that leave a finite estimate; received {', '.join(said)}"
+            message = f"expected numbers that leave a finite, precise estimate; received {', '.join(said)}"
             raise BadLine(message)
 
     def _estimate(
         self, outcome: Outcome, innovation: Innovation | None = None, replayed: int = 0
     ) -> Estimate:
-        mean, chol = self.window.state.belief
+        mean, chol = self.window.state.moments
         chol = chol[0, : self.size, : self.size]
         return Estimate(outcome, self.window.time, mean[0, : self.size], chol @ chol.T, innovation, replayed)

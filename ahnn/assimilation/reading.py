@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import csv
 import json
+import logging
 import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from ahnn.arguments import nearest
-from ahnn.assimilation.cells import BadLine, number
+from ahnn.assimilation.cells import BadLine, is_missing, number
 from ahnn.assimilation.clock import Clock
-from ahnn.assimilation.process import Sensor
+from ahnn.assimilation.sensor import Sensor
 from ahnn.data.files.table import HEADER
 from ahnn.data.files.units import factor
 from ahnn.errors import UserError
+
+log = logging.getLogger("ahnn")
 
 TIME, SENSOR, SD = ("time", "t"), "sensor", "sd_"
 """Names of columns: of the time, of the sensor, and what stands before the name of a standard deviation."""
@@ -59,6 +62,8 @@ class Layout:
         self.only = next(iter(sensors)) if len(sensors) == 1 else None
         known = {name for sensor in sensors.values() for name in sensor.columns}
         self.known = {*TIME, SENSOR, *known, *(SD + name for name in known)}
+        self.foreign = {key: self.known - _keys(sensor) for key, sensor in sensors.items()}
+        self.said: set[tuple[str, str]] = set()
         self.names: list[str] | None = None
         self.scales: dict[str, float] = {}
         if "\r" in first.strip():
@@ -89,6 +94,7 @@ class Layout:
             message = f"sensor: expected one of {', '.join(self.sensors)}; received {row.get(SENSOR)!r}"
             raise BadLine(message)
         sensor = self.sensors[name]
+        self._say_unused(name, row)
         cells = [row[key] for key in TIME if key in row]
         cell = cells[0] if len(cells) == 1 else None
         time = number(cell, "time") if self.clock is None else self.clock.time(cell)
@@ -102,6 +108,13 @@ class Layout:
     def asks(self) -> bool:
         """Whether lines are of times alone, and ask for predictions; JSON objects may be."""
         return not {*(self.names or ())} - {*TIME, SENSOR}
+
+    def _say_unused(self, name: str, row: dict[str, Any]) -> None:
+        """Warn, once for each sensor and column, of numbers that no reading of that sensor has."""
+        for key in self.foreign[name]:
+            if key in row and (name, key) not in self.said and not is_missing(row[key]):
+                self.said.add((name, key))
+                log.warning("measurements: %s is not used in lines of sensor %s, which has none", key, name)
 
     def _cells(self, text: str) -> dict[str, Any]:
         assert self.names is not None
@@ -201,6 +214,11 @@ class Layout:
 
     def _expected(self) -> str:
         return ", ".join(dict.fromkeys(name for one in self.sensors.values() for name in one.columns))
+
+
+def _keys(sensor: Sensor) -> set[str]:
+    """Return the names that a line of a sensor may use."""
+    return {*TIME, SENSOR, *sensor.columns, *(SD + name for name in sensor.columns)}
 
 
 def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

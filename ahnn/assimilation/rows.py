@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Literal
 
 from ahnn.assimilation.online import Estimate
-from ahnn.assimilation.process import Sensor
+from ahnn.assimilation.sensor import Sensor
 from ahnn.data.files.sidecar import Sidecar
 from ahnn.data.tracks import COVARIANCE, DEVIATION, FIRST, INNOVATION
 from ahnn.errors import UserError

@@ -8,7 +8,7 @@ from operator import attrgetter
 from typing import NamedTuple
 
 from ahnn.assimilation.reading import Reading
-from ahnn.estimation import FilterState, Innovation
+from ahnn.estimation import Innovation, State
 
 TIME = attrgetter("time")
 
@@ -18,7 +18,7 @@ class Entry(NamedTuple):
 
     time: float
     reading: Reading
-    state: FilterState
+    state: State
     innovation: Innovation
 
 
@@ -31,12 +31,12 @@ class Window(NamedTuple):
         entries: in the order of their times.
     """
 
-    anchor: FilterState
+    anchor: State
     since: float
     entries: tuple[Entry, ...] = ()
 
     @property
-    def state(self) -> FilterState:
+    def state(self) -> State:
         """The newest state."""
         return self.entries[-1].state if self.entries else self.anchor
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,6 +10,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import flatten, nearest
 from ahnn.cli.importing import let_import
+from ahnn.cli.pairs import read_pairs
 from ahnn.cli.parts import SENSOR, SIMULATION
 from ahnn.cli.referenced import require_referenced
 from ahnn.cli.settings import check_again
@@ -19,6 +21,7 @@ from ahnn.paths import cache_dir
 from ahnn.pretrained import shipped
 
 OWN = ("run", "pretrained", "ckpt", "name")
+"""Keys of `Own`."""
 GROUPS = ("plugins", "measurement")
 NODES = ("system", "data", "evaluation", "plugins", "measurement")
 """Parts of a configuration that an evaluation builds from."""
@@ -26,6 +29,16 @@ KEYS = ("label", "threads")
 DATA = (*SIMULATION, "split", *SENSOR)
 """Keys of `data` that say which trajectories there are and what measures them, not the training; they are
 kept where this user keeps his own, not where the run did."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Own:
+    """Keys of the command line that are no part of a configuration."""
+
+    run: str | None = None
+    pretrained: str | None = None
+    ckpt: str = "best"
+    name: str | None = None
 
 
 class Request(NamedTuple):
@@ -55,22 +68,24 @@ class Request(NamedTuple):
             UserError: neither a run nor a shipped model is named, or an argument is not key=value.
         """
         given = [text for text in arguments if text != "--trust"]
-        pairs = [text.partition("=") for text in given]
-        own = {key: value for key, _, value in pairs if key in OWN}
-        if not own.keys() & {"run", "pretrained"} or not all(equals for _, equals, _ in pairs):
+        if not any(text.startswith(("run=", "pretrained=")) for text in given) or not all(
+            "=" in text for text in given
+        ):
             message = f"{usage}; received: {' '.join(arguments) or 'nothing'}"
             raise UserError(message)
-        name = own.get("pretrained")
-        folder = Path(own.get("run", f"runs/pretrained_{name}"))
+        mine = [text for text in given if text.partition("=")[0] in OWN]
+        own = read_pairs(mine, Own, usage)
+        name = own.pretrained
+        folder = Path(f"runs/pretrained_{name}" if own.run is None else own.run)
         if name is not None and (folder / "config.yaml").exists():
             message = (
                 f"run {folder}: expected a folder for pretrained={name}; received another run. Name a new one"
             )
             raise UserError(message)
-        overrides = ["".join(pair) for pair in pairs if pair[0] not in OWN]
+        overrides = [text for text in given if text not in mine]
         source = folder if name is None else shipped(name)
         trust = len(given) < len(arguments)
-        return cls(source, folder, own.get("ckpt", "best"), own.get("name"), overrides, trust)
+        return cls(source, folder, own.ckpt, own.name, overrides, trust)
 
 
 def run_config(folder: Path, request: Request) -> DictConfig:

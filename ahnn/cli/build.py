@@ -7,9 +7,9 @@ import functools
 import inspect
 import itertools
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
@@ -20,45 +20,67 @@ from ahnn.arguments import check_arguments
 from ahnn.errors import TrainingError, UserError
 
 
-def build(node: Any, who: str, kind: type = object, **offered: Any) -> Any:
-    """Instantiate the `_target_` of a node after checking its arguments.
+class Part(NamedTuple):
+    """A node with `_target_`.
 
-    Args:
-        node: a configuration node with `_target_`.
-        who: its name, for messages; a nested node with a `_target_` is built unchecked.
+    Attributes:
+        node: of the configuration; a nested node with a `_target_` is built unchecked.
         kind: what it has to be.
-        offered: further arguments, objects allowed; a target gets those that it has parameters for.
+        given: names of further arguments, objects allowed; a target gets those that it has parameters for.
+    """
+
+    node: Any
+    kind: type = object
+    given: Collection[str] = ()
+
+
+def factories(parts: Mapping[str, Part]) -> dict[str, Callable[..., Any]]:
+    """Return what builds each of several nodes, called with the arguments that are given to it.
 
     Raises:
-        UserError: no such target, an unknown or missing argument, one that it refuses, or another kind.
+        UserError: begins with the name of a node: no such target, an unknown or missing argument, or one of
+            another type. What a target refuses itself, and another kind, is said when it is built.
     """
-    arguments = plain_config(node) if isinstance(node, DictConfig) else {}
+    return {who: factory(who, part) for who, part in parts.items()}
+
+
+def factory(who: str, part: Part) -> Callable[..., Any]:
+    """Return what builds a node; raises as `factories`."""
+    arguments = plain_config(part.node) if isinstance(part.node, DictConfig) else {}
     target = arguments.pop("_target_", None)
     partial = arguments.pop("_partial_", False)
     if target is None:
-        received = f"keys {', '.join(arguments)}" if arguments else repr(node)
+        received = f"keys {', '.join(arguments)}" if arguments else repr(part.node)
         message = f"{who}: expected a node with _target_; received {received}"
         raise UserError(message)
     try:
         function = get_object(target)
-        inspect.signature(function)
+        taken = inspect.signature(function).parameters
     except Exception as error:
         reason = " ".join(str(error).split())
         message = f"{who}: expected _target_ to name a class or function; received {target!r} ({reason})"
         raise UserError(message) from error
-    check_arguments(who, function, arguments, offered, partial=partial)
-    with blaming(who):
-        made = instantiate(node, _convert_="all", _partial_=True)
-    taken = inspect.signature(function).parameters
-    passed = {name: value for name, value in offered.items() if name in taken}
-    call = blaming(who)(functools.partial(made, **passed))
-    if partial:
-        return call
-    thing = call()
-    if not isinstance(thing, kind):
-        message = f"{who}: expected {kind.__name__}; received {type(thing).__name__}"
-        raise UserError(message)
-    return thing
+    check_arguments(who, function, arguments, part.given, partial=partial)
+
+    def build_it(**offered: Any) -> Any:
+        with blaming(who):
+            made = instantiate(part.node, _convert_="all", _partial_=True)
+        passed = {name: value for name, value in offered.items() if name in taken}
+        call = blaming(who)(functools.partial(made, **passed))
+        if partial:
+            return call
+        thing = call()
+        if not isinstance(thing, part.kind):
+            message = f"{who}: expected {part.kind.__name__}; received {type(thing).__name__}"
+            raise UserError(message)
+        return thing
+
+    return build_it
+
+
+def build(node: Any, who: str, kind: type = object, **offered: Any) -> Any:
+    """Instantiate the `_target_` of a node after checking its arguments; raises as `factories`."""
+    return factory(who, Part(node, kind, offered))(**offered)
 
 
 @contextlib.contextmanager
@@ -77,10 +99,15 @@ def blaming(who: str) -> Iterator[None]:
         raise UserError(message) from error
 
 
+def each(nodes: DictConfig, who: str, kind: type = object) -> dict[str, Part]:
+    """Return the named entries of a group under dotted names; an entry set to null is left out."""
+    return {f"{who}.{name}": Part(node, kind) for name, node in nodes.items() if node is not None}
+
+
 def build_all(nodes: DictConfig, who: str, kind: type = object) -> dict[str, Any]:
-    """Instantiate every named entry of a group; an entry set to null is left out."""
-    given = {str(name): node for name, node in nodes.items() if node is not None}
-    return {name: build(node, f"{who}.{name}", kind) for name, node in given.items()}
+    """Instantiate every named entry of a group."""
+    made = factories(each(nodes, who, kind))
+    return {name.removeprefix(f"{who}."): build_it() for name, build_it in made.items()}
 
 
 def plain_config(cfg: Any, who: str = "configuration") -> dict[str, Any]:
@@ -93,6 +120,12 @@ def plain_config(cfg: Any, who: str = "configuration") -> dict[str, Any]:
         message = f"{who}: expected keys with values; received {cfg!r}"
         raise UserError(message)
     return OmegaConf.to_container(cfg, resolve=True)  # pyright: ignore[reportReturnType]
+
+
+def stored(cfg: DictConfig) -> bytes:
+    """Return the configuration as plain YAML; what plugins take from `measurement` stays linked to it."""
+    plugins = OmegaConf.to_container(cfg.plugins, resolve=False)
+    return OmegaConf.to_yaml(OmegaConf.create({**plain_config(cfg), "plugins": plugins})).encode()
 
 
 def new_folder(path: str) -> str:

@@ -189,7 +189,8 @@ def compose(loader: ConfigLoaderImpl, name: str, overrides: list[str]) -> DictCo
         cfg = loader.load_configuration(name, overrides, RunMode.RUN)
     except MissingConfigException as error:
         group, _, option = str(error.missing_cfg_file).rpartition("/")
-        message = f"{group}: unknown option {option!r}{nearest(option, error.options or ())}"
+        known = [one for one in error.options or loader.get_group_options(group) if one[0] != "_"]
+        message = f"{group or '--config-name'}: unknown option {option!r}{nearest(option, known)}"
         raise UserError(message) from error
     except HydraException as error:
         groups = [text for text in overrides if loader.repository.group_exists(text.partition("=")[0])]

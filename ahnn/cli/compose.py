@@ -32,7 +32,7 @@ def compose_job(overrides: Sequence[str], folder: Path) -> DictConfig:
     """Return a training in a folder, without plugins unless they are asked for; raises as `composed`."""
     defaults = [] if any(text.startswith("plugins=") for text in overrides) else ["plugins=none"]
     cfg = composed("train", [*defaults, *overrides])
-    cfg.folder = str(folder).replace("${", r"\${")  # the name of a folder is no interpolation
+    cfg.folder = cfg.run = str(folder).replace("${", r"\${")  # the name of a folder is no interpolation
     return cfg
 
 

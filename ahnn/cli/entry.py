@@ -41,6 +41,7 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
     commandline.check(args, config_name)
     own = named_folder(args.overrides)
     is_new = own is None or not own.exists()
+    above = [path for path in (own or Path("runs", "day")).absolute().parents if not path.exists()]
     if not is_new:  # what lies in it is somebody's property: Hydra must not write there before we have looked
         sys.argv.append("hydra.output_subdir=null")
 
@@ -51,9 +52,9 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
         if code := guard(lambda: task(cfg)):
             if is_new:
                 forget(folder := Path(HydraConfig.get().runtime.output_dir))
-                if own is None:
+                for path in above if own is not None else (folder.parent, *above):  # that of the day
                     with contextlib.suppress(OSError):
-                        folder.parent.rmdir()  # of the day
+                        path.rmdir()
             leave(code)  # past Hydra, which would say that there was an error
         return None
 
@@ -62,8 +63,9 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
 
 def named_folder(overrides: Sequence[str]) -> Path | None:
     """Return the run folder that a command line names; None takes a new one."""
-    named = [text.partition("=")[2] for text in overrides if text.startswith(("run=", "hydra.run.dir="))]
-    return Path(named[-1].strip("'\"")) if named else None
+    named = [text for text in overrides if text.startswith(("run=", "hydra.run.dir="))]
+    single = [text for text in named if not commandline.parse(text).is_sweep_override()]
+    return Path(str(commandline.pair(single[-1])[1])) if single else None
 
 
 def forget(folder: Path) -> None:

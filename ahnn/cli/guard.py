@@ -8,6 +8,7 @@ n, which is 130 for Ctrl-C, 143 for SIGTERM and 129 for SIGHUP. Where the reader
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import re
 import signal
@@ -16,7 +17,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from typing import Any, NoReturn
 
-from ahnn.cli.stops import arrived, listen
+from ahnn.cli.stops import arrived, code_of, listen
 from ahnn.errors import Stopped, TrainingError, UserError
 from ahnn.memory import keep_freed
 
@@ -25,9 +26,20 @@ NO_MEMORY = re.compile(r"can't allocate memory|out of memory", re.IGNORECASE)
 """What torch says where there is none, in an error of any type."""
 
 
-def run_command(task: Callable[[list[str]], Any], about: str | None) -> NoReturn:
-    """End the process with the exit code of a task on its arguments, or of telling what it is about."""
+def run_command(
+    task: Callable[[list[str]], Any], about: str | None, level: int = logging.WARNING
+) -> NoReturn:
+    """End the process with the exit code of a task on its arguments, or of telling what it is about.
+
+    Args:
+        task: of the arguments of the command line.
+        about: what `--help` shows.
+        level: of the messages that are shown.
+    """
     arguments = sys.argv[1:]
+    logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
+    if level != logging.WARNING:
+        logging.getLogger("ahnn").setLevel(level)
     asks = bool({"-h", "--help"} & {*arguments})
     leave(guard(lambda: sys.stdout.write(f"{about}\n") if asks else task(arguments)))
 
@@ -131,4 +143,4 @@ def report(said: BaseException | str) -> int:
     """Write a message to standard error and return its exit code."""
     with contextlib.suppress(OSError):  # then the code has to do
         sys.stderr.write(f"ahnn: {said}\n")
-    return said.code if isinstance(said, Stopped) else 3 if isinstance(said, TrainingError) else 2
+    return code_of(said) if isinstance(said, Stopped) else 3 if isinstance(said, TrainingError) else 2

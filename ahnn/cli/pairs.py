@@ -1,15 +1,14 @@
-"""Commands that take KEY=VALUE alone: the keys are the fields of a dataclass, checked by its annotations."""
+"""The grammar of commands that compose no training: KEY=VALUE, quoted as in Hydra, and paths beside them."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeVar
+from collections.abc import Collection, Iterable
+from pathlib import Path
+from typing import TypeVar
 
 from ahnn.arguments import check_arguments
 from ahnn.cli.commandline import pair
 from ahnn.errors import UserError
-
-if TYPE_CHECKING:
-    from ahnn.runs import Run
 
 T = TypeVar("T")
 
@@ -33,23 +32,19 @@ def read_pairs(arguments: list[str], schema: type[T], usage: str) -> T:
     return schema(**values)
 
 
-def named_runs(run: str | list[str] | None, pretrained: str | None, ckpt: str) -> list[Run]:
-    """Return the runs, or the shipped model, that a command names.
+def divided(arguments: Iterable[str], keys: Collection[str] = ()) -> tuple[list[Path], list[str]]:
+    """Return the paths of a command line, and its KEY=VALUE; a path with that sign in it is one that exists.
 
-    Raises:
-        UserError: neither or both are named, there is no such run, or their states differ.
+    Args:
+        arguments: in any order.
+        keys: that name no path, whatever exists.
     """
-    from ahnn.pretrained import shipped
-    from ahnn.runs import load
-
-    if (not run and pretrained is None) or (run and pretrained is not None):
-        message = f"run: expected run=DIR or pretrained=NAME; received {'both' if run else 'neither'}"
-        raise UserError(message)
-    folders = [shipped(pretrained)] if pretrained is not None else run if isinstance(run, list) else [run]
-    runs = [load(str(folder), ckpt) for folder in folders]
-    first = runs[0].space._replace(name="")
-    for other in runs[1:]:
-        if (space := other.space._replace(name="")) != first:
-            message = f"run: expected runs of the same states and units; received {first} and {space}"
-            raise UserError(message)
-    return runs
+    paths, pairs = [], []
+    for text in arguments:
+        key, sign, _ = text.partition("=")
+        path = Path(text).expanduser()
+        if sign and (key in keys or not path.exists()):
+            pairs.append(text)
+        else:
+            paths.append(path)
+    return paths, pairs

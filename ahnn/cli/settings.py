@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from inspect import signature
 from typing import Annotated, Any, Literal
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from ahnn.arguments import Count, Seed, Text, Within, check_arguments, flatten
 from ahnn.cli.build import plain_config
@@ -62,11 +62,9 @@ class Evaluation:
     detail: bool = False
 
 
-def check_again(cfg: DictConfig, top: type = Again) -> None:
+def check_again(cfg: DictConfig) -> None:
     """Check what belongs to no object and is asked of finished runs too; raises as `check_settings`."""
-    check_arguments("", top, _part(cfg, top))
-    check_arguments("data", Splits, _part(cfg.data, Splits, "data"))
-    check_arguments("evaluation", Evaluation, plain_config(cfg.evaluation, "evaluation"))
+    check_keys(plain_config(cfg), {"": Again, "data": Splits, "evaluation": Evaluation})
 
 
 def check_settings(cfg: DictConfig) -> None:
@@ -75,22 +73,29 @@ def check_settings(cfg: DictConfig) -> None:
     Raises:
         UserError: a wrong type, an impossible value, or one that contradicts the chosen model.
     """
-    check_again(cfg, Settings)
-    check_arguments("trainer", Training, _part(cfg.trainer, Training, "trainer"))
-    if cfg.get("seeds") and len({*cfg.seeds}) < len(cfg.seeds):
-        message = f"seeds: expected different ones; received {list(cfg.seeds)}"
+    values = plain_config(cfg)
+    check_keys(values, {"": Settings, "data": Splits, "evaluation": Evaluation, "trainer": Training})
+    seeds = values.get("seeds") or []
+    if len({*seeds}) < len(seeds):
+        message = f"seeds: expected different ones; received {seeds}"
         raise UserError(message)
-    required = plain_config(cfg.get("required") or OmegaConf.create())  # what the choice of a model implies
-    for key, value in flatten(required).items():
-        if (received := OmegaConf.select(cfg, key)) != value:
+    received = flatten(values)
+    for key, value in flatten(values.get("required") or {}).items():  # what the choice of a model implies
+        if received.get(key) != value:
             message = (
-                f"{key}: expected {value} with model {cfg.label}; received {received}. Choose another model"
+                f"{key}: expected {value} with model {cfg.label}; received {received.get(key)}. "
+                "Choose another model"
             )
             raise UserError(message)
 
 
-def _part(node: Any, schema: type, who: str = "") -> dict[str, Any]:
-    """Return the keys of a node that belong to a schema, where others belong to somebody else."""
-    if isinstance(node, DictConfig):
-        node = OmegaConf.create({key: node[key] for key in signature(schema).parameters if key in node})
-    return plain_config(node, who)
+def check_keys(values: dict[str, Any], schemas: dict[str, type]) -> None:
+    """Check the keys of some nodes that belong to a schema, where others belong to somebody else."""
+    for who, schema in schemas.items():
+        node = values[who] if who else values
+        if not isinstance(node, dict):
+            message = f"{who}: expected keys with values; received {node!r}"
+            raise UserError(message)
+        shared = schema is not Evaluation
+        own = {key: node[key] for key in signature(schema).parameters if key in node} if shared else node
+        check_arguments(who, schema, own)

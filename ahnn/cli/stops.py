@@ -79,8 +79,13 @@ def ended(how_to_go_on: Callable[[], str], *, speaks: bool = True) -> Iterator[N
         _hand_to(lambda *_: None)  # a second signal shall not take the place of the message
         known = stop if isinstance(stop, Stopped) else Stopped(signal.SIGINT)
         if not speaks:
-            sys.exit(known.code)
+            sys.exit(code_of(known))
         raise known.saying(how_to_go_on()) from None
+
+
+def code_of(stop: Stopped) -> int:
+    """Return the exit code of a process that a signal ended, as a shell counts."""
+    return 128 + stop.signal
 
 
 @contextlib.contextmanager

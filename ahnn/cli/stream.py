@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import Any
 
+import torch
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from torch import Tensor
 
@@ -14,10 +15,11 @@ from ahnn.assimilation import Assimilation, Process, Sensor
 from ahnn.assimilation.clock import Clock
 from ahnn.assimilation.record import require_orbit
 from ahnn.assimilation.start import begin, belief_of
-from ahnn.cli.again import GROUPS, KEYS, NODES, OWN, Request
+from ahnn.cli.again import GROUPS, KEYS, NODES, OWN, Request, run_config
 from ahnn.cli.build import blaming, build, build_all, plain_config
 from ahnn.cli.compose import composed
 from ahnn.cli.parts import build_sensor, build_source
+from ahnn.cli.unread import refuse, unread_online
 from ahnn.data import SplitData
 from ahnn.data.files.epochs import spelled
 from ahnn.data.reference import Reference
@@ -25,20 +27,31 @@ from ahnn.data.starts import starts
 from ahnn.errors import UserError
 from ahnn.evaluation import Case, EvaluationPlugin
 from ahnn.evaluation.prepare import make_case
+from ahnn.jobs.assimilating import Asked, Stream, require_places
 from ahnn.measurements import reading
-from ahnn.runs import Run
+from ahnn.runs import Run, load
 from ahnn.systems import System
-
-if TYPE_CHECKING:
-    from ahnn.assimilate import Asked
-
-T = TypeVar("T")
 
 FILTER, OF_MEASUREMENTS = "plugins=ukf", "plugins=ukf_parameter_error"
 """What filters where a run names no plugin; the second where the training kept what it is told least."""
 
 
-def asked(arguments: list[str], schema: type[T], usage: str) -> tuple[T, DictConfig, Request]:
+def read_stream(arguments: list[str], usage: str) -> Stream:
+    """Return the stream that a command line asks for.
+
+    Raises:
+        UserError: no such run, places where something else is, or options that do not go together.
+    """
+    options, nodes, request = asked(arguments, usage)
+    run = load(request.source, request.ckpt)
+    cfg = run_config(run.folder, with_filter(request, run))
+    refuse(unread_online(cfg.plugins, covariance=run.uncertainty is not None), request.overrides)
+    torch.set_num_threads(cfg.threads)
+    require_places(options)
+    return build_assimilation(options, nodes, cfg, run)
+
+
+def asked(arguments: list[str], usage: str) -> tuple[Asked, DictConfig, Request]:
     """Return the options of a command line, the nodes of its sensors, and what it asks of the run.
 
     Raises:
@@ -54,8 +67,8 @@ def asked(arguments: list[str], schema: type[T], usage: str) -> tuple[T, DictCon
     request = Request.of([text for text in given if text not in mine], usage)
     cfg = composed("assimilate", mine)
     options = plain_config(cfg)
-    check_arguments("", schema, options)
-    return schema(**options), cfg.sensors, request
+    check_arguments("", Asked, options)
+    return Asked(**options), cfg.sensors, request
 
 
 def with_filter(request: Request, run: Run) -> Request:
@@ -119,23 +132,7 @@ def build_process(cfg: DictConfig, run: Run, case: Callable[[], Case]) -> Proces
         return plugin.online(run.dynamics, run.dt, run.space, case, novelty, run.uncertainty)
 
 
-class Built(NamedTuple):
-    """What a stream needs besides its lines.
-
-    Attributes:
-        filtering: the filter.
-        clock: what times mean.
-        reference: of the estimates.
-        name: of what is followed.
-    """
-
-    filtering: Assimilation
-    clock: Clock
-    reference: Reference
-    name: str
-
-
-def build_assimilation(asked: Asked, nodes: DictConfig, cfg: DictConfig, run: Run) -> Built:
+def build_assimilation(asked: Asked, nodes: DictConfig, cfg: DictConfig, run: Run) -> Stream:
     """Build the filter of a stream; data are only made where a process noise is fitted to them.
 
     Raises:
@@ -172,7 +169,7 @@ def build_assimilation(asked: Asked, nodes: DictConfig, cfg: DictConfig, run: Ru
     limits = {"window": asked.window, "lines": asked.lines, "gap": asked.gap}
     filtering = Assimilation(build_process(cfg, run, case), sensors, belief, time=time, **limits)
     name = asked.object or (found.names[0] if isinstance(asked.start, str) else "UNKNOWN")
-    return Built(filtering, clock, reference, name)
+    return Stream(asked, run.space, filtering, clock, reference, name)
 
 
 def require_angles(nodes: Any, clock: Clock) -> None:

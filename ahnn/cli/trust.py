@@ -23,7 +23,7 @@ LINK = re.compile(r"\$\{measurement(\.\w+)+\}")
 MEASURES = (("locate", "__call__"), ("residual", "__call__"))
 NEEDED = {
     "system": (("energy", "initial_states"), ("recipe", "steps", "read")),
-    "plugins": (("check", "__call__"), *MEASURES),
+    "plugins": (("check", "__call__"), ("start", "predict", "update", "run"), *MEASURES),
     "measurement": MEASURES,
     "data": MEASURES,
 }

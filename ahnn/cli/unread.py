@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
@@ -16,21 +16,24 @@ from ahnn.data.recorded import Recorded
 from ahnn.data.sensor import Sensor
 
 if TYPE_CHECKING:
-    from ahnn.train import Parts
+    from ahnn.jobs.prepared import Prepared
 
 log = logging.getLogger(__name__)
 
 
+EVALUATED = ("smoother", "least_squares", "tuning")
+SIMULATED = ("cadence", "times", "measurement", "measurement_sd", "start_sd", "seed", "beside")
+"""Keys of filters for evaluations alone, and for measurements that are simulated to fit a process noise."""
 Unread = Iterator[tuple[str, str]]
 """Keys, and why they are not read."""
 
 
-def require_read(cfg: DictConfig, parts: Parts, texts: Iterable[str] | None = None) -> None:
+def require_read(cfg: DictConfig, prepared: Prepared, texts: Iterable[str] | None = None) -> None:
     """Refuse overrides that none of the parts of a training reads.
 
     Args:
         cfg: of the training.
-        parts: built from it.
+        prepared: built from it.
         texts: overrides; None takes those of the command line.
 
     Raises:
@@ -40,8 +43,9 @@ def require_read(cfg: DictConfig, parts: Parts, texts: Iterable[str] | None = No
         texts = HydraConfig.get().overrides.task if HydraConfig.initialized() else ()
     values = {key: value for key, _, value in (text.partition("=") for text in texts)}
     several = values.get("seeds", "null") != "null"
-    data = unread_of_data(cfg, parts.data.source, parts.data.sensor)
-    refuse((*data, *unread_of_training(cfg, parts, several=several)), texts)
+    data = unread_of_data(cfg, prepared.data.source, prepared.data.sensor)
+    training, plugins = unread_of_training(cfg, prepared, several=several), unread_of_plugins(cfg.plugins)
+    refuse((*data, *training, *plugins), texts)
 
 
 def refuse(found: Iterable[tuple[str, str]], texts: Iterable[str]) -> None:
@@ -68,9 +72,9 @@ def unread_of_data(cfg: DictConfig, source: Source, sensor: Sensor | None) -> Un
     )
 
 
-def unread_of_training(cfg: DictConfig, parts: Parts, *, several: bool) -> Unread:
+def unread_of_training(cfg: DictConfig, prepared: Prepared, *, several: bool) -> Unread:
     """Yield the keys that model, optimiser and trainer leave unread; `several` seeds are named."""
-    automatic, staged = parts.model.stepper.automatic, parts.data.stages is not None
+    automatic, staged = prepared.model.stepper.automatic, prepared.data.stages is not None
     rolled = OmegaConf.select(cfg, "callbacks.rollout.count") != 0
     clipped = bool(cfg.trainer.get("gradient_clip_val"))
     derived = staged or cfg.loss.derivative > 0
@@ -84,6 +88,32 @@ def unread_of_training(cfg: DictConfig, parts: Parts, *, several: bool) -> Unrea
         ("callbacks.rollout.every", rolled, "callbacks.rollout.count=0 rolls out nothing"),
         ("trainer.gradient_clip_algorithm", clipped, "trainer.gradient_clip_val is not set"),
     )
+
+
+def unread_of_plugins(nodes: DictConfig) -> Unread:
+    """Yield the keys of filters that another of their keys leaves unread."""
+    for name, node in nodes.items():
+        options = node or {}
+        yield from unless(
+            (f"plugins.{name}.patience", options.get("gate", 0) is not None, "gate=null refuses nothing"),
+            (f"plugins.{name}.cadence", options.get("times") is None, "times says when measurements come"),
+        )
+
+
+def unread_online(nodes: DictConfig, *, covariance: bool) -> Unread:
+    """Yield the keys of filters that a stream leaves unread; `covariance`: that of the weights is known."""
+    yield from unread_of_plugins(nodes)
+    for name, node in nodes.items():
+        yield from ((f"plugins.{name}.{key}", "a stream is filtered, and no more") for key in EVALUATED)
+        if not _is_fitted((node or {}).get("process_noise"), covariance=covariance):
+            yield from ((f"plugins.{name}.{key}", "no process noise is fitted to data") for key in SIMULATED)
+
+
+def _is_fitted(noise: Any, *, covariance: bool) -> bool:
+    """Return whether a process noise is found from data."""
+    if isinstance(noise, DictConfig):
+        return noise.get("size") is None or noise.get("memory") is None
+    return isinstance(noise, str) and not (covariance and noise == "parameter_error")
 
 
 def unless(*rows: tuple[str, bool, str]) -> Unread:

@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Annotated, Any, Literal, Protocol
 
 import torch
-from lightning import LightningDataModule
+from lightning import LightningDataModule, Trainer
 from torch import Tensor
 
 from ahnn.arguments import Count, Seed, Within, checked
@@ -78,7 +78,7 @@ class WindowDataModule(LightningDataModule):
         self.splits = SplitData(source, split, sensor)
         self.stages: Stages | None = None
         self.epochs = 1
-        self.clock = 0  # coordinates of extended states, as the dynamics want them
+        self.clock = 0
         self._cut: dict[int | None, Segments] = {}
         self._windows: dict[tuple[Split, int], Windows] = {}
         self.window, self.span, self.batch_size = window, window, batch_size
@@ -86,13 +86,17 @@ class WindowDataModule(LightningDataModule):
         self.dtype = {32: torch.float32, 64: torch.float64}[precision]
         self.emphasis, self.order_seed = emphasis, order_seed
 
-    def require_span(self, steps: int) -> None:
-        """Let training windows span at least so many steps: derivatives need more than W.
+    def require_span(self, steps: int, clock: int = 0) -> None:
+        """Let training windows span at least so many steps, for derivatives need more than W.
+
+        Args:
+            steps: of a window, at least.
+            clock: clock coordinates of their states, as the dynamics want them.
 
         Raises:
             UserError: the trajectories, as far as their length is known before they are made, are shorter.
         """
-        self.span = max(self.window, steps)
+        self.span, self.clock = max(self.window, steps), clock
         truth: Any = self.source.truth
         if truth is not None and getattr(truth, "periods", None) is None:
             require_span(self.span, truth.steps)
@@ -133,6 +137,10 @@ class WindowDataModule(LightningDataModule):
         names = self.source.space.components if self.sensor is None else self.sensor.measurement.names
         stated = None if self.sensor is None or self.stages is None else self.sensor.deviations
         return remark_on(self.trajectories("train").spread(), names, stated)
+
+    def feed(self, trainer: Trainer) -> None:
+        """Gather batches where a trainer takes its steps, before it asks for any."""
+        self.trainer = trainer
 
     def follow(self, stages: Stages, epochs: int) -> None:
         """Hand out stretches of measurements that grow over so many epochs, in place of windows.

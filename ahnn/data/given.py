@@ -9,6 +9,7 @@ from ahnn.arguments import Positive, check_values, fits
 from ahnn.data.files.content import Content
 from ahnn.data.files.samples import Track
 from ahnn.data.files.table import FINITE, LARGEST
+from ahnn.data.files.turns import unwrapped
 from ahnn.data.files.units import unit
 from ahnn.errors import UserError
 from ahnn.numbers import as_float64, described
@@ -102,7 +103,7 @@ def content_of(given: Trajectories, space: Space) -> Content:
         for b, known in enumerate(row[np.isfinite(row)] for row in times.numpy())
     )
     units = Units(*map(_known, space.units))
-    return Content(q, () if alone else p, True, units, space.frame, tracks, time="times")
+    return unwrapped(Content(q, () if alone else p, True, units, space.frame, tracks, time="times"))
 
 
 def _known(text: str) -> str:

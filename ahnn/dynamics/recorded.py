@@ -21,8 +21,10 @@ from torch.nn.utils import vector_to_parameters
 from ahnn.dynamics.base import Dynamics
 from ahnn.dynamics.fields import HamiltonianDynamics, NeuralODE
 from ahnn.dynamics.maps import NextState
+from ahnn.dynamics.transition import transition
 from ahnn.integrators.explicit import ExplicitRungeKutta
 from ahnn.integrators.symplectic import SymmetricComposition
+from ahnn.libraries import followed
 from ahnn.types import Flow, TimeStep
 
 SETTLED = 3
@@ -56,8 +58,14 @@ class _Recorded:
         self.flow = flow
         self._known: dict[torch.Size, Callable[[Tensor, Tensor], Tensor]] = {}
 
+    def transition(self, x: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+        """Return the states (B, D) after dt, and the state transitions (B, D, D)."""
+        return transition(self.flow, x, dt)
+
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the states (B, D) after dt."""
+        if followed():
+            return self.flow(x, dt)
         step = torch.as_tensor(dt, dtype=torch.float64)
         with _RECORDING:
             known = self._known.get(x.shape)

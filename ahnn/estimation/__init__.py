@@ -5,8 +5,8 @@ from __future__ import annotations
 from ahnn.estimation.belief import Belief, Status
 from ahnn.estimation.consistency import band, coverage, independent_count, nees
 from ahnn.estimation.covariances import Covariance, Factor, initial_belief
+from ahnn.estimation.estimator import Estimator, Innovation, Recursive, State
 from ahnn.estimation.gate import Gate
-from ahnn.estimation.recursive import Innovation, Recursive
 from ahnn.estimation.saving import load_notes, load_state, save_state
 from ahnn.estimation.scenario import Problem, Setting, perturbed_arcs, simulated
 from ahnn.estimation.state import FilterState
@@ -14,6 +14,7 @@ from ahnn.estimation.state import FilterState
 __all__ = [
     "Belief",
     "Covariance",
+    "Estimator",
     "Factor",
     "FilterState",
     "Gate",
@@ -21,6 +22,7 @@ __all__ = [
     "Problem",
     "Recursive",
     "Setting",
+    "State",
     "Status",
     "band",
     "coverage",

@@ -1,6 +1,7 @@
 """State of a recursive estimator on disk: restored bit for bit, in a file that never executes anything.
 
-Tensors and texts are under one checksum, as weights are, and within the limits of a state.
+A state is a NamedTuple of tensors and of NamedTuples of tensors, stored under their own names. Tensors
+and texts are under one checksum, as weights are, and within the limits of a state.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar, cast
 
 import torch
 from torch import Tensor
@@ -16,8 +17,11 @@ from torch import Tensor
 from ahnn.checkpoints import Weights, packed, read_safetensors
 from ahnn.errors import UserError
 from ahnn.estimation.belief import Belief, Status
-from ahnn.estimation.state import FilterState, detached
+from ahnn.estimation.estimator import State
+from ahnn.estimation.state import FilterState
 from ahnn.files import write_state
+
+S = TypeVar("S", bound=State)
 
 FORMAT = "ahnn filter state 2"
 """Raise the number when the meaning of a stored tensor changes. Format 1 had no checksum."""
@@ -51,7 +55,7 @@ PARTS = {
 }
 
 
-def save_state(state: FilterState, path: Path | str, notes: Mapping[str, str] | None = None) -> None:
+def save_state(state: State, path: Path | str, notes: Mapping[str, str] | None = None) -> None:
     """Write a state; the file appears whole or not at all. Gradients are not kept.
 
     Args:
@@ -62,20 +66,25 @@ def save_state(state: FilterState, path: Path | str, notes: Mapping[str, str] | 
     Raises:
         ValueError: what is no state, which `load_state` would refuse.
     """
-    parts = _named(detached(state))
-    _check(parts)
+    parts = {name: part.detach() for name, part in _named(state).items()}
+    _check(parts, state)
     orders = {name: _order(part) for name, part in parts.items()}
     content = {name: part.cpu().permute(orders[name]).contiguous().clone() for name, part in parts.items()}
     about = {"format": FORMAT, "orders": orders, "notes": dict(notes or {})}
     write_state(Path(path), packed(Weights(content, about)))
 
 
-def load_state(path: Path | str, device: torch.device | str = "cpu") -> FilterState:
+def load_state(path: Path | str, device: torch.device | str = "cpu", *, like: S | None = None) -> S:
     """Return a state that `save_state` wrote.
+
+    Args:
+        path: of the file.
+        device: of the tensors.
+        like: a state of the estimator, which says what its parts are; None is a `FilterState`.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: it is damaged, of an earlier format, or no state.
+        ValueError: it is damaged, of an earlier format, or no state of this kind.
     """
     stored, about = _read(Path(path))
     try:
@@ -84,11 +93,13 @@ def load_state(path: Path | str, device: torch.device | str = "cpu") -> FilterSt
             name: part.to(device).permute([orders[name].index(i) for i in range(part.ndim)])
             for name, part in stored.items()
         }
-        _check(parts)
+        _check(parts, like)
     except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
         raise ValueError(_refusal(path, error)) from error
+    if like is not None:
+        return _filled(like, parts)
     belief = Belief(parts.pop("mean"), parts.pop("chol"))
-    return FilterState(belief=belief, **parts)
+    return cast(S, FilterState(belief=belief, **parts))
 
 
 def load_notes(path: Path | str) -> dict[str, str]:
@@ -123,16 +134,20 @@ def _refusal(path: Path | str, reason: object) -> str:
     )
 
 
-def _check(parts: dict[str, Any]) -> None:
+def _check(parts: dict[str, Any], like: State | None) -> None:
     """Refuse tensors that are no state; raises ValueError with the first that is not."""
-    if parts.keys() != PARTS.keys():
-        message = f"expected {', '.join(PARTS)}; received {', '.join(parts)}"
+    known = PARTS if like is None or isinstance(like, FilterState) else _named(like)
+    if parts.keys() != known.keys():
+        message = f"expected {', '.join(known)}; received {', '.join(parts)}"
         raise ValueError(message)
+    if known is not PARTS:
+        _compare(parts, known)
+        return
     sizes = dict(zip("BD", parts["mean"].shape, strict=True))
     for name, (axes, dtype, least, most) in PARTS.items():
         part, shape = parts[name], tuple(sizes[axis] for axis in axes)
-        known = part.dtype == dtype and tuple(part.shape) == shape and bool(part.isfinite().all())
-        if not known or bool(((part < least) | (part > most)).any()):
+        right = part.dtype == dtype and tuple(part.shape) == shape and bool(part.isfinite().all())
+        if not right or bool(((part < least) | (part > most)).any()):
             message = (
                 f"{name}: expected finite {dtype} of shape {shape}, from {least:g} to {most:g}; received "
                 f"{part.dtype} {tuple(part.shape)}, or numbers beyond"
@@ -140,10 +155,33 @@ def _check(parts: dict[str, Any]) -> None:
             raise ValueError(message)
 
 
-def _named(state: FilterState) -> dict[str, Tensor]:
-    """Return the tensors of a state under their names."""
-    parts = state._asdict()
-    return {**parts.pop("belief")._asdict(), **parts}
+def _compare(parts: dict[str, Tensor], known: Mapping[str, Any]) -> None:
+    """Refuse tensors of another type or shape than those of a state of an estimator of one's own."""
+    for name, part in parts.items():
+        if (part.dtype, part.shape) != (known[name].dtype, known[name].shape):
+            expected = f"{known[name].dtype} {tuple(known[name].shape)}"
+            message = f"{name}: expected {expected}; received {part.dtype} {tuple(part.shape)}"
+            raise ValueError(message)
+
+
+def _named(state: Any) -> dict[str, Tensor]:
+    """Return the tensors of a state under their names; those of inner tuples under their own."""
+    named: dict[str, Tensor] = {}
+    for name, part in state._asdict().items():
+        inner = _named(part) if isinstance(part, tuple) else {name: part}
+        if twice := named.keys() & inner.keys():
+            message = f"state: expected parts of different names; received {', '.join(sorted(twice))} twice"
+            raise ValueError(message)
+        named |= inner
+    return named
+
+
+def _filled(like: S, parts: Mapping[str, Tensor]) -> S:
+    """Return a state with other tensors."""
+    fields = cast(Any, like)._asdict().items()
+    return like._replace(
+        **{k: _filled(part, parts) if isinstance(part, tuple) else parts[k] for k, part in fields}
+    )
 
 
 def _order(tensor: Tensor) -> list[int]:

@@ -39,6 +39,11 @@ class FilterState(NamedTuple):
     log_likelihood: Tensor
 
     @property
+    def moments(self) -> Belief:
+        """Mean (B, D) and factor of the covariance (B, D, D)."""
+        return self.belief
+
+    @property
     def alive(self) -> Tensor:
         """(B,) bool, true where the status is OK."""
         return self.status == Status.OK
@@ -85,9 +90,3 @@ def frozen(state: FilterState, sound: Belief) -> FilterState:
     if not bool(state.status.any()):
         return state
     return state._replace(belief=choose(state.alive, state.belief, sound))
-
-
-def detached(state: FilterState) -> FilterState:
-    """Return the state without a graph of gradients."""
-    belief, *others = state
-    return FilterState(Belief(*(part.detach() for part in belief)), *(part.detach() for part in others))

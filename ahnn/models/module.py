@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple, cast
 
 import torch
@@ -67,9 +68,32 @@ class AbstractModel(LightningModule, ABC):
         self.loss, self.curriculum = make_curriculum(2 * (dof + dynamics.clock), window, loss)
         self.dof, self.window = dof, window
         self.stepper: Stepper = FirstOrder()
-        self.optimisation: Optimisation | None = None
-        self.recorded: Stepper | None = None  # in place of the stepper of optimisers that take gradients
-        self.about: dict[str, Any] = {}
+        self._optimisation: Optimisation | None = None
+        self._recorded: Stepper | None = None
+        self._about: dict[str, Any] = {}
+
+    def train_by(self, optimisation: Optimisation, about: Mapping[str, Any]) -> None:
+        """Take the optimiser of a training, and what its checkpoints say of it."""
+        self._optimisation, self._about = optimisation, {**about}
+
+    def learns_from(self, **about: Any) -> None:
+        """Let checkpoints say what the data are, besides what is known before there are any."""
+        self._about |= about
+
+    def step_by(self, recorded: Stepper) -> None:
+        """Take recorded steps, in place of those of optimisers that take gradients."""
+        self._recorded = recorded
+
+    @property
+    def about(self) -> Mapping[str, Any]:
+        """What checkpoints say of the training, plain values."""
+        return MappingProxyType(self._about)
+
+    @property
+    def optimisation(self) -> Optimisation:
+        """Optimiser and scheduler."""
+        assert self._optimisation is not None, "call `train_by` before fit"
+        return self._optimisation
 
     @property
     def objective(self) -> Objective:
@@ -94,7 +118,6 @@ class AbstractModel(LightningModule, ABC):
 
     def configure_optimizers(self) -> Any:
         """Return optimiser and per-epoch scheduler for Lightning."""
-        assert self.optimisation is not None, "set `optimisation` before fit"
         optimizer = self.optimisation.optimizer(self.dynamics.parameters())
         self.stepper = self.stepper_for(optimizer)
         self.automatic_optimization = self.stepper.automatic
@@ -106,7 +129,7 @@ class AbstractModel(LightningModule, ABC):
     def stepper_for(self, optimizer: Optimizer) -> Stepper:
         """Return how an optimiser is asked for a step."""
         own = stepper_of(optimizer)
-        return self.recorded if self.recorded is not None and isinstance(own, FirstOrder) else own
+        return self._recorded if self._recorded is not None and isinstance(own, FirstOrder) else own
 
     def check(self, trainer: Trainer) -> None:
         """Try optimiser and scheduler before anything is generated, and let the stepper look at the trainer.

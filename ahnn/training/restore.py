@@ -21,27 +21,22 @@ NEEDED |= {"epoch": int, "global_step": int}
 """What Lightning takes from a checkpoint without asking whether it is there."""
 
 
-def resume_point(ckpt: str | None, model: Any, trainer: Any, folder: Path) -> Path | None:
-    """Return the checkpoint to resume from, or None.
+def require_resumable(path: Path, model: Any, trainer: Any) -> None:
+    """Refuse to resume from a checkpoint that is missing, damaged, or of another training.
 
     Args:
-        ckpt: None, `last`, `best`, or a path.
-        model: what is going to be trained; the checkpoint must be of the same training.
+        path: of the checkpoint.
+        model: what is going to be trained.
         trainer: what is going to train it, with its callbacks.
-        folder: where checkpoints of this run are.
 
     Raises:
-        UserError: the checkpoint is missing, damaged, or of another training.
+        UserError: names what differs.
     """
-    if ckpt is None:
-        return None
-    path = folder / f"{ckpt}.ckpt" if ckpt in ("last", "best") else Path(ckpt)
     content = read_checkpoint(path)
     parts = ("data", "settings")
     wanted, received = ({k: known.get(k, {}) for k in parts} for known in (model.about, content["ahnn"]))
     require_same(f"checkpoint {path}", wanted, received)
     require_restorable(f"checkpoint {path}", model, trainer, content)
-    return path
 
 
 def require_restorable(who: str, model: Any, trainer: Any, content: dict[str, Any]) -> None:

@@ -14,6 +14,8 @@ from ahnn.assimilation.reading import Layout
 from ahnn.errors import UserError
 from ahnn.estimation import Gate
 
+UNGATED = ["{t},ruler,-1e100,,", "{t},ruler,1.2,,1e-160", "{t},ruler,1.2,,1e-200"]
+"""They have a NIS, which a gate refuses."""
 HEAD = "time [s],sensor,q [m],p,sd_q"
 BAD = [
     "{t},ruler,1e155,,",
@@ -35,7 +37,7 @@ BAD = [
 def test_what_no_filter_can_take_is_a_bad_line_and_the_rest_as_without_it(tmp_path, caplog, gate):
     found = readings(20)
     clean = [HEAD, *(f"{line}," for line in written(found).splitlines()[1:])]
-    bad = [*BAD, *(["{t},ruler,-1e100,,"] if gate is None else [])]  # it has a NIS, which a gate refuses
+    bad = [*BAD, *(UNGATED if gate is None else [])]
     mixed = [*clean[:10], *(line.format(t=found[8].time + 1e-3) for line in bad), *clean[10:]]
     session("\n".join(clean), tmp_path / "clean.csv", gate=gate).run()
     with caplog.at_level(logging.INFO, "ahnn"):

@@ -255,3 +255,25 @@ def test_the_view_is_drawn_in_place_on_a_terminal_and_in_lines_elsewhere(tmp_pat
     for text in shown.values():
         assert "95 % band" in text
         assert "3 predicted, 37 taken" in text
+
+
+def test_lines_may_end_with_cr_alone_and_are_gone_on_with(tmp_path):
+    clean, mixed = TEXT.splitlines(), TEXT.splitlines()
+    mixed.insert(20, "y" * (LONGEST + 10))
+    session(TEXT, tmp_path / "clean.csv").run()
+    path, state = tmp_path / "mac.csv", tmp_path / "state"
+    path.write_bytes("\r".join(mixed[:30]).encode() + b"\r")
+    session(path.open("rb"), tmp_path / "mixed.csv", state).run()
+    path.write_bytes("\r".join(mixed).encode())
+    session(path.open("rb"), tmp_path / "mixed.csv", state).run()
+    one, other = ((tmp_path / name).read_text().splitlines() for name in ("clean.csv", "mixed.csv"))
+    assert len(one) == len(clean)
+    assert [row.partition(",")[2] for row in one] == [row.partition(",")[2] for row in other]
+    assert other[-1].partition(",")[0] == str(len(mixed))
+
+
+def test_a_number_of_another_sensor_is_said_once(tmp_path, caplog):
+    lines = ["time,sensor,q,p", "1,ruler,1.0,", *(f"{k},ruler,1.{k},0.3" for k in (2, 3)), "4,radar,1.1,0.3"]
+    with caplog.at_level(logging.WARNING, "ahnn"):
+        session("\n".join(lines), tmp_path / "out.csv").run()
+    assert caplog.messages == ["measurements: p is not used in lines of sensor ruler, which has none"]

@@ -11,6 +11,7 @@ from helpers import close
 from ahnn.checkpoints import FORMAT, Weights, read_weights, write_weights
 from ahnn.dynamics import make_dynamics
 from ahnn.errors import UserError
+from ahnn.estimation.parameter_error import field_columns
 from ahnn.uncertainty import (
     Uncertainty,
     load_uncertainty,
@@ -18,7 +19,6 @@ from ahnn.uncertainty import (
     save_uncertainty,
 )
 from ahnn.uncertainty.posterior import FILE
-from ahnn_plugins.ukf.parameter_error import field_columns
 
 STATE = {"field.weight": torch.arange(3.0, dtype=torch.float64)}
 KNOWN = Uncertainty(

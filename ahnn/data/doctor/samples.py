@@ -1,4 +1,4 @@
-"""What is missing among samples, what never changes, and angles that jump by a turn."""
+"""What is missing among samples, what never changes, and angles that swing over more than a turn."""
 
 from __future__ import annotations
 
@@ -24,22 +24,19 @@ EXAMPLES = 64
 
 
 def sample_findings(content: Content, gap: float) -> Iterator[Finding]:
-    """Yield missing numbers, gaps, constant columns, angles that jump, and noise.
+    """Yield missing numbers, gaps, constant columns, angles that swing too far, and noise.
 
     Args:
         content: of a file.
         gap: a step so many times longer than the median is one, where samples lie on no grid.
     """
     names = (*content.positions, *content.rates)
-    angles = unit(content.units.position).dimension == ANGLE
     for track in content.tracks:
         yield from missing(track, names)
         yield from gaps(track, content.time, gap)
-        if angles:
-            yield from jumps(track, content.positions)
         yield from outliers(track, names)
     yield from constant(content, names)
-    if angles:
+    if unit(content.units.position).dimension == ANGLE:
         yield from too_wide(content)
     yield from noise(content, names, gap)
 
@@ -64,15 +61,6 @@ def gaps(track: Track, column: str, gap: float) -> Iterator[Finding]:
         what = f"a gap: {absent} {'sample is' if absent == 1 else 'samples are'} missing before it"
         remedy = "Nothing: no window crosses it"
         yield Finding("warning", track.file, int(rows[there[k + 1]]), column, what, remedy)
-
-
-def jumps(track: Track, names: tuple[str, ...]) -> Iterator[Finding]:
-    """Yield angles that jump by about a turn from one sample to the next."""
-    steps = np.abs(np.diff(track.values[:, : len(names)], axis=0))
-    for k, c in zip(*np.nonzero(np.abs(steps - 2 * np.pi) < 1), strict=True):
-        if steps[k, c] > 8 * np.nanmedian(steps[:, c]):
-            row = int(track.rows[k + 1])
-            yield Finding("fault", track.file, row, names[c], "an angle jumps by a turn", "Unwrap the angle")
 
 
 def constant(content: Content, names: tuple[str, ...]) -> Iterator[Finding]:

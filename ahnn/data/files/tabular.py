@@ -28,6 +28,7 @@ from ahnn.data.files.table import (
     number,
     refuse,
 )
+from ahnn.data.files.turns import unwrapped
 
 NOTATION = "Write dates as year-month-day, which nobody takes for another day"
 
@@ -69,7 +70,8 @@ def of_sheet(sheet: Sheet, sidecar: Sidecar, *, weighed: bool, note: Note = refu
         Column(name, found.of(i), unit)
         for i, (name, unit) in enumerate(zip(header.names, units, strict=True))
     )
-    return Content(positions, rates, momenta, by.units, frame, tracks, epoch, clock, name, head, columns)
+    content = Content(positions, rates, momenta, by.units, frame, tracks, epoch, clock, name, head, columns)
+    return unwrapped(content, note)
 
 
 def say_unused(header: Header, found: Roles, place: Place, note: Note) -> None:
@@ -80,7 +82,8 @@ def say_unused(header: Header, found: Roles, place: Place, note: Note) -> None:
         note(Remark(place, f"not used, since the sidecar does not name them: {', '.join(others)}"))
     if deviations:
         what = f"not used, one standard deviation counts for all samples: {', '.join(deviations)}"
-        note(Remark(place, what, "Say it: sensor=recorded data.noise=...", "warning"))
+        remedy = "Say it: sensor=recorded data.noise=..., or start_sd=[...] of a start"
+        note(Remark(place, what, remedy, "warning"))
 
 
 def trajectories(sheet: Sheet, column: int | None, whole: Track, note: Note) -> list[Track]:

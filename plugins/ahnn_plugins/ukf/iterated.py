@@ -16,18 +16,20 @@ import torch
 from torch import Tensor
 
 from ahnn.estimation.belief import Belief, Status, choose
+from ahnn.estimation.checks import checked_rows, checked_sensor
 from ahnn.estimation.consistency import deviations
+from ahnn.estimation.loop import StepModel, run, stepper
+from ahnn.estimation.results import FilterResult, ProcessNoise, SmootherResult
 from ahnn.estimation.state import initial_state
+from ahnn.estimation.steps import Grid, process_factor
 from ahnn.measurements.base import Measurement
 from ahnn.numbers import Numbers
 from ahnn.types import Flow
-from ahnn_plugins.ukf.checks import checked_rows, checked_sensor
-from ahnn_plugins.ukf.loop import StepModel, run
+from ahnn_plugins.ukf.kernel import SigmaPoints
 from ahnn_plugins.ukf.regression import linear_flow, linear_sensor, regression_weights
 from ahnn_plugins.ukf.smoother import unscented_smoother
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
-from ahnn_plugins.ukf.steps import Grid, process_factor
-from ahnn_plugins.ukf.types import FilterResult, ProcessNoise, SmootherResult, UnscentedParameters
+from ahnn_plugins.ukf.types import UnscentedParameters
 
 SETTLED = 1e-2
 """Largest change of a mean, in its standard deviations, that is none."""
@@ -90,7 +92,7 @@ def iterated_smoother(
     there = (result.status == Status.OK).nonzero().flatten()
     size, device = result.means.shape[-1], result.means.device
     weights = regression_weights(parameters or UnscentedParameters(), size, device)
-    sensor = checked_sensor(measurement, measurement_noise, result.initial, SQUARE_ROOT, None)
+    sensor = checked_sensor(measurement, measurement_noise, result.initial, None)
     sensor = sensor._replace(chol_r=sensor.chol_r[there])
     batch, steps = result.means.shape[:2]
     rows = checked_rows(measurements, "measurements", (batch, steps, len(measurement.names)), device)
@@ -106,7 +108,8 @@ def iterated_smoother(
                 *step, linear_sensor(sensor, float(grid.times[k]), _belief(about, k + 1), weights)
             )
 
-        return unscented_smoother(run(begin, rows, grid, line, weights, SQUARE_ROOT, smoothing=True))
+        step = stepper(SigmaPoints(weights, SQUARE_ROOT), smoothing=True)
+        return unscented_smoother(run(begin, rows, grid, line, step))
 
     current, change, count = _settled(_of(guess, there), relinearised, iterations)
     lost = change.new_full((batch,), torch.inf)

@@ -1,183 +1,70 @@
-"""One prediction and one update of the filter: pure functions of a state, with checked arguments.
-
-What fails gives its member a status and freezes it, see `ahnn.estimation.state`.
-"""
+"""The unscented transformation as the kernel of a Gaussian filter."""
 
 from __future__ import annotations
 
 from functools import partial
 from typing import NamedTuple
 
-import torch
 from torch import Tensor
 
-from ahnn.estimation.belief import Status, choose
-from ahnn.estimation.state import FilterState, add_repairs, fail, frozen
-from ahnn.measurements import Measurement, Position, State, nearest, residual
-from ahnn.numbers import described
+from ahnn.estimation.belief import Belief
+from ahnn.estimation.estimator import Sensor
+from ahnn.estimation.kernel import measured, propagate
+from ahnn.estimation.results import Predicted, Updated
+from ahnn.estimation.rounding import Rounding
+from ahnn.measurements import Position, State, nearest, residual
 from ahnn.types import Flow
-from ahnn_plugins.ukf.rounding import lost_in_prediction, lost_in_update
 from ahnn_plugins.ukf.sigma_points import draw
-from ahnn_plugins.ukf.types import Form, Updated, Weights
+from ahnn_plugins.ukf.smoother import backward_kernel
+from ahnn_plugins.ukf.types import Form, Weights
 
 READINGS = (Position, State)
 """Models of the first components of a state; a class made from one may do something else."""
 
 
-class Sensor(NamedTuple):
-    """A measurement model and what is believed of it.
+class SigmaPoints(NamedTuple):
+    """Predictions and updates by sigma points.
+
+    Sigma points are drawn again after Q is added: without that an unscented filter does not equal the Kalman
+    filter on a linear system.
 
     Attributes:
-        measurement: the model.
-        chol_r: (B, M, M) factor of R.
-        thresholds: (M + 1,) largest NIS that is taken, by the number of components that are there; None takes
-            all.
-        patience: rejections in a row that end a member.
+        weights: of the points.
+        form: of the covariances.
+        points: (B, S, D) after the flow, of the next prediction, where they are known already.
     """
 
-    measurement: Measurement
-    chol_r: Tensor
-    thresholds: Tensor | None
-    patience: float
+    weights: Weights
+    form: Form
+    points: Tensor | None = None
 
+    @property
+    def rounding(self) -> Rounding:
+        """What crowded points and formed covariances amplify."""
+        return Rounding(self.weights.crowding, self.form.squares, self.weights.downdate is not None)
 
-class Propagated(NamedTuple):
-    """What a smoother needs of a prediction: points after the flow, and which members were repaired."""
+    def predict(
+        self, belief: Belief, flow: Flow, dt: float, chol_q: Tensor, *, smoothing: bool = False
+    ) -> Predicted:
+        """Return the belief after a step; the flow is called once, on B (2 D + 1) points."""
+        points = self.points
+        if points is None:
+            points = propagate(flow, draw(belief, self.weights), dt)
+        predicted = self.form.predict(points, self.weights, chol_q)
+        if not smoothing:
+            return predicted
+        backward, mended = backward_kernel(points, belief.chol, self.weights, chol_q)
+        if mended is not None and predicted.repaired is not None:
+            # The law holds the predicted covariance: what was mended there is no second repair.
+            mended = mended & ~predicted.repaired
+        return predicted._replace(backward=backward, mended=mended)
 
-    points: Tensor
-    repaired: Tensor | None
-
-
-def predict(
-    state: FilterState, flow: Flow, dt: float, time: Tensor, chol_q: Tensor, weights: Weights, form: Form
-) -> tuple[FilterState, Propagated]:
-    """Return the state after a step of the flow that ends at `time`."""
-    points = propagate(flow, draw(state.belief, weights), dt)
-    return predict_from(points, state, time, chol_q, weights, form)
-
-
-def predict_from(
-    points: Tensor, state: FilterState, time: Tensor, chol_q: Tensor, weights: Weights, form: Form
-) -> tuple[FilterState, Propagated]:
-    """Return the state at `time`, given the sigma points (B, S, D) of the state after the flow."""
-    predicted, repaired, sound = form.predict(points, weights, chol_q)
-    after = add_repairs(FilterState(predicted, time, state.steps + 1, *state[3:]), repaired)
-    if not sound:
-        after = _checked_prediction(after)
-    if weights.crowding is not None or form.squares:
-        lost = lost_in_prediction(state.belief, predicted, weights, squares=form.squares)
-        after = fail(after, _not_mended(lost, repaired, weights), Status.IMPRECISE)
-    return frozen(after, state.belief), Propagated(points, repaired)
-
-
-def update(
-    state: FilterState, y: Tensor, sensor: Sensor, weights: Weights, form: Form
-) -> tuple[FilterState, Updated, Tensor]:
-    """Return the state given the row y (B, M), the update itself, and which rows the gate rejected."""
-    prior, updated, size = state.belief, None, y.shape[-1]
-    if form.read is not None and type(sensor.measurement) in READINGS and size <= prior.mean.shape[-1]:
-        turned = nearest(sensor.measurement, y, prior.mean[:, :size])
-        updated = form.read(prior, turned, weights, sensor.chol_r)
-    if updated is None:
-        images = _measured(sensor.measurement, draw(prior, weights), float(state.time))
-        updated = form.update(prior, images, y, partial(residual, sensor.measurement), weights, sensor.chol_r)
-    nothing_refuses = sensor.thresholds is None and weights.crowding is None
-    if updated.sound and nothing_refuses and not bool(state.status.any()):
-        return taken(state, updated), updated, torch.zeros_like(updated.singular)
-    after, rejected = _decide(state, updated, y, sensor, weights, form)
-    return after, updated, rejected
-
-
-def propagate(flow: Flow, points: Tensor, dt: float) -> Tensor:
-    """Return the points (B, S, D) after the flow, in one call on all of them."""
-    flat = points.reshape(-1, points.shape[-1])
-    propagated = flow(flat, dt)
-    if not _is_real(propagated, flat.shape):
-        message = (
-            f"flow: expected flow(x, dt) to return a real tensor of the shape of x, {tuple(flat.shape)}; "
-            f"received {described(propagated)}"
-        )
-        raise ValueError(message)
-    return propagated.to(points.dtype).reshape(points.shape)
-
-
-def _measured(measurement: Measurement, points: Tensor, t: float) -> Tensor:
-    """Return the measurements (B, S, M) of the points (B, S, D) at time t."""
-    images = measurement(points, t)
-    expected = torch.Size((*points.shape[:-1], len(measurement.names)))
-    if not _is_real(images, expected):
-        message = (
-            f"measurement: expected measurement(x, t) to return a real tensor {tuple(expected)} for x "
-            f"{tuple(points.shape)} and the names {measurement.names}; received {described(images)}"
-        )
-        raise ValueError(message)
-    return images.to(points.dtype)
-
-
-def _is_real(value: object, shape: torch.Size) -> bool:
-    return isinstance(value, Tensor) and value.shape == shape and not value.is_complex()
-
-
-def _checked_prediction(state: FilterState) -> FilterState:
-    """Give a status to members whose prediction is not finite, or has a variance of zero."""
-    mean, chol = state.belief
-    variance = chol.detach().square().sum(-1)
-    smallest, largest = torch.aminmax(variance)
-    # NaN is in both and fails both comparisons.
-    if float(smallest) > 0.0 and float(largest) < torch.inf:
-        return state
-    finite = torch.isfinite(variance).all(-1) & torch.isfinite(mean).all(-1)
-    state = fail(state, ~finite, Status.NOT_FINITE)
-    return fail(state, (variance == 0.0).any(-1), Status.COLLAPSED)
-
-
-def _not_mended(lost: Tensor, repairs: Tensor | None, weights: Weights) -> Tensor:
-    """Return who lost digits, and not by negative weights: their repairs are counted and are no loss."""
-    return lost if repairs is None or weights.downdate is None else lost & (repairs == 0)
-
-
-def taken(state: FilterState, updated: Updated) -> FilterState:
-    """Return the state after an update that every member takes: what `_decide` would return."""
-    return state._replace(
-        belief=updated.belief,
-        rejections=torch.zeros_like(state.rejections),
-        log_likelihood=state.log_likelihood + updated.log_likelihood,
-    )
-
-
-def _decide(
-    state: FilterState,
-    updated: Updated,
-    y: Tensor,
-    sensor: Sensor,
-    weights: Weights,
-    form: Form,
-) -> tuple[FilterState, Tensor]:
-    """Take or refuse the update, member by member; return also which rows the gate rejected, (B,) bool."""
-    present = ~torch.isnan(y)
-    has_row = present.any(-1)
-    mean, chol = updated.belief
-    # A sum of squares is finite where all of its terms are.
-    sizes = chol.square().sum((-2, -1)) + mean.square().sum(-1) + updated.nis
-    finite = torch.isfinite(sizes)
-    if bool((has_row & (updated.singular | ~finite)).any()):
-        state = fail(state, has_row & updated.singular, Status.COLLAPSED)
-        state = fail(state, has_row & ~finite, Status.NOT_FINITE)
-    accepted = has_row & state.alive
-    rejected = torch.zeros_like(accepted)
-    if sensor.thresholds is not None:
-        rejected = accepted & (updated.nis > sensor.thresholds[present.sum(-1)])
-        accepted = accepted & ~rejected
-    lost = lost_in_update(state.belief, updated, y, sensor.chol_r, weights, squares=form.squares)
-    state = fail(state, accepted & _not_mended(lost, updated.repairs, weights), Status.IMPRECISE)
-    accepted = accepted & state.alive
-    repairs = None if updated.repairs is None else updated.repairs * accepted
-    state = add_repairs(state, repairs)
-    state = state._replace(
-        belief=choose(accepted, updated.belief, state.belief),
-        rejections=torch.where(accepted, 0, state.rejections + rejected),
-        log_likelihood=state.log_likelihood + torch.where(accepted, updated.log_likelihood, 0.0),
-    )
-    if sensor.thresholds is not None:
-        state = fail(state, rejected & (state.rejections >= sensor.patience), Status.DIVERGED)
-    return state, rejected
+    def update(self, prior: Belief, y: Tensor, sensor: Sensor, time: float) -> Updated:
+        """Return the belief given a row; one that reads the state needs no points."""
+        model, size = sensor.measurement, y.shape[-1]
+        if self.form.read is not None and type(model) in READINGS and size <= prior.mean.shape[-1]:
+            turned = nearest(model, y, prior.mean[:, :size])
+            if (updated := self.form.read(prior, turned, self.weights, sensor.chol_r)) is not None:
+                return updated
+        images = measured(model, draw(prior, self.weights), time)
+        return self.form.update(prior, images, y, partial(residual, model), self.weights, sensor.chol_r)

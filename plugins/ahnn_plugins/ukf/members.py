@@ -10,9 +10,10 @@ import torch
 from torch import Tensor
 
 from ahnn.estimation.belief import Belief
+from ahnn.estimation.results import Predicted, Updated
 from ahnn.libraries import followed, plain
 from ahnn_plugins.ukf.library import library
-from ahnn_plugins.ukf.types import Predicted, Residual, Updated, Weights
+from ahnn_plugins.ukf.types import Residual, Weights
 
 SOUND, NO_MEMORY = 0, 2
 """What the functions of the library return."""

@@ -15,10 +15,10 @@ from torch import Tensor
 
 from ahnn.errors import UserError
 from ahnn.estimation.belief import Belief
+from ahnn.estimation.estimator import Sensor
 from ahnn.estimation.linalg import tria
 from ahnn.measurements import Measurement, Time, periods, residual
 from ahnn.types import Flow, TimeStep
-from ahnn_plugins.ukf.kernel import Sensor
 from ahnn_plugins.ukf.sigma_points import draw, unscented_weights
 from ahnn_plugins.ukf.types import UnscentedParameters, Weights
 

@@ -8,16 +8,15 @@ column.
 
 from __future__ import annotations
 
-import math
-
 import torch
 from torch import Tensor
 
 from ahnn.estimation.belief import Belief
-from ahnn.estimation.linalg import EPS, downdate, tria
+from ahnn.estimation.conditioning import conditioned, present_noise
+from ahnn.estimation.linalg import downdate, tria
+from ahnn.estimation.results import Predicted, Updated
 from ahnn_plugins.ukf import members
-from ahnn_plugins.ukf.rounding import LIMIT
-from ahnn_plugins.ukf.types import Form, Predicted, Residual, Updated, Weights
+from ahnn_plugins.ukf.types import Form, Residual, Weights
 
 
 def predict(propagated: Tensor, weights: Weights, chol_q: Tensor) -> Predicted:
@@ -57,7 +56,6 @@ def update(
     """
     if members.apply_to(weights, prior.mean, prior.chol, images, y, chol_r):
         return members.update(prior, images, y, residual, weights, chol_r)
-    size = y.shape[-1]
     present = ~torch.isnan(y)
     column, complete = present.unsqueeze(1), bool(present.all())
     outer = residual(images[:, 1:], images[:, :1])
@@ -67,25 +65,10 @@ def update(
     y_pred = images[:, 0] + shift[:, 0]
     # What is missing is filled in: a residual may mix components, and NaN would spoil its gradient.
     innovation = residual(y if complete else torch.where(present, y, y_pred), y_pred)
-    noise = chol_r.mT
     if not complete:
-        innovation, noise = torch.where(present, innovation, 0.0), torch.where(column, noise, 0.0)
-    noise = torch.cat((noise, torch.diag_embed((~present).to(y.dtype))), dim=1)
-    joint, repaired = joint_factor(outer, shift, prior.chol, weights, noise)
-    chol_y, cross, chol = joint[:, :size, :size], joint[:, size:, :size], joint[:, size:, size:]
-    diagonal = torch.diagonal(chol_y, dim1=-2, dim2=-1)
-    # A deviation that the numbers it is the difference of do not resolve is none.
-    sizes = chol_y.norm(dim=-1) + y.nan_to_num().abs() + innovation.abs()
-    singular = (diagonal <= EPS / LIMIT * sizes.detach()).any(-1)
-    white = torch.linalg.solve_triangular(chol_y, innovation.unsqueeze(-1), upper=False)
-    mean = prior.mean + (cross * white.mT).sum(-1)
-    nis = white.square().sum((-2, -1))
-    # An integer tensor times a float would be float32.
-    count = present.sum(-1).to(nis.dtype)
-    log_likelihood = -0.5 * (nis + count * math.log(2.0 * math.pi)) - diagonal.log().sum(-1)
-    repairs = None if repaired is None else repaired.to(torch.int64)
-    deviation = torch.linalg.vector_norm(chol_y, dim=-1)
-    return Updated(Belief(mean, chol), innovation, deviation, nis, log_likelihood, singular, repairs)
+        innovation = torch.where(present, innovation, 0.0)
+    joint, repaired = joint_factor(outer, shift, prior.chol, weights, present_noise(chol_r, present))
+    return conditioned(prior, joint, innovation, y, repaired)
 
 
 def read(prior: Belief, y: Tensor, weights: Weights, chol_r: Tensor) -> Updated | None:

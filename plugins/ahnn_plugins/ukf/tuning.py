@@ -9,9 +9,9 @@ from __future__ import annotations
 import hashlib
 import json
 import warnings
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, cast
 
 import torch
 from torch import Tensor
@@ -21,10 +21,11 @@ from ahnn.contents import read_whole
 from ahnn.errors import UserError
 from ahnn.estimation.belief import Status
 from ahnn.estimation.scenario import Problem, Setting
+from ahnn.estimation.trial import Filter, assimilate, shown
 from ahnn.files import write_atomically
 from ahnn.manifest import is_own
 from ahnn.metrics import errors, rmse_norm
-from ahnn_plugins.ukf.assimilation import Filter, assimilate, shown
+from ahnn_plugins.ukf.estimator import UnscentedKalmanFilter
 from ahnn_plugins.ukf.types import UnscentedParameters
 
 if TYPE_CHECKING:
@@ -94,7 +95,7 @@ class Tuned(NamedTuple):
         """Return a filter with the tuned constants."""
         v = own_values(chosen) | self.values
         parameters = UnscentedParameters(v["alpha"], v["beta"], v["kappa"])
-        return chosen._replace(parameters=parameters).scaled(v["scale_q"], v["scale_r"])
+        return with_points(chosen, parameters).scaled(v["scale_q"], v["scale_r"])
 
 
 def tune(chosen: Filter, setting: Setting, problem: Problem, options: Tuning) -> Tuned:
@@ -120,9 +121,19 @@ def tune(chosen: Filter, setting: Setting, problem: Problem, options: Tuning) ->
     return Tuned(dict(best.params), float(study.best_value), float(study.trials[0].values[0]))
 
 
+def points_of(chosen: Filter) -> UnscentedKalmanFilter:
+    """Return the estimator of a filter, whose sigma points are searched."""
+    return cast(UnscentedKalmanFilter, chosen.estimator)
+
+
+def with_points(chosen: Filter, parameters: UnscentedParameters) -> Filter:
+    """Return a filter with other sigma points."""
+    return chosen._replace(estimator=replace(points_of(chosen), parameters=parameters))
+
+
 def own_values(chosen: Filter) -> dict[str, float]:
     """Return the constants of a filter as the search names them; the factors of Q and R are 1."""
-    parameters = {name: float(value) for name, value in chosen.parameters._asdict().items()}
+    parameters = {name: float(value) for name, value in points_of(chosen).parameters._asdict().items()}
     return {**parameters, "scale_q": 1.0, "scale_r": 1.0}
 
 
@@ -158,7 +169,7 @@ def objectives(
         return torch.tensor([t[name] for t in trials], dtype=torch.float64).repeat_interleave(batch)
 
     parameters = UnscentedParameters(column("alpha"), column("beta"), column("kappa"))
-    candidate = chosen._replace(parameters=parameters).scaled(column("scale_q"), column("scale_r"))
+    candidate = with_points(chosen, parameters).scaled(column("scale_q"), column("scale_r"))
     result = assimilate(candidate, setting, problem.repeated(count))
     first = setting.first - 1
     truth = problem.truth[:, 1 + first :].repeat(count, 1, 1)
@@ -203,7 +214,7 @@ def _recipe(chosen: Filter, setting: Setting, problem: Problem, options: Tuning)
         "process_noise": chosen.process_noise,
         "measurement_noise": chosen.measurement_noise,
         "start_sd": setting.start_sd,
-        "parameters": torch.tensor([float(p) for p in chosen.parameters]),
+        "parameters": torch.tensor([float(p) for p in points_of(chosen).parameters]),
     }
     if chosen.force_error is not None:
         tensors["force_error"] = chosen.force_error.numbers(problem.truth)
@@ -211,8 +222,8 @@ def _recipe(chosen: Filter, setting: Setting, problem: Problem, options: Tuning)
     return {
         "tuning": asdict(options),
         "arcs": hashlib.sha256(arcs).hexdigest(),
-        "form": chosen.form.name,
-        "gate": None if chosen.gate is None else list(chosen.gate),
+        "form": points_of(chosen).form.name,
+        "gate": None if (gate := points_of(chosen).gate) is None else list(gate),
         **{name: [f"{v:.5e}" for v in tensor.flatten().tolist()] for name, tensor in tensors.items()},
     }
 

@@ -13,13 +13,15 @@ import torch
 from torch import Tensor
 
 from ahnn.estimation.belief import Belief
+from ahnn.estimation.estimator import Sensor
+from ahnn.estimation.kernel import propagate, taken
+from ahnn.estimation.loop import StepModel, stepper
+from ahnn.estimation.records import Step
 from ahnn.estimation.state import FilterState
 from ahnn.measurements import periods
 from ahnn_plugins.ukf import members
-from ahnn_plugins.ukf.kernel import READINGS, Sensor, taken
-from ahnn_plugins.ukf.records import Step
+from ahnn_plugins.ukf.kernel import READINGS, SigmaPoints
 from ahnn_plugins.ukf.sigma_points import draw
-from ahnn_plugins.ukf.types import Form, Weights
 
 
 class WholeSteps:
@@ -27,20 +29,32 @@ class WholeSteps:
 
     Args:
         rows: (B, T, M) measurements of the run.
-        weights: of the sigma points.
-        form: of the covariances.
+        kernel: does the steps that are not whole.
+        smoothing: keep the laws of a smoother, which no whole step does.
     """
 
-    def __init__(self, rows: Tensor, weights: Weights, form: Form) -> None:
+    def __init__(self, rows: Tensor, kernel: SigmaPoints, *, smoothing: bool = False) -> None:
+        weights, form, _ = kernel
         missing = torch.isnan(rows).transpose(0, 1).flatten(1)
         self.whole, self.empty = (~missing.any(1)).tolist(), missing.all(1).tolist()
-        known = form.read is not None and weights.crowding is None
+        known = not smoothing and form.read is not None and weights.crowding is None
         self.possible = [known and (a or b) for a, b in zip(self.whole, self.empty, strict=True)]
-        self.rows, self.weights = rows, weights
+        self.rows, self.weights, self.kernel, self.smoothing = rows, weights, kernel, smoothing
         self.memory: members.Memory | None = None
         self.further: tuple[Belief, Tensor] | None = None
         self.seen: tuple[object, object, object] = None, None, None  # what `_knows` looked at last
         self.half = rows.new_empty(0)  # half periods of its numbers
+
+    def __call__(
+        self, k: int, state: FilterState, row: Tensor | None, model: StepModel, length: float, time: Tensor
+    ) -> tuple[FilterState, Step]:
+        """Return the state after step k, whole or not, and its record."""
+        points = propagate(model.flow, self.points(state), length)
+        done = self.step(k, state, points, time, model.chol_q, model.sensor)
+        if done is None:
+            single = stepper(self.kernel._replace(points=points), smoothing=self.smoothing)
+            done = single(k, state, row, model, length, time)
+        return done
 
     def points(self, state: FilterState) -> Tensor:
         """Return the sigma points (B, S, D) of a state, which the step before may have drawn."""

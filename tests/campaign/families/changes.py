@@ -9,10 +9,10 @@ from functools import partial
 
 from ahnn.cli.again import Request, run_config
 from ahnn.cli.compose import compose_job
+from ahnn.cli.prepare import prepare
 from ahnn.data import store
 from ahnn.errors import UserError
 from ahnn.systems import HenonHeiles, Kepler, MassSpring, Molniya, Pendulum
-from ahnn.train import prepare
 
 from .children import TRAINING, trained
 

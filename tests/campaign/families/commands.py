@@ -6,7 +6,7 @@ from functools import partial
 
 from ahnn.cli import commandline
 from ahnn.cli.compose import compose_job
-from ahnn.cli.parts import build_data, build_model, build_plugins, build_source
+from ahnn.cli.prepare import prepare
 from ahnn.cli.settings import check_settings
 
 KEYS = [
@@ -134,6 +134,4 @@ def attempt(words, folder) -> None:
     defaults = [] if any(text.startswith("plugins") for text in plain) else ["plugins=ukf"]
     cfg = compose_job([*defaults, *plain], folder)
     check_settings(cfg)
-    data = build_data(cfg, build_source(cfg))
-    build_model(cfg, data)
-    build_plugins(cfg, data.splits)
+    prepare(cfg, asked=())

@@ -101,7 +101,12 @@ ROLES = {"columns": {"time": "t", "id": "id", "positions": ["q"], "velocities": 
 
 def changes() -> list[Change]:
     """Return all changes."""
-    made: list[Change] = [
+    return [*lines(), *samples(), *names(), *units(), *sidecars(), *roles(), *sidecar_texts(), *numerals()]
+
+
+def lines() -> list[Change]:
+    """Return changes of the lines of the file and their marks."""
+    return [
         ("nothing", nothing, "same"),
         ("semicolons", lambda p: p.update(mark=";"), "same"),
         ("tabs", lambda p: p.update(mark="\t"), "same"),
@@ -110,6 +115,12 @@ def changes() -> list[Change]:
         ("a remark", lambda p: p["rows"].insert(3, ["# remark"]), "same"),
         ("quotes", cell(4, 2, '"' + repr(float(np.cos(0.5))) + '"'), "same"),
         ("an open quote", cell(4, 2, '"1.0'), "refused"),
+    ]  # fmt: skip
+
+
+def samples() -> list[Change]:
+    """Return changes of rows that are missing, doubled, short or out of order."""
+    return [
         ("a row twice", lambda p: p["rows"].insert(5, p["rows"][4]), "refused"),
         ("rows in reverse", lambda p: p["rows"].reverse(), "refused"),
         ("mixed trajectories", lambda p: p["rows"].sort(key=lambda row: float(row[1])), "same"),
@@ -121,12 +132,24 @@ def changes() -> list[Change]:
         ("a time that goes back", cell(4, 1, "0.1"), "refused"),
         ("an empty id", cell(4, 0, ""), "said"),
         ("an id of blanks", cell(4, 0, "  "), "said"),
-            ("no id", lambda p: [p["head"].pop(0), *(row.pop(0) for row in p["rows"])], "refused"),
+    ]  # fmt: skip
+
+
+def names() -> list[Change]:
+    """Return changes of the names of columns."""
+    return [
+        ("no id", lambda p: [p["head"].pop(0), *(row.pop(0) for row in p["rows"])], "refused"),
         ("two times", heads("id", "t [s]", "time [s]", "v [m/s]"), "refused"),
         ("two ids", heads("id", "t [s]", "q [m]", "trajectory"), "word"),
         ("a name twice", heads("id", "t [s]", "q [m]", "q [m]"), "refused"),
         ("an empty name", heads("id", "t [s]", "q [m]", ""), "refused"),
         ("a number as name", heads("id", "t [s]", "1.0", "v [m/s]"), "refused"),
+    ]  # fmt: skip
+
+
+def units() -> list[Change]:
+    """Return changes of the units in the header."""
+    return [
         ("minutes", head(1, "t [min]"), "refused"),
         ("minutes of both", heads("id", "t [min]", "q [m]", "v [m/min]"), scaled(60, 1, 1 / 60)),
         ("hours of both", heads("id", "t [h]", "q [m]", "v [m/h]"), scaled(3600, 1, 1 / 3600)),
@@ -141,10 +164,15 @@ def changes() -> list[Change]:
         ("no unit of one", head(2, "q"), "refused"),
         ("an empty unit", head(2, "q []"), "word"),
         ("upper case", heads("ID", "T [s]", "Q [m]", "V [m/s]"), "same"),
+    ]  # fmt: skip
+
+
+def sidecars() -> list[Change]:
+    """Return changes of units, frames and keys beside the table."""
+    return [
         ("units beside", beside(**UNITS), "same"),
         ("kilometres beside", beside(units={"t": "s", "q": "km", "v": "km/s"}), scaled(1, 1e3, 1e3)),
         ("minutes beside", beside(units={"t": "min", "q": "m", "v": "m/min"}), scaled(60, 1, 1 / 60)),
-        ("roles beside", beside(**UNITS, **ROLES), "same"),
         ("a frame beside", beside(**UNITS, frame="GCRF, EARTH"), "word"),
         ("a frame of one's own", beside(**UNITS, frame="mine"), "word"),
         ("an empty frame", beside(**UNITS, frame=""), "same"),
@@ -156,14 +184,32 @@ def changes() -> list[Change]:
         ("units that are a list", beside(units=["s", "m"]), "refused"),
         ("another unit than the header", beside(bare=False, units={"q": "km"}), "refused"),
         ("an unknown key", beside(**UNITS, mass=2.0), "refused"),
-        ("an unknown role", beside(**UNITS, columns={**ROLES["columns"], "sensor": "q"}), "refused"),
-        ("a role of no column", beside(**UNITS, columns={**ROLES["columns"], "positions": ["z"]}), "refused"),
+    ]  # fmt: skip
+
+
+def roles() -> list[Change]:
+    """Return changes of what columns are, beside the table."""
+
+    def columns(**others: object):
+        return beside(**UNITS, columns={**ROLES["columns"], **others})
+
+    known = {"time": "t", "positions": ["q"]}
+    return [
+        ("roles beside", beside(**UNITS, **ROLES), "same"),
+        ("an unknown role", columns(sensor="q"), "refused"),
+        ("a role of no column", columns(positions=["z"]), "refused"),
         ("no time beside", beside(**UNITS, columns={"positions": ["q"]}), "refused"),
-        ("a role that is null", beside(**UNITS, columns={**ROLES["columns"], "velocities": None}), "refused"),
-        ("a role that is empty", beside(**UNITS, columns={**ROLES["columns"], "velocities": []}), "word"),
-        ("a column twice", beside(**UNITS, columns={**ROLES["columns"], "velocities": ["q"]}), "refused"),
-        ("momenta beside", beside(**UNITS, columns={"time": "t", "id": "id", "positions": ["q"], "momenta": ["v"]}), "refused"),
-        ("no id beside", beside(**UNITS, columns={k: v for k, v in ROLES["columns"].items() if k != "id"}), "refused"),
+        ("a role that is null", columns(velocities=None), "refused"),
+        ("a role that is empty", columns(velocities=[]), "word"),
+        ("a column twice", columns(velocities=["q"]), "refused"),
+        ("momenta beside", beside(**UNITS, columns={**known, "id": "id", "momenta": ["v"]}), "refused"),
+        ("no id beside", beside(**UNITS, columns={**known, "velocities": ["v"]}), "refused"),
+    ]  # fmt: skip
+
+
+def sidecar_texts() -> list[Change]:
+    """Return changes of sidecars that are no sidecars."""
+    return [
         ("a key twice beside", sidecar("units: {t: s, q: m, v: m/s}\nunits: {t: s, q: km, v: km/s}\n"), "refused"),
         ("a unit twice beside", sidecar("units: {t: s, q: m, v: m/s, q: km}\n"), "refused"),
         ("no YAML", sidecar("units: {t: s"), "refused"),
@@ -172,15 +218,18 @@ def changes() -> list[Change]:
         ("a text beside", sidecar("units"), "refused"),
         ("two documents beside", sidecar("units: {t: s, q: m, v: m/s}\n---\nframe: GCRF\n"), "refused"),
         ("an object beside", sidecar("units: !!python/object/apply:os.system [true]\n"), "refused"),
+    ]  # fmt: skip
+
+
+def numerals() -> list[Change]:
+    """Return changes of how numbers are spelled."""
+    return [
         ("exponents", cell(4, 2, "1e-1"), number(4, 2, 0.1)),
         ("an exponent D", cell(4, 2, "1D0"), "word"),
         ("a plus", cell(4, 2, "+0.5"), number(4, 2, 0.5)),
+        *((f"{'tqv'[c - 1]} {text}", cell(9, c, text), "refused") for c in (1, 2, 3) for text in ILLEGAL),
+        *((f"{'qv'[c - 2]} {text or 'empty'}", cell(9, c, text), without(9)) for c in (2, 3) for text in MISSING),
     ]  # fmt: skip
-    made += [(f"{'tqv'[c - 1]} {text}", cell(9, c, text), "refused") for c in (1, 2, 3) for text in ILLEGAL]
-    made += [
-        (f"{'qv'[c - 2]} {text or 'empty'}", cell(9, c, text), without(9)) for c in (2, 3) for text in MISSING
-    ]
-    return made
 
 
 def cases(draw, folder):

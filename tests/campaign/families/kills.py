@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import os
 import shutil
@@ -72,7 +73,10 @@ def killed(place, moment, work) -> tuple[Path, int]:
                 file.write(b".")
 
     child = Child(loop, folder.parent / f"{folder.name}.log")
+    until = time.monotonic() + 120
     while not written.exists():
+        time.sleep(0.001)
+        assert time.monotonic() < until, f"nothing written in 120 s: {child.said()[-200:]!r}"
         assert os.waitid(os.P_PID, child.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None, child.said()
     child.end(after=0.03 * moment)
     child.code()
@@ -100,9 +104,15 @@ def checkpoint(place, moment) -> None:
     shutil.rmtree(folder)
 
 
+@functools.cache
+def made():
+    """Return the data of the spring, which no case changes."""
+    return generate(SPRING, 4, 0)
+
+
 def cache(place, moment) -> None:
     """The data are those that were generated."""
-    recipe, truth = store.recipe(SPRING, 4, 0), generate(SPRING, 4, 0)
+    recipe, truth = store.recipe(SPRING, 4, 0), made()
 
     def write(folder, number) -> None:
         del number

@@ -8,7 +8,7 @@ from functools import partial
 import torch
 
 from ahnn.cli.compose import compose_job
-from ahnn.train import prepare
+from ahnn.cli.prepare import prepare
 
 from .children import TRAINING, plain, trained
 

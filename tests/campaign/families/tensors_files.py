@@ -15,9 +15,9 @@ import numpy as np
 import torch
 
 import ahnn
-import ahnn.train as training
+from ahnn.cli import training
 from ahnn.cli.compose import compose_job
-from ahnn.cli.parts import build_data, build_source
+from ahnn.cli.prepare import prepare
 from ahnn.types import Space, Trajectories, Units
 
 NAMES = {1: ("q",), 2: ("x", "y"), 3: ("x", "y", "z")}
@@ -173,7 +173,7 @@ def of_files(place: Path, words: list[str], what: dict) -> list[Trajectories]:
     path = place / f"mine.{what['format']}"
     more = ["system=files", f"system.path={path}", f"system.mass={what['mass']}", "system.unsound=true"]
     cfg = compose_job([*more, *words], place / "a")
-    return splits(build_data(cfg, build_source(cfg)))
+    return splits(prepare(cfg, asked=()).data)
 
 
 def of_tensors(place: Path, words: list[str], data: Trajectories, space: Space) -> list[Trajectories]:
@@ -181,7 +181,7 @@ def of_tensors(place: Path, words: list[str], data: Trajectories, space: Space) 
     found = []
 
     def instead(cfg, source=None, *_):
-        found.extend(splits(build_data(cfg, source)))
+        found.extend(splits(prepare(cfg, source, ()).data))
         raise StopIteration
 
     with patch.object(training, "train_once", instead):

@@ -8,10 +8,11 @@ import torch
 
 from ahnn.data.doctor import examine
 from ahnn.data.doctor.examine import diagnosis
-from ahnn.data.doctor.samples import gaps, jumps, missing, noise, sample_findings, too_wide
+from ahnn.data.doctor.samples import gaps, missing, noise, sample_findings, too_wide
 from ahnn.data.files.content import Content
 from ahnn.data.files.reading import Reading
 from ahnn.data.files.samples import Track
+from ahnn.data.files.turns import turns_of
 from ahnn.data.noise_floor import noise_floor
 from ahnn.types import Trajectories, Units
 
@@ -59,8 +60,9 @@ def test_a_gap_says_how_many_are_missing_before_which_row(absent, said):
 def test_a_jump_is_about_a_turn_and_more_than_eight_usual_steps(jump, typical, seen, sign):
     steps = np.full(30, typical)
     steps[11] = jump
-    found = [(one.level, one.row, one.column) for one in jumps(track(sign * np.cumsum(steps)), ("q",))]
-    assert found == ([("fault", 13, "q")] if seen else [])
+    found = turns_of(track(sign * np.cumsum(steps)), 1)[:, 0]
+    assert np.flatnonzero(found).tolist() == ([11] if seen else [])
+    assert found.sum() == sign * seen
 
 
 @pytest.mark.parametrize(("there", "back", "seen"), [(6.3, 7.0, True), (7.0, 6.3, True), (6.2, 9.0, False)])

@@ -13,13 +13,13 @@ from test_ukf_evaluation import SPRING, make_case
 from ahnn.cli.build import plain_config
 from ahnn.cli.compose import compose_job
 from ahnn.errors import UserError
+from ahnn.estimation.parameter_error import field_columns
 from ahnn.estimation.scenario import Setting
+from ahnn.evaluation.estimators.learned_parameters import simulated_filter
+from ahnn.evaluation.estimators.noise_options import ParameterOptions, given_noise
+from ahnn.evaluation.estimators.noise_options import grown as of_rate
 from ahnn.measurements import Position
 from ahnn.uncertainty import Uncertainty
-from ahnn_plugins.ukf.learned_parameters import simulated_filter
-from ahnn_plugins.ukf.noise_options import ParameterOptions, given_noise
-from ahnn_plugins.ukf.noise_options import grown as of_rate
-from ahnn_plugins.ukf.parameter_error import field_columns
 from ahnn_plugins.ukf.plugin import UKFEvaluation
 
 __all__ = ["make_case"]

@@ -9,16 +9,16 @@ import torch
 from helpers import close
 
 from ahnn.errors import UserError
-from ahnn.estimation import Setting, simulated
+from ahnn.estimation import Setting, force_error_fit, simulated
 from ahnn.estimation.consistency import nees
+from ahnn.estimation.force_error import ForceError
+from ahnn.estimation.force_error_fit import fitted_force_error
 from ahnn.estimation.scenario import Problem
+from ahnn.estimation.trial import Filter, assimilate
 from ahnn.measurements import Position
 from ahnn.types import Trajectories
 from ahnn.uncertainty import growth
-from ahnn_plugins.ukf import UnscentedParameters, force_error_fit
-from ahnn_plugins.ukf.assimilation import Filter, assimilate
-from ahnn_plugins.ukf.force_error import ForceError
-from ahnn_plugins.ukf.force_error_fit import fitted_force_error
+from ahnn_plugins.ukf import UnscentedKalmanFilter
 
 F64 = torch.float64
 DT, STEPS = 0.05, 400
@@ -71,7 +71,7 @@ SETTING = Setting(Position(1), torch.tensor([0.01], dtype=F64), torch.tensor([0.
 
 def consistency(error, size):
     chosen = Filter("f", learned, torch.zeros(2, 2, dtype=F64), torch.tensor([[1e-4]], dtype=F64),
-                    UnscentedParameters(1.0, 2.0, 0.0), force_error=error)  # fmt: skip
+                    UnscentedKalmanFilter(), force_error=error)  # fmt: skip
     given = problem(SETTING, size)
     result = assimilate(chosen, SETTING, given)
     assert not bool(result.status.any())
@@ -99,7 +99,7 @@ def test_it_saves_the_filter_outside_of_the_training_and_costs_nothing_inside():
 
 def test_the_fit_of_the_size_keeps_the_growth():
     chosen = Filter("f", learned, torch.zeros(2, 2, dtype=F64), torch.tensor([[1e-4]], dtype=F64),
-                    UnscentedParameters(1.0, 2.0, 0.0))  # fmt: skip
+                    UnscentedKalmanFilter())  # fmt: skip
     given = problem(SETTING, 1.1)
     times = DT * torch.arange(STEPS + 1, dtype=F64).expand(20, -1)
     fit = fitted_force_error(chosen, SETTING, given, Trajectories(given.truth, times), 1.0, growth=grown)
@@ -112,7 +112,7 @@ def test_the_fit_of_the_size_keeps_the_growth():
 def test_what_cannot_grow_is_refused():
     from ahnn.cli.build import plain_config
     from ahnn.cli.compose import compose_job
-    from ahnn_plugins.ukf.noise_options import grown as of_rate
+    from ahnn.evaluation.estimators.noise_options import grown as of_rate
     from ahnn_plugins.ukf.plugin import UKFEvaluation
 
     options = plain_config(compose_job(["plugins=ukf"], "x").plugins.ukf)
@@ -130,7 +130,7 @@ def test_what_cannot_grow_is_refused():
 
 def test_a_scale_is_one_of_the_variance(monkeypatch):
     chosen = Filter("f", learned, torch.zeros(2, 2, dtype=F64), torch.tensor([[1e-4]], dtype=F64),
-                    UnscentedParameters(1.0, 2.0, 0.0))  # fmt: skip
+                    UnscentedKalmanFilter())  # fmt: skip
     monkeypatch.setattr(force_error_fit, "mean_nees", lambda *_: [1.0])
     monkeypatch.setattr(force_error_fit, "crossing", lambda *_: 9.0)
     given = problem(SETTING, 1.1)

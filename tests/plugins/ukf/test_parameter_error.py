@@ -13,12 +13,12 @@ from test_ukf_evaluation import SPRING, STIFFER, make_case, run
 from torch.func import functional_call
 
 from ahnn.estimation import Belief
+from ahnn.estimation.force_error import of_states
+from ahnn.estimation.parameter_error import ParameterError, field_columns
 from ahnn.evaluation import Case
 from ahnn.measurements import Position
 from ahnn.uncertainty import Uncertainty
 from ahnn_plugins.ukf import unscented_filter
-from ahnn_plugins.ukf.force_error import of_states
-from ahnn_plugins.ukf.parameter_error import ParameterError, field_columns
 
 __all__ = ["make_case"]
 

@@ -8,15 +8,15 @@ import torch
 from ahnn.data.generate import generate
 from ahnn.estimation import Problem, Setting, simulated
 from ahnn.estimation.consistency import band, nees
+from ahnn.estimation.process_noise import crossing
+from ahnn.estimation.trial import Filter, assimilate
 from ahnn.evaluation.case import perturbations
 from ahnn.evaluation.open_loop import integrated
 from ahnn.integrators import INTEGRATORS
 from ahnn.measurements import Position
 from ahnn.metrics import errors, rmse_pooled
 from ahnn.systems import Molniya
-from ahnn_plugins.ukf import UnscentedParameters
-from ahnn_plugins.ukf.assimilation import Filter, assimilate
-from ahnn_plugins.ukf.process_noise import crossing
+from ahnn_plugins.ukf import UnscentedKalmanFilter
 
 
 @pytest.mark.parametrize(("start", "whole"), [("true", (0.0, 1.0)), ("perturbed", (13.0, 17.0))])
@@ -29,7 +29,7 @@ def test_exact_dynamics_on_125_orbits(start: str, whole: tuple[float, float]) ->
     problem = Problem(truth, begin, simulated(setting, truth, 60.0, seed=0), 60.0)
     flow = integrated(system, INTEGRATORS[system.integrator])
     nothing = torch.zeros(6, 6, dtype=torch.float64)
-    exact = Filter("exact", flow, nothing, setting.measurement_noise, UnscentedParameters())
+    exact = Filter("exact", flow, nothing, setting.measurement_noise, UnscentedKalmanFilter())
     result = assimilate(exact, setting, problem)
     error = errors(result.means, truth[:, 1:])
     assert whole[0] <= float(rmse_pooled(error[..., :3])) <= whole[1]

@@ -11,13 +11,13 @@ from scipy.stats import chi2
 
 from ahnn.estimation import Setting, initial_belief, simulated
 from ahnn.estimation.consistency import nees
+from ahnn.estimation.force_error import ForceError
+from ahnn.estimation.force_error_fit import fitted_force_error, force_errors, memory_of
 from ahnn.estimation.scenario import Problem
+from ahnn.estimation.trial import Filter, assimilate, assimilate_all
 from ahnn.measurements import Position, State
 from ahnn.types import Trajectories
-from ahnn_plugins.ukf import UnscentedParameters, unscented_filter
-from ahnn_plugins.ukf.assimilation import Filter, assimilate, assimilate_all
-from ahnn_plugins.ukf.force_error import ForceError
-from ahnn_plugins.ukf.force_error_fit import fitted_force_error, force_errors, memory_of
+from ahnn_plugins.ukf import UnscentedKalmanFilter, unscented_filter
 
 F64 = torch.float64
 DT, MASS = 0.05, 2.0
@@ -104,12 +104,11 @@ def test_a_measurement_sees_the_state_alone(count):
 
 def test_a_filter_that_knows_the_error_is_consistent_and_one_that_does_not_is_not():
     setting, arcs, _ = problem(0.3, 0.5, count=400, steps=80, seed=1)
-    plain = Filter("spring", spring, ZERO, setting.measurement_noise, UnscentedParameters())
+    plain = Filter("spring", spring, ZERO, setting.measurement_noise, UnscentedKalmanFilter())
     knowing = plain._replace(force_error=ForceError(0.3, 0.5, MASS))
-    filtered, behind = assimilate_all(knowing, setting, arcs, iterated=True)
-    assert behind.iterated is not None
+    filtered, behind = assimilate_all(knowing, setting, arcs, ["smoothed", "iterated"])
     low, high = (chi2.ppf(p, 800) / 400 for p in (1e-4, 1 - 1e-4))
-    for result in (filtered, behind.smoothed, behind.iterated.smoothed):
+    for result in (filtered, *(found.beliefs for found in behind.smoothed.values())):
         assert result.means.shape == (400, 80, 2)
         values = nees(result.means - arcs.truth[:, 1:], result.chols)
         for k in (10, 40, 79):
@@ -134,7 +133,7 @@ def test_the_fit_finds_the_law_and_takes_what_is_given():
     setting, arcs, _ = problem(0.3, 0.5, count=100, steps=80, seed=3)
     times = DT * torch.arange(81, dtype=F64).expand(100, -1)
     data = Trajectories(arcs.truth, times)
-    plain = Filter("spring", spring, ZERO, setting.measurement_noise, UnscentedParameters())
+    plain = Filter("spring", spring, ZERO, setting.measurement_noise, UnscentedKalmanFilter())
     fit = fitted_force_error(plain, setting, arcs, data, MASS)
     assert fit.scale == pytest.approx(1.0, rel=0.4)
     assert float(fit.error.size) == pytest.approx(0.3, rel=0.2)
@@ -150,6 +149,6 @@ def test_a_flow_without_residuals_has_no_force_error():
         states.append(spring(states[-1], DT))
     data = Trajectories(torch.stack(states, 1), DT * torch.arange(21, dtype=F64).expand(3, -1))
     setting, arcs, _ = problem(0.3, 1.0, count=3, steps=20, seed=0)
-    plain = Filter("spring", spring, ZERO, setting.measurement_noise, UnscentedParameters())
+    plain = Filter("spring", spring, ZERO, setting.measurement_noise, UnscentedKalmanFilter())
     fit = fitted_force_error(plain, setting, arcs, data, MASS)
     assert (fit.error.size, fit.scale, fit.nees) == (0.0, 1.0, ())

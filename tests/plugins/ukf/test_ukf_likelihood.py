@@ -10,10 +10,10 @@ import torch
 
 from ahnn.errors import UserError
 from ahnn.estimation import initial_belief
+from ahnn.estimation.force_error import ForceError
+from ahnn.estimation.likelihood import _deviations, learned_noise
 from ahnn.measurements import Position
 from ahnn_plugins.ukf import SQUARE_ROOT, STANDARD, unscented_filter
-from ahnn_plugins.ukf.force_error import ForceError
-from ahnn_plugins.ukf.likelihood import _deviations, learned_noise
 
 F64 = torch.float64
 A = torch.tensor([[1.0, 0.3], [-0.3, 0.9]], dtype=F64)

@@ -5,15 +5,15 @@ from __future__ import annotations
 import pytest
 import torch
 
-from ahnn.types import Space
-from ahnn_plugins.ukf.force_error import ForceError
-from ahnn_plugins.ukf.noise_options import (
+from ahnn.estimation.force_error import ForceError
+from ahnn.evaluation.estimators.noise_options import (
     ForceOptions,
     ParameterOptions,
     given_noise,
     noise_option,
     without_parameters,
 )
+from ahnn.types import Space
 
 SPACE = Space("orbit", ("x", "y", "z", "px", "py", "pz"), inertia=4.0)
 

@@ -11,12 +11,12 @@ from scipy.stats import chi2
 
 from ahnn.estimation import Belief, Problem, Setting, Status
 from ahnn.estimation.consistency import independent_count
+from ahnn.estimation.results import FilterResult
 from ahnn.estimation.state import initial_state
 from ahnn.evaluation import Who
+from ahnn.evaluation.estimators.outcome import Outcome, filtered, numbers, rows
 from ahnn.measurements import Position
 from ahnn.metrics import Scores
-from ahnn_plugins.ukf.outcome import Outcome, filtered, numbers, rows
-from ahnn_plugins.ukf.types import FilterResult
 
 F64 = torch.float64
 MEMBERS, STEPS, SIZE, WIDTH = 3, 80, 4, 2

@@ -9,18 +9,18 @@ import pytest
 import torch
 
 from ahnn.estimation import Setting
-from ahnn.estimation.scenario import Problem, simulated
-from ahnn.measurements import Position
-from ahnn.types import Trajectories
-from ahnn_plugins.ukf import UnscentedParameters
-from ahnn_plugins.ukf.assimilation import Filter
-from ahnn_plugins.ukf.process_noise import (
+from ahnn.estimation.process_noise import (
     PAIRS,
     SCALES,
     crossing,
     fitted_process_noise,
     one_step_covariance,
 )
+from ahnn.estimation.scenario import Problem, simulated
+from ahnn.estimation.trial import Filter
+from ahnn.measurements import Position
+from ahnn.types import Trajectories
+from ahnn_plugins.ukf import UnscentedKalmanFilter, UnscentedParameters
 
 F64 = torch.float64
 DT = 0.5
@@ -118,7 +118,7 @@ def problem(members: int = 40, samples: int = 60):
     setting = setting._replace(updates=tuple(range(5, samples)))
     measured = simulated(setting, truth, DT, seed=1)
     arcs = Problem(truth, truth[:, 0] + 0.5, measured, DT)
-    still = Filter("still", lambda x, _: x, torch.eye(2), setting.measurement_noise, UnscentedParameters())
+    still = Filter("still", lambda x, _: x, torch.eye(2), setting.measurement_noise, UnscentedKalmanFilter())
     return still, setting, arcs, Trajectories(truth, times.expand(members, -1))
 
 

@@ -10,8 +10,8 @@ import torch
 from helpers import MOLNIYA, SPRING, SYSTEMS
 
 from ahnn.errors import UserError
-from ahnn_plugins.ukf.online import weights_hash
-from ahnn_plugins.ukf.setting import make_setting
+from ahnn.estimation.online import weights_hash
+from ahnn.estimation.setting import make_setting
 
 HEAVY = SYSTEMS["heavy_spring"]
 

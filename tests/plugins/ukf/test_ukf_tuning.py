@@ -11,13 +11,13 @@ import torch
 
 from ahnn.data.generate import generate
 from ahnn.errors import UserError
-from ahnn.estimation import Problem, Setting, perturbed_arcs
+from ahnn.estimation import Problem, Setting, perturbed_arcs, trial
+from ahnn.estimation.trial import Filter
 from ahnn.evaluation.open_loop import integrated
 from ahnn.integrators import INTEGRATORS
 from ahnn.measurements import Position
 from ahnn.systems import MassSpring
-from ahnn_plugins.ukf import UnscentedParameters, assimilation, tuning
-from ahnn_plugins.ukf.assimilation import Filter
+from ahnn_plugins.ukf import UnscentedKalmanFilter, UnscentedParameters, tuning
 from ahnn_plugins.ukf.tuning import LOST, Tuning, objectives, tune, tuned_once
 
 SYSTEM = MassSpring(name="spring", dt=0.01, steps=200)
@@ -40,7 +40,7 @@ def search() -> tuple[Filter, Setting, Problem]:
     arcs = perturbed_arcs(setting, generate(SYSTEM, 4, seed=0).states, SYSTEM.dt, 4, 100, seed=0)
     q = 1e-9 * torch.eye(2, dtype=torch.float64)  # far too little for a wrong spring
     flow = integrated(WRONG, INTEGRATORS["rk4"])
-    return Filter("wrong", flow, q, setting.measurement_noise, UnscentedParameters()), setting, arcs
+    return Filter("wrong", flow, q, setting.measurement_noise, UnscentedKalmanFilter()), setting, arcs
 
 
 def test_search_is_better_than_its_start_and_reproducible(search: tuple) -> None:
@@ -94,7 +94,7 @@ def test_only_what_has_a_range_is_searched(search: tuple) -> None:
     only_q = Tuning(ranges={"scale_q": [1e-2, 1e2]}, trials=6, trajectories=4, steps=100, batch=6, seed=0)
     found = tune(*search, only_q)
     assert set(found.values) == {"scale_q"}
-    assert found.apply(search[0]).parameters == search[0].parameters
+    assert found.apply(search[0]).estimator == search[0].estimator
     assert found.objective < found.untuned
 
 
@@ -144,7 +144,7 @@ def test_the_bar_is_full_when_all_is_tried(search, monkeypatch):
     bar, told = MagicMock(), []
     bar.__enter__.return_value = bar
     bar.add_task.side_effect = lambda _, total: told.append(total)
-    monkeypatch.setattr(assimilation, "progress_bar", lambda: bar)
+    monkeypatch.setattr(trial, "progress_bar", lambda: bar)
     tune(*search, dataclasses.replace(OPTIONS, trials=5, batch=2))
     assert told == [bar.advance.call_count] == [3 * 100]
 
@@ -160,7 +160,7 @@ def test_the_objective_is_in_initial_deviations_from_the_first_update_on(search)
     other = chosen._replace(
         process_noise=2.0 * chosen.process_noise,
         measurement_noise=4.0 * chosen.measurement_noise,
-        parameters=chosen.parameters._replace(alpha=0.5),
+        estimator=UnscentedKalmanFilter(UnscentedParameters(alpha=0.5)),
     )
     assert doubled == pytest.approx(objectives(other, setting, arcs, [{}])[0], rel=1e-9)
 

@@ -10,14 +10,14 @@ from scipy.stats import chi2
 
 from ahnn.errors import UserError
 from ahnn.estimation import Gate, initial_belief
+from ahnn.estimation.arc import Arc, followed
+from ahnn.estimation.batch import batch_least_squares
+from ahnn.estimation.checks import checked_sensor
 from ahnn.estimation.consistency import nees
+from ahnn.estimation.steps import Grid
 from ahnn.measurements import Position
-from ahnn_plugins.ukf import SQUARE_ROOT, UnscentedParameters, unscented_filter, unscented_smoother
-from ahnn_plugins.ukf.arc import Arc, followed
-from ahnn_plugins.ukf.batch import batch_least_squares
-from ahnn_plugins.ukf.checks import checked_sensor
+from ahnn_plugins.ukf import UnscentedParameters, unscented_filter, unscented_smoother
 from ahnn_plugins.ukf.iterated import iterated_smoother
-from ahnn_plugins.ukf.steps import Grid
 
 F64 = torch.float64
 DT, SD = 0.1, 0.02
@@ -148,7 +148,7 @@ def test_paths_are_followed_up_to_the_last_measurement(measured, steps):
         asked.append(dt)
         return pendulum(x, dt)
 
-    sensor = checked_sensor(Position(1), NOISE[1], belief, SQUARE_ROOT, None)
+    sensor = checked_sensor(Position(1), NOISE[1], belief, None)
     lengths = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
     fit = followed(Arc(flow, Grid.of(lengths, 6, torch.zeros(())), rows, measured, sensor, belief), start)
     assert asked == lengths[:steps]

@@ -8,6 +8,7 @@ import torch
 from ahnn.estimation import Gate, Status, initial_belief
 from ahnn.measurements import Position, State
 from ahnn_plugins.ukf import SQUARE_ROOT, UnscentedParameters, unscented_filter
+from ahnn_plugins.ukf.kernel import SigmaPoints
 from ahnn_plugins.ukf.library import library
 from ahnn_plugins.ukf.whole_steps import WholeSteps
 
@@ -163,4 +164,4 @@ def test_gradients_take_single_steps():
 
 
 def test_the_form_says_whether_there_are_whole_steps():
-    assert WholeSteps(rows(1), None, SQUARE_ROOT._replace(read=None)).possible == [False] * STEPS
+    assert WholeSteps(rows(1), SigmaPoints(None, SQUARE_ROOT._replace(read=None))).possible == [False] * STEPS

@@ -1,0 +1,68 @@
+"""The instruments of a stream."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from ahnn.deviations import require_squares
+from ahnn.errors import UserError
+from ahnn.estimation import Factor
+from ahnn.measurements import Measurement, Position, State
+from ahnn.types import Space
+
+
+class Sensor(NamedTuple):
+    """An instrument of a stream.
+
+    Attributes:
+        measurement: its model.
+        deviations: standard deviations of its M numbers; None where each reading brings its own.
+        columns: names of its M numbers in a stream.
+    """
+
+    measurement: Measurement
+    deviations: tuple[float, ...] | None
+    columns: tuple[str, ...]
+
+    @classmethod
+    def of(cls, measurement: Measurement, deviations: float | list[float] | None, space: Space) -> Sensor:
+        """Return the sensor of a model; one that reads the state has the names of the space as columns.
+
+        Args:
+            measurement: the model.
+            deviations: one for all M numbers, one for each, or None.
+            space: what the numbers of a state mean.
+
+        Raises:
+            UserError: another number of deviations, or one that is not positive.
+        """
+        reads = isinstance(measurement, Position | State)
+        columns = space.components[: len(measurement.names)] if reads else measurement.names
+        if deviations is None:
+            return cls(measurement, None, columns)
+        given = deviations if isinstance(deviations, list | tuple) else [deviations] * len(columns)
+        if len(given) != len(columns) or not all(0.0 < sd < math.inf for sd in given):
+            message = f"sd: expected one number > 0 for each of {', '.join(columns)}; received {deviations}"
+            raise UserError(message)
+        require_squares(torch.tensor(given, dtype=torch.float64), "sd")
+        return cls(measurement, tuple(map(float, given)), columns)
+
+    def factor(self, deviations: tuple[float, ...] | None) -> Factor:
+        """Return the factor of R of a reading, whose own standard deviations come first."""
+        return Factor(torch.diag(torch.tensor(deviations or self.deviations, dtype=torch.float64)))
+
+
+def plain(thing: Any) -> Any:
+    """Return what determines an object, as plain values: its class and all that it holds."""
+    if thing is None or isinstance(thing, bool | int | float | str):
+        return thing
+    if isinstance(thing, list | tuple):
+        return [plain(one) for one in thing]
+    if isinstance(thing, Tensor):
+        return thing.tolist()
+    held = thing if isinstance(thing, dict) else getattr(thing, "__dict__", {})
+    return [type(thing).__name__, {str(name): plain(value) for name, value in held.items()}]

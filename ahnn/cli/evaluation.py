@@ -1,0 +1,40 @@
+"""From a command line to the evaluation of a finished run."""
+
+from __future__ import annotations
+
+import torch
+
+from ahnn.cli.again import Request, run_config
+from ahnn.cli.parts import build_plugins, build_sensor, build_source, report_options
+from ahnn.cli.unread import refuse, unread_of_data, unread_of_plugins
+from ahnn.data import SplitData
+from ahnn.jobs.evaluating import Reevaluation
+from ahnn.runs import load
+
+
+def read_evaluation(arguments: list[str], usage: str) -> Reevaluation:
+    """Return the evaluation that a command line asks for.
+
+    Raises:
+        UserError: no such run, or an override that has no effect on a finished one.
+    """
+    request = Request.of(arguments, usage)
+    run = load(request.source, request.ckpt)
+    cfg = run_config(run.folder, request)
+    torch.set_num_threads(cfg.threads)
+    source = build_source(cfg)
+    sensor = build_sensor(cfg, source)
+    unread = (*unread_of_data(cfg, source, sensor), *unread_of_plugins(cfg.plugins))
+    refuse(unread, request.overrides)
+    splits = SplitData(source, list(cfg.data.split), sensor)  # it needs no windows
+    return Reevaluation(
+        run=run,
+        ckpt=request.ckpt,
+        folder=request.folder,
+        name=request.name,
+        label=cfg.label,
+        splits=splits,
+        plugins=build_plugins(cfg, splits),
+        seed=cfg.evaluation.seed,
+        report=report_options(cfg),
+    )

@@ -1,0 +1,142 @@
+"""The runs of a reproduction of the paper's tables: what they are, and what their folder holds already."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+from omegaconf import DictConfig
+
+from ahnn.arguments import flatten
+from ahnn.cli.commandline import pair, parse
+from ahnn.cli.compose import compose_sweep
+from ahnn.contents import read_plain
+from ahnn.errors import UserError
+
+SYSTEMS = ("mass_spring", "molniya")
+BUDGETS = ("smoke", "laptop", "paper")
+ITS_OWN = ("sweep", "ckpt", "seeds", "folder", "label", "trial", "hydra.sweep.dir", "hydra.sweep.subdir")
+"""What the command itself decides, run by run."""
+MACHINE = {"run", "ckpt", "threads", "data.cache"}
+"""Keys that may differ between two starts of one command."""
+SHARED = ("system", "data", "trainer", "scheduler", "plugins", "evaluation")
+"""Parts that all runs of a folder have in common, but for the seed of the batches."""
+
+
+class Plan(NamedTuple):
+    """What a command asks for.
+
+    Attributes:
+        folder: of the run folders.
+        overrides: of the sweep.
+        runs: name of the run folder and configuration, in order.
+        steps: of the optimiser, the same in every run.
+    """
+
+    folder: Path
+    overrides: list[str]
+    runs: dict[str, DictConfig]
+    steps: int
+
+    def finished(self) -> list[str]:
+        """Return the names of the runs that are finished."""
+        return [name for name, cfg in self.runs.items() if is_finished(self.folder / name, cfg)]
+
+    def announcement(self) -> str:
+        """Return what is going to happen, on one line."""
+        first = next(iter(self.runs.values()))
+        done = len(self.finished())
+        return (
+            f"{first.system.name}: {len(self.runs)} runs of {self.steps:,} optimiser steps of "
+            f"{first.data.batch_size} windows in {self.folder}"
+            + (f", {done} of them finished" if done else "")
+        )
+
+
+def plan(arguments: list[str], usage: str) -> Plan:
+    """Return the runs of a command line.
+
+    Raises:
+        UserError: no system or budget of the paper, what the command decides itself, runs that do not compose
+            or that differ in their steps.
+    """
+    given = {text.partition("=")[0]: text for text in arguments if parse(text)}
+    if wrong := [key for key in given if key in ITS_OWN]:
+        message = (
+            f"{wrong[0]}: expected none, since reproduce sets it for each run; received {given[wrong[0]]!r}"
+        )
+        raise UserError(message)
+    values = dict(pair(given[key]) for key in ("system", "budget", "run") if key in given)
+    for key, known in (("system", SYSTEMS), ("budget", BUDGETS)):
+        if (value := values.get(key, "nothing")) not in known:
+            message = f"{key}: expected one of {', '.join(known)}; received {value}. {usage}"
+            raise UserError(message)
+    folder = Path(str(values.get("run", f"runs/reproduce/{values['system']}_{values['budget']}")))
+    own = [f"sweep=reproduce_{values['budget']}", f"run='{folder}'"]
+    overrides = [*(text for key, text in given.items() if key not in ("budget", "run")), *own]
+    jobs = compose_sweep(overrides)
+    if all(
+        cfg.data.windows_per_epoch is None for cfg in jobs
+    ):  # W steps leave fewer windows the longer they are
+        overrides.append(f"data.windows_per_epoch={min(map(windows, jobs))}")
+        jobs = compose_sweep(overrides)
+    steps = sorted({steps_of(cfg) for cfg in jobs})
+    if len(steps) > 1:
+        message = f"data.windows_per_epoch: expected equal steps for all models; received {steps}. Lower it"
+        raise UserError(message)
+    return Plan(folder, overrides, {f"{cfg.label}_{cfg.seed}": cfg for cfg in jobs}, steps[0])
+
+
+def windows(cfg: DictConfig) -> int:
+    """Return how many training windows there are."""
+    from ahnn.data.splits import split_sizes
+
+    train = split_sizes(cfg.data.trajectories, list(cfg.data.split))[0]
+    return train * (cfg.system.steps - cfg.window + 1)
+
+
+def steps_of(cfg: DictConfig) -> int:
+    """Return the optimiser steps of a training."""
+    there = windows(cfg)
+    batches = -(-min(there, cfg.data.windows_per_epoch or there) // cfg.data.batch_size)
+    return -(-batches // cfg.trainer.get("accumulate_grad_batches", 1)) * cfg.trainer.max_epochs
+
+
+def is_finished(folder: Path, cfg: DictConfig) -> bool:
+    """Return whether a run has all that its evaluation writes; predictions are the last of it."""
+    names = ["metrics.json", *(["predictions.safetensors"] if cfg.evaluation.save_predictions else [])]
+    return all((folder / name).is_file() for name in names)
+
+
+def require_same_settings(made: Plan) -> None:
+    """Check that the runs in a folder are of the same command, on whatever machine.
+
+    Raises:
+        UserError: one of them has other settings.
+    """
+    first = next(iter(made.runs.values()))
+    for path in sorted(made.folder.glob("*/config.yaml")):
+        found, cfg, loose = read_plain(path), made.runs.get(path.parent.name), MACHINE
+        wanted = settings(cfg or first, str(found.get("folder")))
+        if cfg is None:  # a model or a seed that this command leaves out
+            found, wanted = ({key: whole.get(key) for key in SHARED} for whole in (found, wanted))
+            loose = MACHINE | {"data.order_seed"}
+        old, new = flatten(found), flatten(wanted)
+        changed = [k for k in sorted(old.keys() | new.keys()) if k not in loose and old.get(k) != new.get(k)]
+        if changed:
+            key, more = changed[0], f" and {len(changed) - 1} more" if len(changed) > 1 else ""
+            message = (
+                f"run {made.folder}: expected the settings that {path.parent.name} was trained with, "
+                f"{key}={old.get(key)}{more}; received {key}={new.get(key)}. Name another folder with run="
+            )
+            raise UserError(message)
+
+
+def settings(cfg: DictConfig, folder: str) -> dict[str, Any]:
+    """Return what a training in a folder writes into its config.yaml."""
+    from ahnn.cli.build import stored
+
+    own = cfg.copy()
+    own.folder = folder
+    return yaml.safe_load(stored(own))

@@ -1,0 +1,150 @@
+"""From a configuration to a prepared training, in one place; nothing is generated: mistakes show at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from lightning import Callback, Trainer, seed_everything
+from lightning.pytorch.loggers import Logger
+from omegaconf import DictConfig, OmegaConf
+
+from ahnn.arguments import flatten
+from ahnn.checkpoints import FORMAT
+from ahnn.cli.build import Part, each, factories, plain_config, stored
+from ahnn.cli.parts import (
+    SENSOR,
+    SIMULATION,
+    build_plugins,
+    build_sensor,
+    build_source,
+    is_multirun,
+    report_options,
+)
+from ahnn.cli.unread import require_read
+from ahnn.data import Source
+from ahnn.data.datamodule import WindowDataModule
+from ahnn.errors import UserError
+from ahnn.jobs.compatible import check_together
+from ahnn.jobs.prepared import Assessment, Prepared
+from ahnn.models import AbstractModel, Optimisation
+from ahnn.stored import about_space
+from ahnn.training.checkpoint_io import AtomicCheckpointIO
+
+Factories = dict[str, Callable[..., Any]]
+
+DECISIVE = ("max_epochs", "gradient_clip_val", "gradient_clip_algorithm", "accumulate_grad_batches")
+"""What of the trainer changes the weights."""
+CHOOSING = ("callbacks.best.monitor", "callbacks.rollout.count", "callbacks.rollout.every")
+"""What chooses the best of them."""
+
+
+def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] | None = None) -> Prepared:
+    """Build all that a training needs, and let the parts refuse each other.
+
+    Args:
+        cfg: one job.
+        source: of the trajectories; None takes the system of the configuration.
+        asked: overrides behind it; None takes those of the command line.
+
+    Raises:
+        UserError: parts that do not go together, or an override that none of them reads.
+    """
+    torch.set_num_threads(cfg.threads)
+    seed_everything(cfg.seed, verbose=False)
+    values, made = plain_config(cfg), factories(parts_of(cfg))
+    source, folder = source or build_source(cfg), Path(cfg.folder)
+    options, sensor = report_options(cfg), build_sensor(cfg, source)
+    data = made["data"](source=source, window=cfg.window, sensor=sensor)
+    plugins = build_plugins(cfg, data.splits)
+    model = build_model(values, made, data)
+    trainer = build_trainer(made, folder)
+    data.feed(trainer)
+    checkpoint = None if cfg.ckpt is None else Path(cfg.ckpt)
+    if cfg.ckpt in ("last", "best"):
+        checkpoint = folder / "checkpoints" / f"{cfg.ckpt}.ckpt"
+    prepared = Prepared(
+        label=cfg.label,
+        seed=cfg.seed,
+        folder=folder,
+        config=stored(cfg),
+        data=data,
+        model=model,
+        trainer=trainer,
+        checkpoint=checkpoint,
+        weights=cfg.weights,
+        recorded=cfg.cuda_graphs,
+        robust=cfg.loss.get("robust", "none"),
+        assessment=Assessment(plugins, cfg.evaluation.seed, options, searched(values)),
+    )
+    check_together(prepared)
+    require_read(cfg, prepared, asked)
+    return prepared
+
+
+def parts_of(cfg: DictConfig) -> dict[str, Part]:
+    """Return the nodes of a training that are built from their own keys and a few objects."""
+    data = {key: value for key, value in plain_config(cfg.data).items() if key not in (*SIMULATION, *SENSOR)}
+    node = cfg.trainer.copy()
+    if cfg.loss.get("stages") and node.accelerator == "auto":
+        node.accelerator = "cpu"  # where measurements are learned from
+    parts = {
+        "data": Part(OmegaConf.create(data), WindowDataModule, ("source", "window", "sensor")),
+        "model": Part(cfg.model, AbstractModel, ("dof", "inertia", "window", "controls")),
+        "optimizer": Part(cfg.optimizer),
+        **({"scheduler": Part(cfg.scheduler)} if cfg.scheduler else {}),
+        "trainer": Part(node, Trainer, ("plugins", "callbacks", "logger", "default_root_dir")),
+    }
+    return parts | each(cfg.callbacks, "callbacks", Callback) | each(cfg.logger, "logger", Logger)
+
+
+def build_model(values: dict[str, Any], made: Factories, data: WindowDataModule) -> AbstractModel:
+    """Build the model, with its optimiser and what its checkpoints say of the training."""
+    space, source, scheduler = data.source.space, data.source, made.get("scheduler")
+    given = {"dof": space.dof, "inertia": space.inertia, "controls": len(space.controls)}
+    model = made["model"](**given, window=data.window).to(data.dtype)
+    known = {"recipe": source.recipe(), "split": list(data.splits.fractions)}
+    about = {"format": FORMAT, "space": about_space(space), "data": known, "settings": settings_of(values)}
+    model.train_by(Optimisation(made["optimizer"](), scheduler and scheduler()), about)
+    return model
+
+
+def build_trainer(made: Factories, folder: Path) -> Trainer:
+    """Build the Lightning trainer with its callbacks and loggers.
+
+    Raises:
+        UserError: several devices inside the process of a sweep, which the first job would not give back.
+    """
+    callbacks, loggers = (
+        [build_it() for name, build_it in made.items() if name.startswith(group)]
+        for group in ("callbacks.", "logger.")
+    )
+    parts = {"callbacks": callbacks, "logger": loggers, "default_root_dir": str(folder)}
+    trainer = made["trainer"](plugins=[AtomicCheckpointIO()], **parts)
+    environment = getattr(trainer.strategy, "cluster_environment", None)
+    own = environment is not None and environment.creates_processes_externally
+    if trainer.world_size > 1 and is_multirun() and not own:
+        message = (
+            "trainer: expected one device, or a process for each job of the sweep; received "
+            f"{trainer.world_size} devices inside the process of the sweep. Add hydra/launcher=ahnn_process"
+        )
+        raise UserError(message)
+    return trainer
+
+
+def settings_of(values: dict[str, Any]) -> dict[str, Any]:
+    """Return all that determines a training besides its data: what a resumed one must share."""
+    parts = {name: values[name] for name in ("model", "loss", "optimizer", "scheduler", "data")}
+    parts["data"] = {key: value for key, value in parts["data"].items() if key not in SIMULATION}
+    flat = flatten(values)
+    parts |= {key: flat.get(key) for key in (*CHOOSING, "window", "seed")}
+    return {**parts, "trainer": {key: values["trainer"].get(key) for key in DECISIVE}}
+
+
+def searched(values: dict[str, Any]) -> dict[str, Any]:
+    """Return what a search varies, for TensorBoard's comparison of runs."""
+    groups = {name: values[name] for name in ("model", "optimizer", "scheduler") if values[name]}
+    amounts = {"window": values["window"], "batch_size": values["data"]["batch_size"]}
+    return {**groups, **amounts, "epochs": values["trainer"]["max_epochs"], "seed": values["seed"]}

@@ -1,0 +1,65 @@
+"""The task of `python -m ahnn.reproduce`: the runs of a plan, each left or taken up where it stands."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import sys
+from pathlib import Path
+
+from omegaconf import DictConfig
+
+from ahnn.cli.before import begin, require_new
+from ahnn.cli.entry import start
+from ahnn.cli.importing import importing
+from ahnn.cli.plan import is_finished, plan, require_same_settings
+from ahnn.cli.stops import ended
+from ahnn.cli.training import train_once
+from ahnn.errors import Occupied
+from ahnn.files import claimed
+
+log = logging.getLogger("ahnn")
+
+
+def reproduce(arguments: list[str], usage: str) -> None:
+    """Train and evaluate what is not finished yet, and show the table of all.
+
+    Raises:
+        UserError: a command that makes no reproduction, or a folder with another one.
+    """
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # makes Hydra raise, so that the messages are ours
+    made = plan(arguments, usage)
+    require_same_settings(made)
+    with importing():
+        from ahnn.evaluation.over_seeds import summary
+        from ahnn.evaluation.terminal import show
+    log.info(made.announcement())
+    sys.argv[1:] = ["--multirun", *made.overrides]
+    try:
+        with ended(lambda: "the same command goes on where it was stopped"):
+            start(one, "train")
+    finally:  # one that failed leaves the others their table
+        if made.finished():
+            show(summary(made.folder, made.runs))
+
+
+def one(cfg: DictConfig) -> float:
+    """Train and evaluate one model with one seed, or what an interruption left of that.
+
+    A run that is finished is kept, and one that another process works on is left to it.
+    """
+    folder = Path(cfg.folder)
+    begin(cfg)
+    try:
+        with claimed(folder, ".turn"):
+            if is_finished(folder, cfg):
+                log.info("%s: finished", folder.name)
+                return math.nan
+            cfg.ckpt = "last" if (folder / "checkpoints" / "last.ckpt").exists() else None
+            log.info("%s: %s", folder.name, "begins" if cfg.ckpt is None else "goes on")
+            require_new(folder, cfg.ckpt)
+            return train_once(cfg)
+    except Occupied:
+        log.info("%s: another process works on it", folder.name)
+        return math.nan

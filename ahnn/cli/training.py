@@ -1,0 +1,105 @@
+"""The task of `python -m ahnn.train`: one training with its evaluation, or one for each of several seeds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from ahnn.cli.before import begin, require_new
+from ahnn.cli.stops import held, interruptible
+from ahnn.files import claimed, require_writable
+
+if TYPE_CHECKING:
+    from ahnn.data import Source
+
+
+def train(cfg: DictConfig) -> float:
+    """Train with one seed or with several; return the mean of the best validation losses.
+
+    Several `seeds` train in folders of their own, seed_7 and so on, inside the run folder.
+    """
+    begin(cfg)
+    parts = [of_seed(cfg, seed) for seed in cfg.seeds] if cfg.seeds else [cfg]
+    for part in parts:
+        require_new(Path(part.folder), part.ckpt)
+    losses = [train_once(part) for part in parts]
+    from ahnn.cli.parts import is_multirun
+    from ahnn.jobs.closing import require_converged  # heavy, as the trainings before it
+
+    if not is_multirun():  # there each job has its scores, and a search goes by the losses
+        require_converged([Path(part.folder) for part in parts])
+    return sum(losses) / len(losses)
+
+
+def of_seed(cfg: DictConfig, seed: int) -> DictConfig:
+    """Return the configuration of one seed among several."""
+    part = cfg.copy()
+    part.seed, part.seeds, part.folder = seed, None, f"{cfg.folder}/seed_{seed}"
+    return part
+
+
+def check(cfg: DictConfig) -> None:
+    """Refuse what a training refuses before it generates data; a sweep asks once, before its first trial.
+
+    Raises:
+        UserError: a job that cannot work.
+    """
+    begin(cfg)
+    with held():
+        from ahnn.cli.prepare import prepare
+
+        prepare(of_seed(cfg, cfg.seeds[0]) if cfg.seeds else cfg)
+
+
+train.check = check  # pyright: ignore[reportFunctionMemberAccess] - all that reaches a sweeper is this function
+
+
+def train_once(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] | None = None) -> float:
+    """Run one training and its evaluation; return the best validation loss, the objective of a search.
+
+    Of several devices the first evaluates and writes; the other processes return NaN, which nobody reads.
+
+    Args:
+        cfg: one job.
+        source: of the trajectories; None takes the system of the configuration.
+        asked: overrides behind it; None takes those of the command line.
+    """
+    with held():
+        from ahnn.cli.prepare import prepare
+        from ahnn.jobs.fitting import fit
+
+        prepared = prepare(cfg, source, asked)
+    folder, trainer = prepared.folder, prepared.trainer
+    prepared.data.train_dataloader()  # the last that may be refused: from here on files are written
+
+    require_writable(folder)
+    with claimed(folder) if trainer.is_global_zero else nullcontext():
+        with interruptible(trainer, lambda: go_on(cfg)):
+            seconds = fit(prepared)
+        if not trainer.is_global_zero:
+            return math.nan
+        with interruptible(trainer, lambda: f"evaluate it with python -m ahnn.evaluate run={folder}"):
+            from ahnn.jobs.closing import judge
+
+            return judge(prepared, seconds)
+
+
+def go_on(cfg: DictConfig) -> str:
+    """Return how to resume a training that was stopped."""
+    from ahnn.cli.parts import is_multirun
+
+    if cfg.get("trial") is not None:
+        return "the same command continues the search"
+    if not (Path(cfg.folder) / "checkpoints" / "last.ckpt").exists():
+        return "there is no checkpoint yet: the same command starts from the beginning"
+    one_of_several = HydraConfig.initialized() and cfg.folder != HydraConfig.get().runtime.output_dir
+    seed = f" seed={cfg.seed} seeds=null" if one_of_several else ""
+    seed += "" if cfg.weights is None else " weights=null"
+    command = "keys of this job" if is_multirun() else "command"
+    return f"resume with the same {command} and run={cfg.folder}{seed} ckpt=last"

@@ -1,0 +1,128 @@
+"""Checks at the entrance of a filter, so that its kernel can trust what it is given.
+
+Covariances go on as factors, numbers of any kind as float64 tensors.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from ahnn.errors import UserError
+from ahnn.estimation.belief import Belief
+from ahnn.estimation.covariances import Covariance, covariance_factor
+from ahnn.estimation.estimator import Sensor
+from ahnn.estimation.gate import Gate, thresholds
+from ahnn.estimation.state import FilterState
+from ahnn.measurements.base import Measurement
+from ahnn.numbers import Numbers, as_float64, described
+
+
+def check_belief(belief: Belief) -> None:
+    """Raise ValueError for what is no float64 belief of at least one member."""
+    if not isinstance(belief, Belief):
+        message = f"belief: expected a Belief; received {described(belief)}; use initial_belief"
+        raise UserError(message)
+    mean, chol = belief
+    right = mean.ndim == 2 and len(mean) > 0 and chol.shape == (*mean.shape, mean.shape[1])
+    if not right or mean.dtype != torch.float64 or chol.dtype != torch.float64:
+        message = (
+            f"belief: expected a float64 belief with mean (B, D), B >= 1, and chol (B, D, D); received "
+            f"{mean.dtype} {tuple(mean.shape)} and {chol.dtype} {tuple(chol.shape)}; use initial_belief"
+        )
+        raise ValueError(message)
+
+
+def check_state(state: FilterState) -> None:
+    """Raise ValueError for what is no state of the filter, or one with a belief that is none."""
+    if not isinstance(state, FilterState):
+        message = f"state: expected a FilterState; received {described(state)}; use start"
+        raise UserError(message)
+    check_belief(state.belief)
+
+
+def checked_sensor(
+    measurement: Measurement, noise: Covariance, belief: Belief, gate: Gate | None, *, definite: bool = False
+) -> Sensor:
+    """Return a measurement model with the factor of its noise R, (M, M) or (B, M, M).
+
+    Raises:
+        ValueError: no measurement model, or no covariance.
+    """
+    missing = [name for name in ("names", "__call__") if not hasattr(measurement, name)]
+    if missing:
+        message = (
+            f"measurement: expected a measurement model with names and a call (x, t); received "
+            f"{measurement!r} without {', '.join(missing)}; see Measurement"
+        )
+        raise ValueError(message)
+    batch, width, device = len(belief.mean), len(measurement.names), belief.mean.device
+    chol_r = covariance_factor(noise, "R", batch=batch, size=width, definite=definite)
+    chol_r = chol_r.to(device).expand(batch, width, width)
+    if gate is None:
+        return Sensor(measurement, chol_r)
+    return Sensor(measurement, chol_r, thresholds(gate, width, device), gate.patience)
+
+
+def checked_rows(values: Numbers, who: str, shape: tuple[int | str, ...], device: torch.device) -> Tensor:
+    """Return measurements as float64.
+
+    Args:
+        values: of the shape, NaN where a component is missing.
+        who: what they are called in messages.
+        shape: what they must have; the letter T stands for any length of at least 1.
+        device: of the result.
+
+    Raises:
+        ValueError: another shape, or infinite values.
+    """
+    rows = as_float64(values, who, device)
+    received = tuple(rows.shape)
+    same = [n == m or (m == "T" and n > 0) for n, m in zip(received, shape, strict=False)]
+    if len(received) != len(shape) or not all(same):
+        words = f"({', '.join(map(str, shape))}){' with T >= 1' if 'T' in shape else ''}"
+        message = f"{who}: expected shape {words}; received {received}"
+        raise ValueError(message)
+    infinite = torch.isinf(rows)
+    if bool(infinite.any()):
+        where = infinite.nonzero()[0].tolist()
+        message = (
+            f"{who}: expected finite numbers; received an infinite one at {where}; mark a missing component "
+            f"with NaN"
+        )
+        raise ValueError(message)
+    return rows
+
+
+def checked_time(time: float, name: str) -> float:
+    """Return a time; raises ValueError for one that is not finite."""
+    if not isinstance(time, int | float) or not math.isfinite(time):
+        message = f"{name}: expected a finite number; received {time}"
+        raise ValueError(message)
+    return time
+
+
+def checked_step(dt: Numbers) -> float:
+    """Return the length of one step; raises as `checked_steps`."""
+    return dt if isinstance(dt, float) and 0.0 < dt < math.inf else float(checked_steps(dt))
+
+
+def checked_steps(dt: Numbers, steps: int | None = None) -> Tensor:
+    """Return the length () of every step, or of T = `steps` steps their lengths (T,), as float64.
+
+    Raises:
+        ValueError: another shape, or a length that is not finite or not positive.
+    """
+    lengths = as_float64(dt, "dt")
+    wrong = lengths[~((lengths > 0.0) & lengths.isfinite())]
+    if len(wrong) > 0:
+        message = f"dt: expected finite steps > 0; received {float(wrong[0])}"
+        raise ValueError(message)
+    if lengths.ndim > 0 and lengths.shape != (steps,):
+        one = f"one number; received {described(dt)}"
+        many = f"a number or shape ({steps},); received {tuple(lengths.shape)}"
+        message = f"dt: expected {one if steps is None else many}"
+        raise ValueError(message)
+    return lengths

@@ -1,0 +1,147 @@
+"""Process noise with memory that depends on the state: the force of a flow is off by a fraction of itself.
+
+A learned force is wrong by about the same fraction everywhere, and wrong in the same direction for a while.
+So each degree of freedom gets one state more, the relative error e of the force, a first-order Gauss-Markov
+process (Tapley, Schutz & Born 2004, section 4.9) that is held over a step:
+
+    p' = F_p(x) + e |F_p(x) - p|,   q' = F_q(x) + dt / (2 m) e |F_p(x) - p|,   e' = exp(-dt / memory) e + w,
+
+with w ~ N(0, size² (1 - exp(-2 dt / memory))), which keeps the variance of e at size². The impulse of the
+step, F_p(x) - p, stands for the force: any flow has one. The error is largest where the force is, at perigee,
+where noise of one size for all states is too small; and its memory carries it through many steps. Where a
+state is far from the training data, or the parameters leave the force open, e counts `growth` times: a
+learned force is off by more there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ahnn.estimation.belief import Belief
+from ahnn.estimation.results import FilterResult, SmootherResult
+from ahnn.measurements import Measurement, Time, periods, residual
+from ahnn.types import Flow, TimeStep
+
+
+class ForceError(NamedTuple):
+    """A relative force error with memory; augmented states are (q, p, e), shape (..., 3 n).
+
+    Attributes:
+        size: standard deviation of each component of e, a number or (B,).
+        memory: time constant, in the unit of the flow.
+        inertia: the factor m of p = m dq/dt.
+        growth: factor (...) on the error at the states (..., 2 n); None is 1 everywhere.
+    """
+
+    size: Tensor | float
+    memory: Tensor | float
+    inertia: float = 1.0
+    growth: Callable[[Tensor], Tensor] | None = None
+
+    @property
+    def about(self) -> list[float]:
+        """Plain numbers that tell one error from another, but for how it grows."""
+        return [float(part) for part in self[:3]]
+
+    def numbers(self, states: Tensor) -> Tensor:
+        """Return numbers that tell one error from another, at states (B, T, D)."""
+        mean = 1.0 if self.growth is None else float(self.growth(states).mean())
+        return torch.tensor([*self.about, mean])
+
+    def belief(self, belief: Belief) -> Belief:
+        """Return the augmented belief, the error of its stationary law and independent of the state."""
+        mean, chol = belief
+        (batch, size), n = mean.shape, mean.shape[1] // 2
+        sd = torch.as_tensor(self.size, dtype=mean.dtype, device=mean.device).expand(batch)
+        error = sd[:, None, None] * torch.eye(n, dtype=mean.dtype, device=mean.device)
+        upper = torch.cat((chol, chol.new_zeros(batch, size, n)), dim=-1)
+        lower = torch.cat((chol.new_zeros(batch, n, size), error), dim=-1)
+        return Belief(torch.nn.functional.pad(mean, (0, n)), torch.cat((upper, lower), dim=1))
+
+    def flow(self, flow: Flow) -> Flow:
+        """Return the flow of augmented states."""
+
+        def augmented(x: Tensor, dt: TimeStep) -> Tensor:
+            n = x.shape[-1] // 3
+            state, error = x[..., : 2 * n], x[..., 2 * n :]
+            after = flow(state, dt)
+            kick = error * (after - state)[..., n:].norm(dim=-1, keepdim=True)
+            if self.growth is not None:
+                kick = kick * self.growth(state).unsqueeze(-1)
+            step = dt.unsqueeze(-1) if isinstance(dt, Tensor) else dt
+            moved = torch.cat((step / (2 * self.inertia) * kick, kick), dim=-1)
+            return torch.cat((after + moved, self._kept(step) * error), dim=-1)
+
+        return augmented
+
+    def process_noise(self, additive: Tensor, dt: float) -> Tensor:
+        """Return Q of one step of augmented states, (3 n, 3 n) or (B, 3 n, 3 n).
+
+        Args:
+            additive: Q of the state itself, (2 n, 2 n) or (B, 2 n, 2 n).
+            dt: length of the step.
+        """
+        dof = additive.shape[-1] // 2
+        variance = torch.as_tensor(self.size, dtype=torch.float64) ** 2 * (1 - self._kept(dt) ** 2)
+        error = torch.eye(dof, dtype=torch.float64) * variance[..., None, None]
+        shape = torch.broadcast_shapes(additive.shape[:-2], error.shape[:-2])
+        both = additive.new_zeros(*shape, 3 * dof, 3 * dof)
+        both[..., : 2 * dof, : 2 * dof] = additive
+        both[..., 2 * dof :, 2 * dof :] = error
+        return both
+
+    def measurement(self, measurement: Measurement) -> Measurement:
+        """Return a measurement model of augmented states: it sees their first 2 n components."""
+        return OfStates(measurement, lambda x: x[..., : x.shape[-1] // 3 * 2])
+
+    def _kept(self, dt: TimeStep) -> Tensor:
+        """Return the fraction of e that a step leaves."""
+        return torch.exp(-torch.as_tensor(dt / self.memory, dtype=torch.float64))
+
+
+class OfStates:
+    """A measurement model that is shown augmented states without what was added to them."""
+
+    def __init__(self, model: Measurement, states: Callable[[Tensor], Tensor]) -> None:
+        self.model, self.names, self.units = model, model.names, model.units
+        self.periods = periods(model)
+        self._states = states
+
+    def __call__(self, x: Tensor, t: Time) -> Tensor:
+        """Return the measurements (..., M) of the augmented states x."""
+        return self.model(self._states(x), t)
+
+    def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
+        """Return y - y_pred as the model has it."""
+        return residual(self.model, y, y_pred)
+
+
+def of_states(result: FilterResult, size: int) -> FilterResult:
+    """Return what a filter of augmented states says of the first components: marginals, as leading blocks."""
+    return result._replace(
+        initial=_leading(result.initial, size),
+        means=result.means[..., :size],
+        chols=result.chols[..., :size, :size],
+        predicted_means=result.predicted_means[..., :size],
+        predicted_chols=result.predicted_chols[..., :size, :size],
+        backward=None,
+        state=result.state._replace(belief=_leading(result.state.belief, size)),
+    )
+
+
+def smoothed_states(result: SmootherResult, size: int) -> SmootherResult:
+    """Return what a smoother of augmented states says of the first components."""
+    return result._replace(
+        initial=_leading(result.initial, size),
+        means=result.means[..., :size],
+        chols=result.chols[..., :size, :size],
+    )
+
+
+def _leading(belief: Belief, size: int) -> Belief:
+    """Return the marginal of the first components: the leading block of a lower factor is its factor."""
+    return Belief(belief.mean[..., :size], belief.chol[..., :size, :size])

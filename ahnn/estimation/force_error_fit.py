@@ -1,0 +1,92 @@
+"""Size and memory of a relative force error, from how wrong a flow is on validation trajectories.
+
+What a step of the flow leaves of the true change of the momenta, over the impulse of that step, is the error
+e of `ForceError` seen directly: its correlation time gives the memory, its root mean square a size. As with Q
+in `process_noise`, the size is then scaled until the mean NEES on validation arcs is D: the error of a
+learned force is no Gauss-Markov process, it differs from orbit to orbit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ahnn.estimation.consistency import correlation_time
+from ahnn.estimation.force_error import ForceError
+from ahnn.estimation.process_noise import crossing, mean_nees
+from ahnn.estimation.scenario import Problem, Setting
+from ahnn.estimation.trial import Filter
+from ahnn.statistics import Statistics
+from ahnn.types import Flow, Trajectories
+
+SCALES = tuple(10.0**k for k in range(-1, 3))
+"""Candidates for the factor of size²."""
+
+
+class FittedForceError(NamedTuple):
+    """A force error whose size² is `scale` times that of one step, with the mean NEES of each candidate."""
+
+    error: ForceError
+    scale: float
+    nees: tuple[float, ...]
+
+
+def fitted_force_error(
+    chosen: Filter,
+    setting: Setting,
+    problem: Problem,
+    trajectories: Trajectories,
+    inertia: float,
+    *,
+    size: float | None = None,
+    memory: float | None = None,
+    growth: Callable[[Tensor], Tensor] | None = None,
+) -> FittedForceError:
+    """Return the force error with which a filter is consistent on validation data.
+
+    Args:
+        chosen: the filter.
+        setting: measurements and P0.
+        problem: V validation arcs, on which the size is tried.
+        trajectories: of one sampling interval, whose residuals give size and memory.
+        inertia: the factor m of p = m dq/dt.
+        size: one that is taken as it is; None takes that of the residuals, scaled.
+        memory: the time constant; None takes that of the residuals.
+        growth: factor on the error at a state; None is 1 everywhere.
+    """
+    dt = float(Statistics.of(trajectories).dt)
+    errors = force_errors(chosen.flow, trajectories, dt, growth)
+    seen = float(errors[errors.isfinite()].square().mean().nan_to_num()) ** 0.5
+    memory = memory_of(errors, dt) if memory is None else memory
+    error = ForceError(seen if size is None else size, memory, inertia, growth)
+    if size is not None or seen == 0.0:
+        return FittedForceError(error, 1.0, ())
+    values = mean_nees(chosen._replace(force_error=error), setting, problem, SCALES)
+    scale = crossing(SCALES, values, float(problem.truth.shape[-1]))
+    return FittedForceError(error._replace(size=scale**0.5 * seen), scale, tuple(values))
+
+
+@torch.no_grad()
+def force_errors(
+    flow: Flow, trajectories: Trajectories, dt: float, growth: Callable[[Tensor], Tensor] | None = None
+) -> Tensor:
+    """Return the errors e (B, T - 1, n) of a flow on each step, over growth; NaN where there is none."""
+    before, after = trajectories.states[:, :-1], trajectories.states[:, 1:]
+    dof = before.shape[-1] // 2
+    predicted = flow(before.flatten(0, 1), dt).unflatten(0, before.shape[:2])
+    impulse = (predicted - before)[..., dof:].norm(dim=-1, keepdim=True)
+    errors = (after - predicted)[..., dof:] / impulse
+    if growth is not None:
+        errors = errors / growth(before).unsqueeze(-1)
+    return torch.where(errors.isfinite(), errors, torch.nan)
+
+
+def memory_of(errors: Tensor, dt: float) -> float:
+    """Return the time constant of errors (B, T, n) from their correlation time; 0.1 dt if they have none."""
+    time = correlation_time(errors.movedim(-1, 1).flatten(0, 1))
+    kept = 0.0 if time is None else (time - 1) / (time + 1)
+    return dt / -math.log(min(max(kept, math.exp(-10.0)), 1 - 1e-12))

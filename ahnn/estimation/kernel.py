@@ -1,0 +1,150 @@
+"""One prediction and one update of a Gaussian filter: what its kernel proposes, decided member by member.
+
+What fails gives its member a status and freezes it, see `ahnn.estimation.state`. Arguments are checked.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ahnn.estimation.belief import Status, choose
+from ahnn.estimation.estimator import Kernel, Sensor
+from ahnn.estimation.results import Backward, Updated
+from ahnn.estimation.rounding import Rounding, lost_in_prediction, lost_in_update
+from ahnn.estimation.state import FilterState, add_repairs, fail, frozen
+from ahnn.measurements import Measurement
+from ahnn.numbers import described
+from ahnn.types import Flow
+
+
+def predict(
+    state: FilterState,
+    kernel: Kernel,
+    flow: Flow,
+    dt: float,
+    time: Tensor,
+    chol_q: Tensor,
+    *,
+    smoothing: bool = False,
+) -> tuple[FilterState, Backward | None]:
+    """Return the state after a step of the flow that ends at `time`, and the law back, if asked for."""
+    predicted = kernel.predict(state.belief, flow, dt, chol_q, smoothing=smoothing)
+    after = FilterState(predicted.belief, time, state.steps + 1, *state[3:])
+    after = add_repairs(after, predicted.repaired)
+    if not predicted.sound:
+        after = _checked_prediction(after)
+    lost = lost_in_prediction(state.belief, predicted.belief, predicted.repaired, kernel.rounding)
+    if lost is not None:
+        after = fail(after, lost, Status.IMPRECISE)
+    return add_repairs(frozen(after, state.belief), predicted.mended), predicted.backward
+
+
+def update(
+    state: FilterState, kernel: Kernel, y: Tensor, sensor: Sensor
+) -> tuple[FilterState, Updated, Tensor]:
+    """Return the state given the row y (B, M), the update itself, and which rows the gate rejected."""
+    updated, rounding = kernel.update(state.belief, y, sensor, float(state.time)), kernel.rounding
+    nothing_refuses = sensor.thresholds is None and rounding.crowding is None
+    if updated.sound and nothing_refuses and not bool(state.status.any()):
+        return taken(state, updated), updated, torch.zeros_like(updated.singular)
+    after, rejected = _decide(state, updated, y, sensor, rounding)
+    return after, updated, rejected
+
+
+def propagate(flow: Flow, points: Tensor, dt: float) -> Tensor:
+    """Return the points (B, S, D) after the flow, in one call on all of them.
+
+    Raises:
+        ValueError: the flow returns another shape, or complex numbers.
+    """
+    flat = points.reshape(-1, points.shape[-1])
+    propagated = flow(flat, dt)
+    require_states(propagated, flat.shape)
+    return propagated.to(points.dtype).reshape(points.shape)
+
+
+def require_states(propagated: object, shape: torch.Size) -> None:
+    """Refuse what a flow returns if it is not states of the shape of its own; raises ValueError."""
+    if not _is_real(propagated, shape):
+        message = (
+            f"flow: expected flow(x, dt) to return a real tensor of the shape of x, {tuple(shape)}; "
+            f"received {described(propagated)}"
+        )
+        raise ValueError(message)
+
+
+def measured(measurement: Measurement, points: Tensor, t: float) -> Tensor:
+    """Return the measurements (B, S, M) of the points (B, S, D) at time t.
+
+    Raises:
+        ValueError: the model returns another shape, or complex numbers.
+    """
+    images = measurement(points, t)
+    expected = torch.Size((*points.shape[:-1], len(measurement.names)))
+    if not _is_real(images, expected):
+        message = (
+            f"measurement: expected measurement(x, t) to return a real tensor {tuple(expected)} for x "
+            f"{tuple(points.shape)} and the names {measurement.names}; received {described(images)}"
+        )
+        raise ValueError(message)
+    return images.to(points.dtype)
+
+
+def _is_real(value: object, shape: torch.Size) -> bool:
+    return isinstance(value, Tensor) and value.shape == shape and not value.is_complex()
+
+
+def _checked_prediction(state: FilterState) -> FilterState:
+    """Give a status to members whose prediction is not finite, or has a variance of zero."""
+    mean, chol = state.belief
+    variance = chol.detach().square().sum(-1)
+    smallest, largest = torch.aminmax(variance)
+    # NaN is in both and fails both comparisons.
+    if float(smallest) > 0.0 and float(largest) < torch.inf:
+        return state
+    finite = torch.isfinite(variance).all(-1) & torch.isfinite(mean).all(-1)
+    state = fail(state, ~finite, Status.NOT_FINITE)
+    return fail(state, (variance == 0.0).any(-1), Status.COLLAPSED)
+
+
+def taken(state: FilterState, updated: Updated) -> FilterState:
+    """Return the state after an update that every member takes: what `_decide` would return."""
+    return state._replace(
+        belief=updated.belief,
+        rejections=torch.zeros_like(state.rejections),
+        log_likelihood=state.log_likelihood + updated.log_likelihood,
+    )
+
+
+def _decide(
+    state: FilterState, updated: Updated, y: Tensor, sensor: Sensor, rounding: Rounding
+) -> tuple[FilterState, Tensor]:
+    """Take or refuse the update, member by member; return also which rows the gate rejected, (B,) bool."""
+    present = ~torch.isnan(y)
+    has_row = present.any(-1)
+    mean, chol = updated.belief
+    # A sum of squares is finite where all of its terms are.
+    sizes = chol.square().sum((-2, -1)) + mean.square().sum(-1) + updated.nis
+    finite = torch.isfinite(sizes)
+    if bool((has_row & (updated.singular | ~finite)).any()):
+        state = fail(state, has_row & updated.singular, Status.COLLAPSED)
+        state = fail(state, has_row & ~finite, Status.NOT_FINITE)
+    accepted = has_row & state.alive
+    rejected = torch.zeros_like(accepted)
+    if sensor.thresholds is not None:
+        rejected = accepted & (updated.nis > sensor.thresholds[present.sum(-1)])
+        accepted = accepted & ~rejected
+    lost = lost_in_update(state.belief, updated, y, sensor.chol_r, rounding)
+    state = fail(state, accepted & lost, Status.IMPRECISE)
+    accepted = accepted & state.alive
+    repairs = None if updated.repairs is None else updated.repairs * accepted
+    state = add_repairs(state, repairs)
+    state = state._replace(
+        belief=choose(accepted, updated.belief, state.belief),
+        rejections=torch.where(accepted, 0, state.rejections + rejected),
+        log_likelihood=state.log_likelihood + torch.where(accepted, updated.log_likelihood, 0.0),
+    )
+    if sensor.thresholds is not None:
+        state = fail(state, rejected & (state.rejections >= sensor.patience), Status.DIVERGED)
+    return state, rejected

@@ -1,0 +1,96 @@
+"""Noise learned from the innovations of a filter, by its likelihood and without any truth.
+
+A filter with the right noise finds the measurements as probable as they are: the log-likelihood of its
+innovations is that of the measurements, given the noise (Schweppe 1965), and gradients flow through the
+filter. The parameters of the noise are free numbers, such as logarithms of standard deviations or of a time
+constant; a quasi-Newton search climbs from a first guess.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ahnn.errors import UserError
+from ahnn.estimation.results import FilterResult
+
+LOST = 1e12
+"""Negative log-likelihood of a filter that loses a member."""
+
+
+class Learned(NamedTuple):
+    """What `learned_noise` returns.
+
+    Attributes:
+        parameters: (P,) of the largest log-likelihood.
+        deviations: (P,) their standard deviations, from the curvature there; NaN in all where it has no
+            maximum, because the measurements do not determine one of them.
+        log_likelihood: sum over all members.
+    """
+
+    parameters: Tensor
+    deviations: Tensor
+    log_likelihood: float
+
+
+def learned_noise(
+    filtered: Callable[[Tensor], FilterResult], guess: Tensor, *, iterations: int = 30, step: float = 1e-3
+) -> Learned:
+    """Return the parameters under which the measurements are most probable.
+
+    Args:
+        filtered: runs a filter with `gradients=True` with the noise of parameters (P,).
+        guess: (P,) parameters to begin with, of order one: take logarithms.
+        iterations: of the search, at most.
+        step: of the central differences of the gradient, for the deviations.
+
+    Raises:
+        UserError: the guess loses a member of the filter, or gives no gradient.
+    """
+
+    def loss(parameters: Tensor) -> Tensor:
+        result = filtered(parameters)
+        # A trial that loses a member is so bad that the search turns back, and yet a number.
+        lost = bool((result.status != 0).any())
+        return 0.0 * parameters.sum() + LOST if lost else -result.log_likelihood.sum()
+
+    current = guess.detach().to(torch.float64).clone().requires_grad_()
+    first = loss(current)
+    if not float(first.detach()) < LOST or not first.requires_grad:
+        what = "no gradient" if not first.requires_grad else "lost members"
+        message = (
+            f"learned_noise: expected a filter that keeps all members, and gradients, at the guess; received "
+            f"{what}; begin with more noise, and pass gradients=True"
+        )
+        raise UserError(message)
+    optimizer = torch.optim.LBFGS(
+        [current], max_iter=iterations, tolerance_grad=1e-5, line_search_fn="strong_wolfe"
+    )
+
+    def closure() -> float:
+        optimizer.zero_grad()
+        value = loss(current) / first.detach().abs()
+        value.backward()
+        return float(value.detach())
+
+    optimizer.step(closure)
+    best = current.detach()
+    return Learned(best, _deviations(loss, best, step), -float(loss(best).detach()))
+
+
+def _deviations(loss: Callable[[Tensor], Tensor], best: Tensor, step: float) -> Tensor:
+    """Return the roots of the diagonal of the inverse Hessian, (P,), by central differences of gradients."""
+
+    def gradient(parameters: Tensor) -> Tensor:
+        parameters = parameters.requires_grad_()
+        return torch.autograd.grad(loss(parameters), parameters)[0]
+
+    rows = [gradient(best + d) - gradient(best - d) for d in step * torch.eye(len(best), dtype=best.dtype)]
+    hessian = torch.stack(rows) / (2 * step)
+    chol, info = torch.linalg.cholesky_ex((hessian + hessian.mT) / 2)
+    if int(info) != 0:
+        return torch.full_like(best, torch.nan)
+    return torch.cholesky_inverse(chol).diagonal().sqrt()

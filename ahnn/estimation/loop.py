@@ -1,0 +1,82 @@
+"""The loop of a Gaussian filter over time, with a model of its own in each step, and what is kept of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+from torch import Tensor
+
+from ahnn.estimation import kernel as decisions
+from ahnn.estimation.estimator import Kernel, Sensor
+from ahnn.estimation.records import Step, collected
+from ahnn.estimation.results import FilterResult
+from ahnn.estimation.state import FilterState
+from ahnn.estimation.steps import Grid
+from ahnn.types import Flow
+
+
+class StepModel(NamedTuple):
+    """What a filter is told about one step.
+
+    Attributes:
+        flow: the process model.
+        chol_q: (B, D, D) factor of the process noise.
+        sensor: of the row at the end of the step.
+    """
+
+    flow: Flow
+    chol_q: Tensor
+    sensor: Sensor
+
+
+class Stepper(Protocol):
+    """The steps of one run."""
+
+    def __call__(
+        self, k: int, state: FilterState, row: Tensor | None, model: StepModel, length: float, time: Tensor
+    ) -> tuple[FilterState, Step]:
+        """Return the state after step k, which ends at `time`, and its record; no row is None."""
+        ...
+
+
+def stepper(kernel: Kernel, *, smoothing: bool) -> Stepper:
+    """Return the steps of a kernel; with the laws that a smoother needs, if asked for."""
+
+    def step(
+        k: int,  # noqa: ARG001
+        state: FilterState,
+        row: Tensor | None,
+        model: StepModel,
+        length: float,
+        time: Tensor,
+    ) -> tuple[FilterState, Step]:
+        flow, chol_q, sensor = model
+        after, backward = decisions.predict(state, kernel, flow, length, time, chol_q, smoothing=smoothing)
+        predicted, updated, rejected = after.belief, None, None
+        if row is not None:
+            after, updated, rejected = decisions.update(after, kernel, row, sensor)
+        return after, Step(predicted, after.belief, updated, rejected, backward)
+
+    return step
+
+
+def run(
+    before: FilterState, rows: Tensor, grid: Grid, models: Callable[[int], StepModel], step: Stepper
+) -> FilterResult:
+    """Filter the rows (B, T, M) from a state on; arguments are checked.
+
+    Args:
+        before: the state at the start.
+        rows: measurements, NaN where a component is missing.
+        grid: T steps.
+        models: gives the model of step k, from 0.
+        step: of the filter.
+    """
+    empty = rows.isnan().all(-1).all(0).tolist()
+    after, records = before, []
+    for k, (length, time) in enumerate(zip(*grid, strict=True)):
+        row = None if empty[k] else rows[:, k]
+        after, record = step(k, after, row, models(k), length, time)
+        records.append(record)
+    return collected(records, before, after, rows)

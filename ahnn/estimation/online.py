@@ -1,0 +1,80 @@
+"""An estimator with a learned flow as an online process: Q of a step of any length, with or without memory.
+
+What is fitted belongs to one sampling interval h of the training data. Over a step dt it is taken as white
+noise of the same rate, Q dt / h; a force error with memory has a law for any step.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from functools import lru_cache
+from typing import Any
+
+import torch
+from safetensors.torch import save
+from torch import Tensor, nn
+
+from ahnn.dynamics.recorded import recorded
+from ahnn.estimation.covariances import Factor, covariance_factor
+from ahnn.estimation.estimator import Recursive
+from ahnn.estimation.force_error import ForceError
+from ahnn.estimation.parameter_error import ParameterError
+from ahnn.estimation.process import Process
+from ahnn.numbers import Numbers
+from ahnn.types import Flow
+
+LENGTHS = 1000
+"""Lengths of steps whose factors are kept."""
+
+
+def online_process(
+    estimator: Recursive[Any],
+    flow: Flow,
+    interval: float,
+    process_noise: Numbers,
+    force_error: ForceError | ParameterError | None = None,
+    about: dict[str, Any] | None = None,
+) -> Process:
+    """Return the online process of an estimator.
+
+    Args:
+        estimator: with its gate.
+        flow: the process model, for steps of up to `interval`.
+        interval: h, the longest step, and the one that `process_noise` is of.
+        process_noise: Q of one step of h, (D, D).
+        force_error: of the force, relative and with memory, or of the parameters, besides Q.
+        about: plain values that say what the flow is; a saved state is of no other.
+
+    Raises:
+        ValueError: Q is no covariance.
+    """
+    q = torch.as_tensor(process_noise, dtype=torch.float64)
+    chol = covariance_factor(q, "process_noise", batch=1, size=q.shape[-1], definite=False)
+    known = {
+        **(about or {}),
+        **estimator.about,
+        "process_noise": q.tolist(),
+        "force_error": None if force_error is None else force_error.about,
+    }
+    if force_error is None:
+        noise = lru_cache(LENGTHS)(lambda dt: Factor(math.sqrt(dt / interval) * chol))
+        return Process(estimator, recorded(flow), noise, interval, about=known)
+    error = force_error
+    noise = lru_cache(LENGTHS)(lambda dt: _augmented(math.sqrt(dt / interval) * chol, error, dt))
+    lifted, seen = error.belief, error.measurement
+    return Process(estimator, error.flow(recorded(flow)), noise, interval, lifted, seen, known)
+
+
+def weights_hash(flow: Flow) -> str:
+    """Return the hash of the weights of a flow, "" of one that has none."""
+    if not isinstance(flow, nn.Module):
+        return ""
+    parts = {name: part.contiguous() for name, part in flow.state_dict().items()}
+    return hashlib.blake2b(save(parts), digest_size=16).hexdigest()
+
+
+def _augmented(chol: Tensor, error: ForceError | ParameterError, dt: float) -> Factor:
+    """Return the factor of Q of augmented states over a step dt, from that of the state alone."""
+    own = error.process_noise(torch.zeros_like(chol), dt)[len(chol) :, len(chol) :].sqrt()
+    return Factor(torch.block_diag(chol, own))

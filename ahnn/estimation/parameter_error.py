@@ -1,0 +1,102 @@
+"""Learned parameters as states: a filter knows them as well as their covariance says, and learns on.
+
+The field is f(x) + C(x) eta, with eta the distances along directions in which the parameters are uncertain,
+unknown and constant, N(0, I) before anything is measured. A step is half of what C(x) eta adds, the flow, and
+the other half (Strang splitting). There is no process noise: what a learned force is off by repeats itself on
+every orbit, and measurements tell it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple, cast
+
+import torch
+from torch import Tensor
+from torch.nn.utils import parameters_to_vector
+
+from ahnn.dynamics import Dynamics, HasField
+from ahnn.dynamics.derivatives import field_jacobian
+from ahnn.estimation.belief import Belief
+from ahnn.estimation.force_error import OfStates
+from ahnn.measurements.base import Measurement
+from ahnn.types import Flow, TimeStep
+
+
+class ParameterError(NamedTuple):
+    """Directions of the parameters as states of a filter; augmented states are (x, eta), shape (..., D + K).
+
+    Attributes:
+        columns: x (..., D) -> C(x), (..., D, K).
+        added: K.
+        size: standard deviation of each component of eta, a number or (B,).
+        left_out: what other directions add to the NEES of a filter, at most.
+        name: tells these directions from others: a saved filter is of no others.
+    """
+
+    columns: Callable[[Tensor], Tensor]
+    added: int
+    size: Tensor | float = 1.0
+    left_out: float = 0.0
+    name: str = ""
+
+    @property
+    def about(self) -> list[float | str]:
+        """Plain values that tell one error from another, of the same weights."""
+        return [float(self.added), float(self.size), self.name]
+
+    def numbers(self, states: Tensor) -> Tensor:
+        """Return numbers that tell one error from another, at states (B, T, D)."""
+        return torch.cat(
+            (
+                torch.tensor([float(self.added), float(self.size)]),
+                self.columns(states[:1, 0]).flatten().float(),
+            )
+        )
+
+    def belief(self, belief: Belief) -> Belief:
+        """Return the augmented belief, parameters independent of the state."""
+        mean, chol = belief
+        (batch, size), count = mean.shape, self.added
+        own = torch.as_tensor(self.size, dtype=mean.dtype, device=mean.device).expand(batch)
+        both = chol.new_zeros(batch, size + count, size + count)
+        both[:, :size, :size] = chol
+        both[:, size:, size:] = own[:, None, None] * torch.eye(count, dtype=mean.dtype, device=mean.device)
+        return Belief(torch.nn.functional.pad(mean, (0, count)), both)
+
+    def flow(self, flow: Flow) -> Flow:
+        """Return the flow of augmented states."""
+
+        def augmented(x: Tensor, dt: TimeStep) -> Tensor:
+            state, eta = x[..., : -self.added], x[..., -self.added :]
+            half = 0.5 * (dt.unsqueeze(-1) if isinstance(dt, Tensor) else dt)
+
+            def pushed(x: Tensor) -> Tensor:
+                return x + half * (self.columns(x) @ eta.unsqueeze(-1)).squeeze(-1)
+
+            return torch.cat((pushed(flow(pushed(state), dt)), eta), dim=-1)
+
+        return augmented
+
+    def process_noise(self, additive: Tensor, dt: float) -> Tensor:
+        """Return Q of one step of augmented states, whose parameters are constant."""
+        del dt
+        return torch.nn.functional.pad(additive, (0, self.added, 0, self.added))
+
+    def measurement(self, measurement: Measurement) -> Measurement:
+        """Return a measurement model of augmented states: it sees their first D components."""
+        return OfStates(measurement, lambda x: x[..., : -self.added])
+
+
+def field_columns(dynamics: Dynamics, directions: Tensor) -> Callable[[Tensor], Tensor]:
+    """Return x (..., D) -> how the field moves along directions (P, K) of the parameters, (..., D, K)."""
+    theta = parameters_to_vector(dynamics.parameters()).detach()
+    forcing, along = field_jacobian(cast(HasField, dynamics)), directions.float()
+
+    @torch.no_grad()
+    def columns(x: Tensor) -> Tensor:
+        learned = (forcing(theta, x) @ along).to(x)
+        known = learned.new_zeros(*x.shape[:-1], x.shape[-1] - learned.shape[-2], learned.shape[-1])
+        return torch.cat((known, learned), dim=-2)
+
+    return columns

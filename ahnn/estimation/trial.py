@@ -1,0 +1,132 @@
+"""An estimator as an evaluation tries it: a process model with its constants, run on a problem."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ahnn.dynamics.transition import transition
+from ahnn.estimation.batch import BatchResult, batch_least_squares
+from ahnn.estimation.covariances import initial_belief
+from ahnn.estimation.estimator import Batch, Estimator, Smoothed
+from ahnn.estimation.force_error import ForceError, of_states, smoothed_states
+from ahnn.estimation.parameter_error import ParameterError
+from ahnn.estimation.results import FilterResult
+from ahnn.estimation.scenario import Problem, Setting
+from ahnn.progress import progress_bar
+from ahnn.types import Flow, TimeStep
+
+
+class Filter(NamedTuple):
+    """A process model, what it is believed to be worth, and the estimator that takes it.
+
+    Attributes:
+        name: in tables.
+        flow: the process model.
+        process_noise: Q of one step, (D, D) or (B, D, D).
+        measurement_noise: R, (M, M) or (B, M, M).
+        estimator: with its gate.
+        force_error: of the force, relative and with memory, or of the parameters, besides Q; None for none.
+    """
+
+    name: str
+    flow: Flow
+    process_noise: Tensor
+    measurement_noise: Tensor
+    estimator: Estimator
+    force_error: ForceError | ParameterError | None = None
+
+    def scaled(self, q: Tensor | float, r: Tensor | float = 1.0) -> Filter:
+        """Return the filter with factors of all its process noise and of R, numbers or (B,)."""
+        error = self.force_error
+        return self._replace(
+            process_noise=_times(q, self.process_noise),
+            measurement_noise=_times(r, self.measurement_noise),
+            force_error=None if error is None else error._replace(size=q**0.5 * error.size),
+        )
+
+
+def _times(factor: Tensor | float, matrix: Tensor) -> Tensor:
+    return matrix * (factor[:, None, None] if isinstance(factor, Tensor) else factor)
+
+
+def assimilate(chosen: Filter, setting: Setting, problem: Problem) -> FilterResult:
+    """Run a filter on a problem."""
+    result = chosen.estimator.run(*_batch(chosen, setting, problem))
+    return result if chosen.force_error is None else of_states(result, problem.truth.shape[-1])
+
+
+class Behind(NamedTuple):
+    """Estimators that know all measurements, beside a filter.
+
+    Attributes:
+        smoothed: by the smoothers that are asked for, by name.
+        batch: by batch least squares, which takes the flow as exact; None where it is not asked for.
+    """
+
+    smoothed: dict[str, Smoothed]
+    batch: BatchResult | None = None
+
+
+def assimilate_all(
+    chosen: Filter, setting: Setting, problem: Problem, smoothers: Sequence[str], *, batch: bool = False
+) -> tuple[FilterResult, Behind]:
+    """Run a filter on a problem, the smoothers behind it, and what else is asked for.
+
+    Rows that the gate of the filter refused count for none of them.
+    """
+    model, known = _batch(chosen, setting, problem), chosen.estimator.smoothers
+    result = chosen.estimator.run(*model, smoothing=bool(smoothers))
+    behind = {name: known[name](result, model) for name in smoothers}
+    if chosen.force_error is not None:
+        size = problem.truth.shape[-1]
+        result = of_states(result, size)
+        behind = {k: s._replace(beliefs=smoothed_states(s.beliefs, size)) for k, s in behind.items()}
+    if not batch:
+        return result, Behind(behind)
+    belief = initial_belief(problem.starts, setting.start_covariance)
+    rows = problem.measurements.masked_fill(result.rejected.unsqueeze(-1), torch.nan)
+    noise = chosen.measurement_noise
+    fit = batch_least_squares(chosen.flow, belief, rows, setting.measurement, noise, problem.dt)
+    return result, Behind(behind, fit)
+
+
+def _batch(chosen: Filter, setting: Setting, problem: Problem) -> Batch:
+    """Return what an estimator is given first: the states themselves, or augmented by an error."""
+    belief, rows = initial_belief(problem.starts, setting.start_covariance), problem.measurements
+    q, r, error = chosen.process_noise, chosen.measurement_noise, chosen.force_error
+    if error is None:
+        return Batch(chosen.flow, belief, rows, setting.measurement, q, r, problem.dt)
+    flow, measurement = error.flow(chosen.flow), error.measurement(setting.measurement)
+    q = error.process_noise(q, problem.dt)
+    return Batch(flow, error.belief(belief), rows, measurement, q, r, problem.dt)
+
+
+@contextmanager
+def shown(flow: Flow, description: str, calls: int) -> Iterator[Flow]:
+    """Give a flow that moves a progress bar at each of its `calls` calls."""
+    with progress_bar() as bar:
+        task = bar.add_task(description, total=calls)
+
+        yield _Shown(flow, lambda: bar.advance(task))
+
+
+class _Shown(NamedTuple):
+    """A flow that says when it is called."""
+
+    flow: Flow
+    advance: Callable[[], None]
+
+    def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
+        """Return the states after dt."""
+        self.advance()
+        return self.flow(x, dt)
+
+    def transition(self, x: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+        """Return the states after dt, and the state transitions."""
+        self.advance()
+        return transition(self.flow, x, dt)

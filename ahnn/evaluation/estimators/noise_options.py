@@ -1,0 +1,219 @@
+"""From the option `process_noise` of the plugin to a filter that has it, and where it comes from."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, cast
+
+import torch
+from torch import Tensor
+
+from ahnn.arguments import Positive, Within, check_arguments, checked
+from ahnn.deviations import require_squares
+from ahnn.dynamics import Dynamics
+from ahnn.errors import UserError
+from ahnn.estimation.force_error import ForceError
+from ahnn.estimation.force_error_fit import fitted_force_error
+from ahnn.estimation.parameter_error import ParameterError
+from ahnn.estimation.process_noise import fitted_process_noise
+from ahnn.estimation.scenario import Problem, Setting
+from ahnn.estimation.trial import Filter
+from ahnn.evaluation import Case
+from ahnn.evaluation.estimators.learned_parameters import ENOUGH, parameters_as_states, simulated_filter
+from ahnn.systems import System
+from ahnn.types import Flow, Space
+from ahnn.uncertainty import Uncertainty, growth
+from ahnn.uncertainty.directions import MOST, Chosen, filtered_directions
+
+log = logging.getLogger(__name__)
+
+FITTED_ON, FORCE_FITTED_ON = 20, 100
+"""Validation trajectories on which the scale of Q, and that of a force error, is chosen."""
+
+Deviation = Annotated[float, Within(0)]
+Noise = tuple[Tensor, ForceError | ParameterError | None]
+"""Q of one step, (D, D), and the error of the force or of the parameters besides."""
+
+
+@checked
+@dataclass(frozen=True)
+class ForceOptions:
+    """A relative force error with memory; what is None is fitted to validation data.
+
+    Attributes:
+        size: standard deviation, as a fraction of the force.
+        memory: time constant, in the unit of the system.
+    """
+
+    size: Positive | None = None
+    memory: Positive | None = None
+
+    def added(self, dof: int) -> int:
+        """Return how many components a state has more."""
+        return dof
+
+
+class ParameterOptions:
+    """The learned parameters as states, known as their covariance says."""
+
+    def added(self, dof: int) -> int:
+        """Return how many components a state has more, at most."""
+        del dof
+        return MOST
+
+
+NoiseOption = Literal["fitted"] | tuple[Deviation, Deviation] | ForceOptions | ParameterOptions
+GivenNoise = (
+    Literal["fitted", "force_error", "parameter_error"] | tuple[Deviation, Deviation] | dict[str, Any]
+)
+
+
+def noise_option(given: GivenNoise) -> NoiseOption:
+    """Return the option as its own type; raises UserError for unknown or wrong keys of a force error."""
+    if isinstance(given, dict):
+        check_arguments("process_noise", ForceOptions, given)
+        return ForceOptions(**given)
+    if given == "parameter_error":
+        return ParameterOptions()
+    return ForceOptions() if given == "force_error" else given
+
+
+def without_parameters(option: NoiseOption) -> NoiseOption:
+    """Return the option for a flow that has no learned parameters: a force error in their place."""
+    return ForceOptions() if isinstance(option, ParameterOptions) else option
+
+
+def given_noise(
+    option: NoiseOption,
+    space: Space,
+    growth: Callable[[Tensor], Tensor] | None = None,
+    flow: Flow | None = None,
+    known: Uncertainty | None = None,
+) -> Noise | None:
+    """Return Q of a step and the error besides where option or training say all of it, None where data must.
+
+    Args:
+        option: see `noise_option`.
+        space: what the numbers of a state mean.
+        growth: factor (...) on the error at states (..., D); None is 1 everywhere.
+        flow: the model.
+        known: covariance of its parameters, if it is known.
+
+    Raises:
+        UserError: a training that did not keep which parameters a filter tells least.
+    """
+    nothing = torch.zeros(2 * space.dof, 2 * space.dof, dtype=torch.float64)
+    if isinstance(option, ParameterOptions) and known is not None:
+        return nothing, online_parameters(flow, known, growth)
+    if isinstance(option, ForceOptions):
+        if option.size is None or option.memory is None:
+            return None
+        return nothing, ForceError(option.size, option.memory, space.inertia, growth)
+    if isinstance(option, str | ParameterOptions):
+        return None
+    return given_covariance(option, space), None
+
+
+def online_parameters(
+    flow: Flow | None, uncertainty: Uncertainty, growth: Callable[[Tensor], Tensor] | None
+) -> ParameterError:
+    """Return learned parameters as states, in the directions that the training kept; raises UserError."""
+    dynamics, known = uncertainty.before or (cast(Dynamics, flow), uncertainty)
+    if known.directions is None:
+        message = (
+            "process_noise: expected a training that kept which of its parameters measurements tell least; "
+            "received one of an earlier version, or that met no measurements. Train again, or use plugins=ukf"
+        )
+        raise UserError(message)
+    return parameters_as_states(dynamics, Chosen(known.directions, 0.0), growth)
+
+
+def given_covariance(deviations: tuple[float, float], space: Space) -> Tensor:
+    """Return Q, (D, D), of standard deviations of positions and velocities."""
+    position, velocity = deviations
+    blocks = torch.tensor([position, velocity * space.divisor], dtype=torch.float64)
+    require_squares(blocks[blocks > 0], "process_noise")
+    return torch.diag(blocks.repeat_interleave(space.dof) ** 2)
+
+
+def with_process_noise(
+    option: NoiseOption,
+    plain: Filter,
+    case: Case,
+    setting: Setting,
+    arcs: Callable[[int], Problem],
+    rate: float | None = None,
+) -> tuple[Filter, dict[str, Any]]:
+    """Return a filter with the process noise of its model, and where that comes from, as plain values.
+
+    Where parameters are asked for whose covariance is not known, a force error takes their place, aloud.
+
+    Args:
+        option: see `noise_option`.
+        plain: the filter, without process noise.
+        case: the model.
+        setting: measurements and P0.
+        arcs: gives so many whole validation trajectories, on which a scale is chosen.
+        rate: by which a force error grows with the square of novelty - 1; None lets it not.
+
+    Raises:
+        UserError: the model does not say where its training data were.
+    """
+    if isinstance(option, ParameterOptions) and case.uncertainty is None:
+        log.warning(
+            "process_noise: parameter_error takes a covariance of the parameters, which trainings on "
+            "measurements leave where they explain them; there is none: force_error takes its place"
+        )
+        option = ForceOptions()
+    if isinstance(option, ParameterOptions):
+        assert case.uncertainty is not None
+        dynamics, known = case.uncertainty.before or (cast(Dynamics, case.flow), case.uncertainty)
+        chosen = filtered_directions(dynamics, known.spread, simulated_filter(case, setting), MOST, ENOUGH)
+        error = parameters_as_states(dynamics, chosen, grown(case.novelty, rate))
+        about = {"from": "parameter_error", "directions": error.added, "left_out": error.left_out}
+        about["novelty"] = rate
+        return plain._replace(force_error=error), about
+    if isinstance(option, ForceOptions):
+        given = {"size": option.size, "memory": option.memory, "growth": grown(case.novelty, rate)}
+        tried, inertia = arcs(FORCE_FITTED_ON), case.space.inertia
+        fit = fitted_force_error(plain, setting, tried, case.validation, inertia, **given)
+        told = {"size": float(fit.error.size), "memory": float(fit.error.memory)}
+        about = {"from": "force_error", **told, "scale": fit.scale, "nees_of_scales": list(fit.nees)}
+        about["novelty"] = rate
+        # A variance of zero would end every member.
+        return plain._replace(force_error=fit.error if told["size"] > 0.0 else None), about
+    if isinstance(option, str):
+        fitted = fitted_process_noise(plain, setting, arcs(FITTED_ON), case.validation)
+        q = fitted.covariance
+        about = {"from": "fitted", "scale": fitted.scale, "nees_of_scales": list(fitted.nees)}
+    else:
+        q = given_covariance(option, case.space)
+        about = {"from": "given"}
+    return plain._replace(process_noise=q), {**about, "step_sd": q.diagonal().sqrt().tolist()}
+
+
+def grown(
+    novelty: Callable[[Tensor], Tensor] | None, rate: float | None
+) -> Callable[[Tensor], Tensor] | None:
+    """Return the factor on the error of a force at a state; raises UserError where novelty is not known."""
+    if rate is None:
+        return None
+    if novelty is None:
+        message = "novelty: expected weights that say where they were trained; received others"
+        raise UserError(message)
+    return lambda x: growth(novelty(x), rate)
+
+
+def require_truth(option: NoiseOption, truth: System | None) -> None:
+    """Refuse a process noise that is fitted to true states where nobody knows them; raises UserError."""
+    if truth is None:
+        received = {"ForceOptions": "force_error", "ParameterOptions": "no covariance of the parameters"}
+        message = (
+            "process_noise: expected parameter_error, after a training on measurements, or standard "
+            "deviations, for data whose true states are not known; received "
+            f"{received.get(type(option).__name__, option)}. Use plugins=ukf_parameter_error or "
+            "plugins.ukf.process_noise=[POSITION,VELOCITY]"
+        )
+        raise UserError(message)

@@ -1,0 +1,247 @@
+"""What became of one filter on one scenario: estimates, consistency, rows of the table, numbers."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from ahnn.estimation.batch import BatchResult
+from ahnn.estimation.belief import Status
+from ahnn.estimation.consistency import (
+    GAUSSIAN,
+    band,
+    coverage,
+    deviations,
+    nees,
+    share_within,
+)
+from ahnn.estimation.estimator import Smoothed
+from ahnn.estimation.judged import Judged, judged_nees, judged_nis
+from ahnn.estimation.results import FilterResult
+from ahnn.estimation.scenario import Problem, Setting
+from ahnn.estimation.state import initial_state
+from ahnn.evaluation import Case, Row, Who
+from ahnn.evaluation.titles import title
+from ahnn.labels import quantity
+from ahnn.metrics import Scores
+from ahnn.types import Space
+
+BATCH = "batch_least_squares"
+
+
+class Outcome(NamedTuple):
+    """A filter, or its smoother, on the test trajectories of one scenario.
+
+    Attributes:
+        who: identity of its row over the whole arc.
+        estimate: (B, T + 1, D) after updates, the start first; NaN where a member is lost.
+        chol: (B, T + 1, D, D) lower factors of what the filter believes its error to be.
+        nees: (B, T + 1).
+        first: sample of the first update.
+        result: of the filter.
+        more: numbers of this estimator alone.
+    """
+
+    who: Who
+    estimate: Tensor
+    chol: Tensor
+    nees: Tensor
+    first: int
+    result: FilterResult
+    more: dict[str, Any] = {}  # noqa: RUF012 - never written to
+
+    @property
+    def lost(self) -> int:
+        """Number of members whose status is not OK."""
+        return int((self.result.status != Status.OK).sum())
+
+
+def filtered(who: Who, setting: Setting, problem: Problem, result: FilterResult) -> Outcome:
+    """Return the outcome of a filter."""
+    return _outcome(who, (result.means, result.chols), setting, problem, result)
+
+
+def smoothed(
+    who: Who, setting: Setting, problem: Problem, result: FilterResult, name: str, found: Smoothed
+) -> Outcome:
+    """Return the outcome of the smoother of this name behind a filter."""
+    behind, (beliefs, more) = who._replace(estimator=f"{who.estimator}_{name}"), found
+    result = result._replace(initial=beliefs.initial, backward=None)
+    return _outcome(behind, (beliefs.means, beliefs.chols), setting, problem, result)._replace(more=more)
+
+
+def fitted(who: Who, setting: Setting, problem: Problem, fit: BatchResult) -> Outcome:
+    """Return the outcome of batch least squares, which has no innovations."""
+    initial, means, chols, cost, measured, status, settled = fit
+    nothing = torch.full_like(problem.measurements, torch.nan)
+    result = FilterResult(
+        initial=initial,
+        means=means,
+        chols=chols,
+        predicted_means=means,
+        predicted_chols=chols,
+        innovations=nothing,
+        nis=nothing[..., 0],
+        measured=measured,
+        rejected=torch.zeros_like(measured, dtype=torch.bool),
+        log_likelihood=nothing[:, 0, 0],
+        status=status,
+        failed_step=torch.where(status == Status.OK, -1, 0),
+        repairs=torch.zeros_like(status),
+        backward=None,
+        state=initial_state(initial),
+    )
+    outcome = _outcome(who._replace(estimator=BATCH), (means, chols), setting, problem, result)
+    there = status == Status.OK
+    more = {
+        "chi_square_per_number": float(cost[there].sum() / measured[there].sum().clamp(min=1)),
+        "unsettled": int((~settled & there).sum()),
+    }
+    return outcome._replace(more=more)
+
+
+def _outcome(
+    who: Who, moments: tuple[Tensor, Tensor], setting: Setting, problem: Problem, result: FilterResult
+) -> Outcome:
+    means, chols = moments
+    estimate = torch.cat((result.initial.mean[:, None], means), dim=1)
+    chol = torch.cat((result.initial.chol[:, None], chols), dim=1)
+    measured = (result.measured > 0).any(0).nonzero().flatten().tolist()
+    # What was due may have been out of view.
+    first = measured[0] + 1 if measured else setting.first
+    return Outcome(who, estimate, chol, nees(estimate - problem.truth, chol), first, result)
+
+
+def rows(outcome: Outcome, case: Case, without: Scores | None) -> list[Row]:
+    """Return the lines of an outcome: over the whole arc, and from the first update on.
+
+    Args:
+        outcome: of a filter.
+        case: the model.
+        without: scores of the same start without a filter, to say why a filter is worse; None skips that.
+    """
+    whole, extra = case.score(outcome.estimate), {"lost": outcome.lost}
+    settled = case.score(outcome.estimate, outcome.first)
+    return [
+        Row(outcome.who, whole, _remark(outcome, whole, without, case.space), extra),
+        Row(outcome.who._replace(span="settled"), settled, _consistency_remark(outcome, case), extra),
+    ]
+
+
+def name(outcome: Outcome, case: Case) -> str:
+    """Return the name of an outcome in pictures."""
+    return title(outcome.who, case.label)
+
+
+def _remark(outcome: Outcome, whole: Scores, without: Scores | None, space: Space) -> str:
+    """Say which members were lost or saw nothing, and why the filter is worse than none where it is."""
+    remarks = []
+    if outcome.lost:
+        codes = {Status(int(s)).name.lower().replace("_", " ") for s in outcome.result.status if int(s)}
+        remarks.append(f"{outcome.lost} of {len(outcome.nees)} lost ({', '.join(sorted(codes))})")
+    unmeasured = int((outcome.result.measured == 0).all(-1).sum())
+    if unmeasured:
+        remarks.append(f"{unmeasured} of {len(outcome.nees)} without any measurement")
+    if outcome.more.get("unsettled"):
+        remarks.append(f"{outcome.more['unsettled']} of {len(outcome.nees)} have not settled")
+    worse = [] if without is None else _worse(whole, without, space)
+    if worse:
+        mean, (low, high) = _nees(outcome)
+        if outcome.lost:
+            reason = "lost members"
+        elif outcome.who.start == "true" and mean <= high:
+            reason = "the start is exact, measurements are not"
+        else:
+            reason = "overconfident" if mean > high else "cautious" if mean < low else "measurement noise"
+        where = "" if len(worse) == 2 else f" in {worse[0]}"
+        remarks.append(f"worse than no filter{where}: {reason}")
+    return "; ".join(remarks)
+
+
+def _worse(scores: Scores, without: Scores, space: Space) -> list[str]:
+    """Return which of position and velocity a filter makes worse."""
+    names = ("position", "velocity")
+    return [quantity(space, n)[0] for n in names if not getattr(scores, n) <= getattr(without, n)]
+
+
+def _consistency_remark(outcome: Outcome, case: Case) -> str:
+    """Say how the means of NEES and NIS lie to their bands, over times from the first update on.
+
+    And that of the NEES in each phase of the motion in which it lies outside.
+    """
+    if not bool((outcome.result.measured > 0).any()):
+        return "nothing was measured"
+    if outcome.lost == len(outcome.nees):
+        return ""
+    parts, nis = [f"NEES {_nees(outcome)}"], judged_nis(outcome.result)
+    if not math.isnan(nis.mean):
+        parts.append(f"NIS {nis}")
+    parts += [f"NEES {name} {mean}" for name, mean in _phases(outcome, case).items() if not mean.inside]
+    return ", ".join(parts)
+
+
+def _nees(outcome: Outcome) -> Judged:
+    """Return the mean NEES over members and times from the first update on."""
+    return judged_nees(outcome.nees[:, outcome.first :], outcome.estimate.shape[-1])
+
+
+def _phases(outcome: Outcome, case: Case) -> dict[str, Judged]:
+    """Return the mean NEES, from the first update on, in each phase of the motion that occurs."""
+    if case.truth is None:
+        return {}
+    first, size = outcome.first, outcome.estimate.shape[-1]
+    judged = {}
+    for phase, part in case.truth.phases(case.test.states).items():
+        values = outcome.nees.masked_fill(~part, torch.nan)[:, first:]
+        if bool(values.isfinite().any()):
+            judged[phase] = judged_nees(values, size)
+    return judged
+
+
+def numbers(outcome: Outcome, case: Case) -> dict[str, Any]:
+    """Return everything that metrics.json says of an outcome, as plain values.
+
+    Means run over trajectories and over times from the first update on; `band_95` is where such a mean lies
+    for a consistent filter. `in_band` is the fraction of times at which the mean over trajectories alone lies
+    in its own band, `one_time_band_95`. `nees_of_phases` are those of `System.phases`,
+    `nees_of_start` is that at time zero alone.
+    """
+    result, first = outcome.result, outcome.first
+    error = outcome.estimate - case.test.states
+    after = slice(first, None)
+    members = len(outcome.nees) - outcome.lost
+    width = result.innovations.shape[-1]
+    kept = result.nis.masked_fill(result.rejected, torch.nan)
+    one_time = {"nees": band(error.shape[-1], members), "nis": band(width, members)}
+    shares = coverage(error[:, after], deviations(outcome.chol[:, after]))
+    return {
+        "whole_arc": case.score(outcome.estimate)._asdict(),
+        "from_first_update": case.score(outcome.estimate, first)._asdict(),
+        "nees": _series(outcome.nees[:, after], _nees(outcome), one_time["nees"]),
+        "nees_of_start": _plain(judged_nees(outcome.nees[:, :1], error.shape[-1])),
+        "nees_of_phases": {name: _plain(mean) for name, mean in _phases(outcome, case).items()},
+        "nis": _series(kept, judged_nis(result), one_time["nis"]),
+        "coverage": {f"{k}_sigma": {"share": shares[k], "gaussian": p} for k, p in GAUSSIAN.items()},
+        "status": {status.name: int((result.status == status).sum()) for status in Status},
+        "failed_steps": result.failed_step[result.failed_step >= 0].tolist(),
+        "repairs": int(result.repairs.sum()),
+        "rejected_measurements": int(result.rejected.sum()),
+        "log_likelihood": float(result.log_likelihood.mean()),
+        **outcome.more,
+    }
+
+
+def _series(values: Tensor, judged: Judged, one_time: tuple[float, float]) -> dict[str, Any]:
+    """Return mean, bands and fraction of times in the band of values (B, T)."""
+    series = values.nanmean(0)
+    return _plain(judged) | {
+        "one_time_band_95": list(one_time),
+        "in_band": share_within(series, one_time),
+    }
+
+
+def _plain(judged: Judged) -> dict[str, Any]:
+    return {"mean": judged.mean, "band_95": list(judged.limits)}

@@ -1,0 +1,279 @@
+"""An estimator as an evaluation of a trained model: the group `plugins` of a configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Annotated, Any, Literal, cast
+
+import torch
+from torch import Tensor
+
+from ahnn.arguments import Count, Positive, Within, checked
+from ahnn.errors import UserError
+from ahnn.estimation.estimator import Estimator
+from ahnn.estimation.gate import Gate
+from ahnn.estimation.online import online_process, weights_hash
+from ahnn.estimation.process import Process
+from ahnn.estimation.scenario import Problem, Setting, perturbed_arcs, simulated
+from ahnn.estimation.setting import make_setting, near_system, require_measurement
+from ahnn.estimation.trial import Filter, assimilate, assimilate_all, shown
+from ahnn.evaluation.case import Case, Findings, Start, Who
+from ahnn.evaluation.estimators.figures import filter_figures
+from ahnn.evaluation.estimators.noise_options import (
+    ForceOptions,
+    GivenNoise,
+    Noise,
+    NoiseOption,
+    ParameterOptions,
+    given_noise,
+    grown,
+    noise_option,
+    require_truth,
+    with_process_noise,
+    without_parameters,
+)
+from ahnn.evaluation.estimators.outcome import Outcome, filtered, fitted, numbers, rows, smoothed
+from ahnn.evaluation.estimators.probe import require_possible
+from ahnn.evaluation.estimators.series import moving_averages
+from ahnn.evaluation.titles import MODEL, described, estimator_title
+from ahnn.measurements import Measurement
+from ahnn.rollouts import rollout
+from ahnn.systems import System, exact_flow
+from ahnn.types import Flow, Space
+from ahnn.uncertainty import Uncertainty
+
+
+@checked
+class EstimatorEvaluation:
+    """An estimator with the model as its process model, beside one with the exact dynamics.
+
+    Two scenarios, `true` and `perturbed` start, see noisy measurements of the test trajectories; the noise is
+    drawn from the seed alone, so that all models, and all estimators, see the same.
+
+    Args:
+        estimator: without gate.
+        cadence: steps between two measurements.
+        times: of the measurements, in place of a cadence; None takes the cadence.
+        measurement: what is measured: `position`, `state`, or a model of its own.
+        measurement_sd: standard deviation of each measured component, or one for all; None takes the system's
+            own for positions.
+        start_sd: standard deviations of the initial error [position, velocity], for P0; None takes the
+            system's own, those that perturbed starts are drawn with.
+        process_noise: `fitted` to validation data; standard deviations [position, velocity] of the error
+            of one step; `force_error`, relative and with memory, `{size: ..., memory: ...}` where one of
+            them is given; or `parameter_error`: the learned parameters are states of the filter, known as
+            their covariance says.
+        novelty: rate by which the force error grows with the square of novelty - 1, such as 500; None
+            lets it not. It needs `force_error` or `parameter_error`.
+        gate: probability beyond which a measurement is refused as an outlier; None takes all.
+        patience: refusals in a row after which a member has diverged.
+        smoother: whether to add the rows of the smoother; a name adds those of all smoothers up to it.
+        least_squares: whether to add the rows of batch least squares.
+        seed: of measurement noise and of the validation arcs.
+        beside: a system that is near the data where their own equations are not known: it filters beside the
+            model, with process noise of its own, and its defaults are taken.
+    """
+
+    def __init__(
+        self,
+        estimator: Estimator[Any],
+        *,
+        cadence: Count,
+        times: list[float] | None,
+        measurement: Measurement | dict[str, Any] | Literal["position", "state"],
+        measurement_sd: Positive | list[Positive] | None,
+        start_sd: tuple[Positive, Positive] | None,
+        process_noise: GivenNoise,
+        novelty: Annotated[float, Within(0)] | None = None,
+        gate: Annotated[float, Within(above=0, below=1)] | None,
+        patience: Count,
+        smoother: bool | str,
+        least_squares: bool,
+        seed: int,
+        beside: System | None = None,
+    ) -> None:
+        require_measurement(measurement)
+        self.beside, self.seed, self.least_squares = beside, seed, least_squares
+        self.estimator = estimator.gated(None if gate is None else Gate(gate, patience))
+        known = [*self.estimator.smoothers]
+        if isinstance(smoother, str) and smoother not in known:
+            message = f"smoother: expected true, false or one of {', '.join(known)}; received {smoother}"
+            raise UserError(message)
+        last = smoother if isinstance(smoother, str) else known[0]
+        self.smoothers = known[: known.index(last) + 1] if smoother else []
+        self.process_noise: NoiseOption = noise_option(process_noise)
+        self.novelty = novelty
+        if novelty is not None and not isinstance(self.process_noise, ForceOptions | ParameterOptions):
+            message = f"novelty: expected a force_error or parameter_error; received {process_noise}"
+            raise UserError(message)
+        self._setting = partial(
+            make_setting,
+            measurement=cast(Any, measurement),
+            measurement_sd=measurement_sd,
+            start_sd=start_sd,
+            cadence=cadence,
+            times=times,
+        )
+
+    def check(self, truth: System | None, space: Space, steps: int) -> None:
+        """Refuse what does not fit the data, before anything is trained on them.
+
+        Args:
+            truth: the system whose equations are known, or None.
+            space: what the numbers mean.
+            steps: of the shortest test trajectory.
+
+        Raises:
+            UserError: says which option.
+        """
+        system = near_system(truth, self.beside, space)
+        setting = self._setting(system, steps)
+        option = self.process_noise
+        added = option.added(system.dof) if isinstance(option, ForceOptions | ParameterOptions) else 0
+        self.require_constants(setting, steps, 2 * system.dof + added)
+        require_possible(setting, system, option, self.estimator)
+
+    def require_constants(self, setting: Setting, steps: int, size: int) -> None:
+        """Refuse constants of the estimator that do not fit states of at most so many components."""
+
+    def tried(
+        self, model: Filter, case: Case, setting: Setting, findings: Findings
+    ) -> list[tuple[Who, Filter]]:
+        """Return further filters of the model, such as a tuned one."""
+        del model, case, setting, findings
+        return []
+
+    @torch.no_grad()
+    def __call__(self, case: Case) -> Findings:
+        """Filter the test trajectories and report scores, consistency and figures."""
+        shortest = min(int(part.present.sum(-1).min()) - 1 for part in (case.test, case.validation))
+        self.check(case.truth, case.space, shortest)
+        setting = self._setting(near_system(case.truth, self.beside, case.space), shortest)
+        findings = Findings(numbers=self.settings(setting))
+        problems = self._problems(case, setting)
+        outcomes: list[Outcome] = []
+        for who, chosen in self._filters(case, setting, findings):
+            for start, problem in problems.items():
+                outcomes += self._outcomes(who._replace(start=start), chosen, case, setting, problem)
+        samples = case.test.states.shape[1]
+        without: dict[Start, Tensor] = {
+            start: rollout(case.flow, problem.starts, case.dt, samples) for start, problem in problems.items()
+        }
+        scores = {start: case.score(prediction) for start, prediction in without.items()}
+        findings.numbers["filters"] = {}
+        for outcome in outcomes:
+            who = outcome.who
+            findings.rows += rows(outcome, case, scores[who.start] if who.process == MODEL else None)
+            several = findings.numbers["filters"].setdefault(who.estimator, {})
+            entry = several.setdefault("floor" if who.floor else who.process, {})
+            entry[who.start] = numbers(outcome, case) | moving_averages(outcome, case)
+        findings.arrays, findings.figures = filter_figures(case, setting, outcomes, without)
+        return findings
+
+    def online(
+        self,
+        flow: Flow,
+        interval: float,
+        space: Space,
+        case: Callable[[], Case],
+        novelty: Callable[[Tensor], Tensor] | None = None,
+        known: Uncertainty | None = None,
+    ) -> Process:
+        """Return the estimator as an online process, its process noise as it is configured.
+
+        Args:
+            flow: the process model.
+            interval: sampling interval of the training data.
+            space: what the numbers mean.
+            case: gives the data that a process noise is fitted to; called only for that.
+            novelty: distance (...) of states (..., D) from the training data, where it is known.
+            known: covariance of the parameters, where it is known.
+
+        Raises:
+            UserError: the novelty is to count, and is not known; or nothing is known of the parameters.
+        """
+        noise = given_noise(self.process_noise, space, grown(novelty, self.novelty), flow, known)
+        if noise is None:
+            noise = self._found(case())
+        about = {"space": space.name, "flow": weights_hash(flow), "novelty": self.novelty}
+        return online_process(self.estimator, flow, interval, *noise, about)
+
+    @torch.no_grad()
+    def _found(self, case: Case) -> Noise:
+        """Return the process noise that is fitted to validation data."""
+        require_truth(self.process_noise, case.truth or self.beside)
+        shortest = int(case.validation.present.sum(-1).min()) - 1
+        setting = self._setting(near_system(case.truth, self.beside, case.space), shortest)
+        (_, model), *_ = self._filters(case, setting, Findings())
+        return model.process_noise, model.force_error
+
+    def _outcomes(
+        self, who: Who, chosen: Filter, case: Case, setting: Setting, problem: Problem
+    ) -> list[Outcome]:
+        """Return what becomes of a filter, and of its smoothers if asked for, in one scenario."""
+        with shown(chosen.flow, described(who, case.label), problem.measurements.shape[1]) as flow:
+            chosen = chosen._replace(flow=flow)
+            if not (self.smoothers or self.least_squares):
+                return [filtered(who, setting, problem, assimilate(chosen, setting, problem))]
+            options = self.smoothers, self.least_squares
+            result, behind = assimilate_all(chosen, setting, problem, options[0], batch=options[1])
+        outcomes = [filtered(who, setting, problem, result)]
+        outcomes += [smoothed(who, setting, problem, result, *found) for found in behind.smoothed.items()]
+        if behind.batch is not None:
+            outcomes.append(fitted(who, setting, problem, behind.batch))
+        return outcomes
+
+    def _filters(self, case: Case, setting: Setting, findings: Findings) -> list[tuple[Who, Filter]]:
+        """Return the filters of the table: the model's, further ones of it, and the floor."""
+        r, size = setting.measurement_noise, case.test.states.shape[-1]
+        nothing = torch.zeros(size, size, dtype=torch.float64)
+        name = self.estimator.name
+        plain = Filter(f"{case.label} + {estimator_title(name)}", case.flow, nothing, r, self.estimator)
+
+        def arcs(count: int) -> Problem:
+            return self.arcs(case, setting, count, None, self.seed + 1)
+
+        model, about = with_process_noise(self.process_noise, plain, case, setting, arcs, self.novelty)
+        findings.numbers["process_noise"] = about
+        filters = [(Who(MODEL, "true", name), model), *self.tried(model, case, setting, findings)]
+        if case.truth is not None:
+            exact = exact_flow(case.truth)
+            floor = plain._replace(name=f"exact flow + {estimator_title(name)}", flow=exact)
+            filters.append((Who("exact flow", "true", name, floor=True), floor))
+        if self.beside is not None:
+            other = f"{self.beside.name} + {estimator_title(name)}"
+            other = plain._replace(name=other, flow=exact_flow(self.beside))
+            option = without_parameters(self.process_noise)
+            other, about = with_process_noise(option, other, case, setting, arcs)
+            findings.numbers["process_noise_beside"] = about
+            filters.append((Who(self.beside.name, "true", name), other))
+        return filters
+
+    def arcs(self, case: Case, setting: Setting, count: int, steps: int | None, seed: int) -> Problem:
+        """Return arcs of at most so many validation trajectories; no row of the results is of them."""
+        count = min(count, len(case.validation.states))
+        return perturbed_arcs(setting, case.validation.states, _interval(case), count, steps, seed)
+
+    def _problems(self, case: Case, setting: Setting) -> dict[Start, Problem]:
+        """Return the scenarios; both see the same measurements."""
+        truth = case.test.states
+        dt = _interval(case)
+        measurements = simulated(setting, truth, dt, self.seed)
+        return {start: Problem(truth, x, measurements, dt) for start, x in case.starts().items()}
+
+    def settings(self, setting: Setting) -> dict[str, Any]:
+        """Return what was assumed, for metrics.json."""
+        return {
+            "updates": list(setting.updates),
+            "measured": list(setting.measurement.names),
+            "measurement_sd": setting.measurement_sd.tolist(),
+            "start_sd": setting.start_sd.tolist(),
+            "seed": self.seed,
+        }
+
+
+def _interval(case: Case) -> float:
+    """Return the one step of simulated trajectories."""
+    assert isinstance(case.dt, float), "simulated trajectories have one step"
+    return case.dt

@@ -1,0 +1,59 @@
+"""One step of a filter that stands still: whether float64 holds its numbers, before any training."""
+
+from __future__ import annotations
+
+import torch
+
+from ahnn.errors import UserError
+from ahnn.estimation.belief import Status
+from ahnn.estimation.estimator import Estimator
+from ahnn.estimation.force_error import ForceError
+from ahnn.estimation.scenario import Problem, Setting
+from ahnn.estimation.trial import Filter, assimilate
+from ahnn.evaluation.estimators.noise_options import NoiseOption, given_noise
+from ahnn.systems import System
+from ahnn.types import TimeStep
+
+
+@torch.no_grad()
+def require_possible(
+    setting: Setting,
+    system: System,
+    option: NoiseOption,
+    estimator: Estimator,
+) -> None:
+    """Refuse numbers with which a filter fails in its first step already.
+
+    Args:
+        setting: measurements and start.
+        system: gives a state.
+        option: process noise; one that is fitted to data is left out.
+        estimator: with its constants.
+
+    Raises:
+        UserError: a filter whose status is not OK, or a covariance that is none.
+    """
+    x = system.initial_states(1, torch.Generator().manual_seed(0))
+    nothing = torch.zeros(x.shape[-1], x.shape[-1], dtype=torch.float64)
+    known = given_noise(option, system.space) if not isinstance(option, str) else None
+    q, error = (nothing, None) if known is None else known
+    error = error if isinstance(error, ForceError) else None
+    still = Filter("still", _still, q, setting.measurement_noise, estimator, error)
+    y = setting.measurement(x, system.dt).unsqueeze(1)
+    try:
+        status = int(assimilate(still, setting, Problem(x.unsqueeze(1), x, y, system.dt)).status)
+        reason = "" if status == Status.OK else f"is {Status(status).name} after one measurement"
+    except ValueError as error:
+        reason = f"has no covariance ({error})"
+    if reason:
+        constants = "".join(f", {name}" for name in estimator.about if name != "gate")
+        message = (
+            f"measurement_sd, start_sd, process_noise{constants}: expected numbers that float64 holds with "
+            f"their squares; received a filter that {reason}: measurement_sd "
+            f"{setting.measurement_sd.tolist()}, start_sd {setting.start_sd.tolist()}, {estimator.about}"
+        )
+        raise UserError(message)
+
+
+def _still(x: torch.Tensor, dt: TimeStep) -> torch.Tensor:  # noqa: ARG001
+    return x

@@ -1,0 +1,91 @@
+"""After the fit: last steps on measurements, what a run keeps of them, and its evaluation."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from lightning.pytorch.loggers import TensorBoardLogger
+
+from ahnn.checkpoints import read_weights, replace_weights
+from ahnn.errors import TrainingError
+from ahnn.evaluation import report
+from ahnn.evaluation.prepare import make_case
+from ahnn.evaluation.results import FILE, load_results
+from ahnn.evaluation.sinks import TensorBoardSink
+from ahnn.jobs.prepared import Prepared
+from ahnn.runs import load, made, weights_path
+from ahnn.training import Shooting
+from ahnn.training.laplace import conclude
+from ahnn.training.visited import visited
+from ahnn.uncertainty import find_domain, save_uncertainty
+
+log = logging.getLogger("ahnn")
+
+
+def conclude_on_measurements(prepared: Prepared) -> float:
+    """Take the last steps, keep weights, uncertainty and where the training was, return the seconds."""
+    folder, data, robust = prepared.folder, prepared.data, prepared.robust
+    steps = prepared.model.curriculum.closing
+    started, best = time.monotonic(), weights_path(folder)
+    dynamics = made(read_weights(best), folder).dynamics
+    after = f" after at most {steps} last steps" if steps else ""
+    log.info("what all measurements leave open%s: prior and covariance of the weights", after)
+    train = data.whole("train")
+    found = conclude(dynamics, train, data.whole("val"), steps, robust)
+    if found is not None:
+        learned, _ = found.taken(dynamics)
+        loss = Shooting(None, robust).validation(learned, next(iter(data.val_dataloader())))["loss"]
+        about: dict[str, Any] = {"val_loss": float(loss)}
+        if len(states := visited(dynamics, train, robust)) > 1:
+            about["domain"] = find_domain(dynamics, states).about()
+        replace_weights(best, dynamics.state_dict(), about)
+        save_uncertainty(folder, found, made(read_weights(best), folder).dynamics.state_dict())
+    return time.monotonic() - started
+
+
+def judge(prepared: Prepared, seconds: float) -> float:
+    """Evaluate the best weights of a run, write and show the results, and return the validation loss.
+
+    Args:
+        prepared: the training.
+        seconds: that its steps took.
+    """
+    folder, data, trainer, plan = prepared.folder, prepared.data, prepared.trainer, prepared.assessment
+    if data.stages is not None:
+        seconds += conclude_on_measurements(prepared)
+    run = load(folder)
+    loss = math.nan if (found := run.about.get("val_loss")) is None else float(found)
+    training = {
+        "seed": prepared.seed,
+        "seconds": round(seconds, 1),
+        "window": data.window,
+        "steps": trainer.global_step,
+        "parameters": sum(p.numel() for p in prepared.model.parameters()),
+        "val_loss": loss,
+    }
+    named = {"label": prepared.label, "seed": plan.seed, "folder": folder, "domain": run.domain}
+    learned = {"uncertainty": run.uncertainty, "robust": prepared.robust}
+    case = make_case(run.dynamics, data.splits, **learned, **named)
+    boards = [logger for logger in trainer.loggers if isinstance(logger, TensorBoardLogger)]
+    sinks = [TensorBoardSink(board, plan.searched) for board in boards]
+    report(case, plan.plugins, training, more=sinks, **plan.report)
+    if boards:
+        log.info("TensorBoard: tensorboard --logdir %s", folder)
+    return loss
+
+
+def require_converged(folders: Iterable[Path]) -> None:
+    """Raise TrainingError where no prediction of a trained model stays finite; its results are kept."""
+    for folder in folders:
+        rows = load_results(folder).rows[:1] if (folder / FILE).exists() else ()
+        if any(row.extra["lost"] == 1 for row in rows):
+            message = (
+                "training diverged: all predictions of unseen trajectories run to infinity; weights, results "
+                f"and figures are kept in {folder}. Try a smaller optimizer.lr, or more epochs"
+            )
+            raise TrainingError(message)

@@ -1,0 +1,62 @@
+"""Whether data, model and trainer fit each other, asked before anything is generated."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ahnn.data.datamodule import WindowDataModule
+from ahnn.jobs.prepared import Prepared
+from ahnn.memory import require_memory
+from ahnn.models import AbstractModel
+from ahnn.training.identifiability import require_identifiable, require_unbiased
+from ahnn.training.normal_equations import memory_of, memory_of_parts
+from ahnn.training.objectives import PARTS
+from ahnn.training.restore import require_resumable
+
+
+def check_together(prepared: Prepared) -> None:
+    """Let data, model, trainer and checkpoint refuse each other; model and callbacks do by a method `check`.
+
+    Raises:
+        UserError: names the key of what does not fit.
+    """
+    data, model, trainer = prepared.data, prepared.model, prepared.trainer
+    require_learnable(model, data)
+    if model.curriculum.span is not None:
+        data.require_span(model.curriculum.span, model.dynamics.clock)
+    else:
+        data.follow(model.curriculum, int(trainer.max_epochs or 1))
+    parts: list[Any] = [model, *trainer.callbacks]  # pyright: ignore[reportAttributeAccessIssue]
+    for part in parts:
+        if check := getattr(part, "check", None):
+            check(trainer)
+    if not model.stepper.automatic:
+        require_equations(model, data)
+    if prepared.checkpoint is not None:
+        require_resumable(prepared.checkpoint, model, trainer)
+
+
+def require_learnable(model: AbstractModel, data: WindowDataModule) -> None:
+    """Refuse dynamics that the data cannot determine, or that the floor cannot be integrated with.
+
+    Raises:
+        UserError: names the key.
+    """
+    if (method := getattr(model.dynamics, "integrator", None)) and data.source.truth is not None:
+        method.require(data.source.truth)  # the floor goes through the integrator of the model
+    if data.sensor is not None:
+        require_identifiable(model.dynamics, data.sensor, windows=model.curriculum.span is not None)
+        require_unbiased(model.about["settings"]["loss"].get("balance", 0.0))
+
+
+def require_equations(model: AbstractModel, data: WindowDataModule) -> None:
+    """Refuse second-order steps whose equations do not fit into memory; raises UserError."""
+    count = sum(p.numel() for p in model.dynamics.parameters())
+    if data.stages is None:
+        windows = min(data.batch_size, data.windows_per_epoch or data.batch_size)
+        size = memory_of(count, 2 * model.dof * max(1, windows // PARTS))
+    else:
+        size = memory_of_parts(count)
+    who = "model.network" if size < 2 * memory_of(count, 0) or data.stages else "data.batch_size"
+    remedy = "Choose a smaller network or batch" + ("" if data.stages else ", or recipe=first_order")
+    require_memory(who, f"the equations of second-order steps on {count:,} parameters", size, remedy)

@@ -1,0 +1,82 @@
+"""Another evaluation of a finished run, into a folder of its own; nothing of a training is built."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ahnn.arguments import flatten
+from ahnn.data import SplitData
+from ahnn.data.splits import SAME
+from ahnn.errors import UserError
+from ahnn.evaluation import EvaluationPlugin, evaluation_folder, load_results, report
+from ahnn.evaluation.prepare import make_case
+from ahnn.evaluation.sinks import TensorBoardSink
+from ahnn.evaluation.sinks.board import Board
+from ahnn.runs import Run, weights_path
+from ahnn.shooting.robust import ROBUST, RobustName
+
+log = logging.getLogger("ahnn")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reevaluation:
+    """A run and what it is evaluated on.
+
+    Attributes:
+        run: with the weights that are evaluated.
+        ckpt: what names these: `best`, `last`, or a path.
+        folder: of the run, in which its evaluations are kept.
+        name: of this one; None takes date and time.
+        label: name in tables.
+        splits: the data.
+        plugins: evaluations beside the open-loop one, by name.
+        seed: of the perturbed starts.
+        report: options of `ahnn.evaluation.report`.
+    """
+
+    run: Run
+    ckpt: str
+    folder: Path
+    name: str | None
+    label: str
+    splits: SplitData
+    plugins: Mapping[str, EvaluationPlugin]
+    seed: int
+    report: Mapping[str, Any]
+
+
+def evaluate(asked: Reevaluation) -> None:
+    """Evaluate the weights of a run and write the results into a folder of their own."""
+    run, splits = asked.run, asked.splits
+    robust = robust_of(run)
+    note = splits.beside(run.about.get("data"), run.about.get("seen") or ())
+    remark = "" if note == SAME else f"test data: {note}"
+    training = load_results(run.folder).training if (run.folder / "metrics.json").exists() else {}
+    learned = {"uncertainty": run.uncertainty, "domain": run.domain, "robust": robust}
+    named = {"label": asked.label, "seed": asked.seed, "remark": remark}
+    if remark:
+        log.warning(remark)
+    last = asked.ckpt == "best" and weights_path(run.folder).stem == "last"
+    about = {"ckpt": "last" if last else asked.ckpt, "data": note}
+    known: dict[str, Any] = {**training, "val_loss": run.about.get("val_loss"), **about}
+    with evaluation_folder(asked.folder, asked.name) as folder:
+        case = make_case(run.dynamics, splits, folder=folder, **named, **learned)
+        boards = [TensorBoardSink(Board(folder), about)] if asked.report["figures"] else []
+        report(case, asked.plugins, known, more=boards, **asked.report)
+
+
+def robust_of(run: Run) -> RobustName:
+    """Return the loss of single residuals that a training took, of which its weights tell.
+
+    Raises:
+        UserError: there is no such loss.
+    """
+    name = flatten(run.about).get("settings.loss.robust", "none")
+    if name not in [*ROBUST]:
+        message = f"loss.robust: expected one of {', '.join(ROBUST)}; received {name!r}"
+        raise UserError(message)
+    return name

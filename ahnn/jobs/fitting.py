@@ -1,0 +1,84 @@
+"""The fit of a prepared training: calibration, what is said before the first step, and Lightning's loop."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+
+from ahnn.checkpoints import read_checkpoint, require_same
+from ahnn.dynamics.scaling import remark_on_scale
+from ahnn.files import write_atomically
+from ahnn.jobs.prepared import Prepared
+from ahnn.models import AbstractModel
+from ahnn.runs import load
+from ahnn.statistics import Statistics
+from ahnn.training.cuda_graph import Recorded, can_record
+from ahnn.training.outlook import expected_seconds
+from ahnn.uncertainty import find_domain
+
+log = logging.getLogger("ahnn")
+
+
+def fit(prepared: Prepared) -> float:
+    """Train and return the seconds that the steps took."""
+    trainer = prepared.trainer
+    statistics = calibrate(prepared)
+    if trainer.is_global_zero:
+        announce(prepared, statistics)
+        # What cannot take a step has been refused.
+        write_atomically(prepared.folder / "config.yaml", prepared.config)
+    started = time.monotonic()
+    trainer.fit(prepared.model, prepared.data, ckpt_path=prepared.checkpoint)
+    return time.monotonic() - started
+
+
+def calibrate(prepared: Prepared) -> Statistics:
+    """Fit a model's scalings to the training split, whose statistics are returned, and note what it is."""
+    data, model, trainer = prepared.data, prepared.model, prepared.trainer
+    statistics = data.statistics()
+    model.calibrate(statistics)
+    if prepared.weights is not None and prepared.checkpoint is None:
+        begin_at(model, prepared.weights)
+    model.to(trainer.strategy.root_device)
+    # Between measurements the integrator may take shorter steps, and the dynamics are learned for these.
+    dt = min(statistics.dt, math.inf if data.sensor is None else data.instrument.longest)
+    domain = find_domain(model.dynamics.frozen(), data.examples()).about()
+    model.learns_from(dt=dt, domain=domain, seen=data.splits.seen())
+    if prepared.recorded and can_record(trainer, model):
+        model.step_by(Recorded(len(data.train_dataloader().batches()[0])))
+    return statistics
+
+
+def begin_at(model: AbstractModel, run: str) -> None:
+    """Give a model the weights of a run, or of a shipped model, to train on with a schedule of its own.
+
+    Raises:
+        UserError: they belong to other dynamics.
+    """
+    trained = load(run).trained
+    require_same(f"weights {run}", {"dynamics": model.dynamics.spec}, {"dynamics": trained.spec})
+    model.dynamics.load_state_dict(trained.state_dict())
+
+
+def announce(prepared: Prepared, statistics: Statistics) -> None:
+    """Say what is odd about the data, how many optimiser steps are left, and about how long they take."""
+    data, model, trainer = prepared.data, prepared.model, prepared.trainer
+    scaling = model.about["settings"]["model"].get("scaling")
+    scaled = remark_on_scale(scaling, statistics.minimum, statistics.maximum, data.source.space.components)
+    for remark in filter(None, (data.remark(), scaled)):
+        log.warning(remark)
+    done = 0 if prepared.checkpoint is None else read_checkpoint(prepared.checkpoint)["global_step"]
+    per_epoch = -(-len(data.train_dataloader()) // trainer.accumulate_grad_batches)
+    epochs = range(done // per_epoch, int(trainer.max_epochs or 1))
+    seconds = expected_seconds(trainer, data, model, per_epoch, epochs)
+    log.info(
+        "training %s on %s: %s optimiser steps of %d windows in %d epochs%s, about %s on this machine",
+        prepared.label,
+        data.source.space.name,
+        f"{per_epoch * epochs.stop - done:,}",
+        data.batch_size,
+        len(epochs),
+        f" and at most {last} last steps on all" if (last := model.curriculum.closing) else "",
+        f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.1f} min",
+    )

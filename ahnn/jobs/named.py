@@ -1,0 +1,26 @@
+"""The runs that a command names: folders, or a model that comes with the package."""
+
+from __future__ import annotations
+
+from ahnn.errors import UserError
+from ahnn.pretrained import shipped
+from ahnn.runs import Run, load
+
+
+def named_runs(run: str | list[str] | None, pretrained: str | None, ckpt: str) -> list[Run]:
+    """Return the runs, or the shipped model, that a command names.
+
+    Raises:
+        UserError: neither or both are named, there is no such run, or their states differ.
+    """
+    if (not run and pretrained is None) or (run and pretrained is not None):
+        message = f"run: expected run=DIR or pretrained=NAME; received {'both' if run else 'neither'}"
+        raise UserError(message)
+    folders = [shipped(pretrained)] if pretrained is not None else run if isinstance(run, list) else [run]
+    runs = [load(str(folder), ckpt) for folder in folders]
+    first = runs[0].space._replace(name="")
+    for other in runs[1:]:
+        if (space := other.space._replace(name="")) != first:
+            message = f"run: expected runs of the same states and units; received {first} and {space}"
+            raise UserError(message)
+    return runs
