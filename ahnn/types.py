@@ -11,12 +11,14 @@ A state is x = [q, p] along the last axis, shape (..., 2n), in the physical unit
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
+import torch
 from torch import Tensor
 
 from ahnn.clock import Clock
+from ahnn.errors import UserError
 
 TimeStep = float | Tensor
 """A time step in the unit of the space: one number, or a (B,) tensor with one step for each member."""
@@ -75,7 +77,8 @@ class Space(NamedTuple):
         name: of the system, in folders and tables.
         components: names of the 2n state components, positions first.
         units: of time, position, velocity and energy.
-        inertia: the factor m of p = m dq/dt; momenta divided by it are velocities.
+        inertia: the factor m of p = m dq/dt, or one for each coordinate; momenta divided by it are
+            velocities.
         frame: in which positions are given, such as `EME2000, EARTH`; "" where nobody said.
         mechanical: whether p = m dq/dt holds; momenta of another H, with a matrix of masses or in a rotating
             frame, are not called velocities (`ahnn.labels`).
@@ -85,7 +88,7 @@ class Space(NamedTuple):
     name: str
     components: tuple[str, ...]
     units: Units = Units()
-    inertia: float = 1.0
+    inertia: float | tuple[float, ...] = 1.0
     frame: str = ""
     mechanical: bool = True
     controls: tuple[str, ...] = ()
@@ -96,9 +99,40 @@ class Space(NamedTuple):
         return len(self.components) // 2
 
     @property
-    def divisor(self) -> float:
+    def factor(self) -> float | Tensor:
+        """The factor m of p = m dq/dt: a number, or (n,) float64 where coordinates differ."""
+        return as_factor(self.inertia)
+
+    @property
+    def divisor(self) -> float | Tensor:
         """What momenta are divided by where people read them: m where that gives velocities, else 1."""
-        return self.inertia if self.mechanical else 1.0
+        return self.factor if self.mechanical else 1.0
+
+    @property
+    def scales(self) -> Tensor:
+        """What each component is divided by where people read it, (2n,) float64."""
+        ones = torch.ones(self.dof, dtype=torch.float64)
+        return torch.cat((ones, ones * self.divisor))
+
+    @property
+    def mass(self) -> float:
+        """The one mass of a body in space.
+
+        Raises:
+            UserError: coordinates of several masses.
+        """
+        factor = self.factor
+        if isinstance(factor, Tensor):
+            message = f"{self.name}: expected one mass for all coordinates; received {self.inertia}"
+            raise UserError(message)
+        return factor
+
+
+def as_factor(inertia: float | Sequence[float]) -> float | Tensor:
+    """Return the factor m of p = m dq/dt: a number, or (n,) float64 where coordinates differ."""
+    if isinstance(inertia, Sequence):
+        return inertia[0] if len({*inertia}) == 1 else torch.tensor(inertia, dtype=torch.float64)
+    return inertia
 
 
 class Trajectories(NamedTuple):

@@ -41,7 +41,7 @@ GROUND = OPEN | {"integrators", "measurements", "metrics", "rollouts", "statisti
 MAY_IMPORT = {
     "errors": set(),
     "clock": set(),
-    "types": {"clock"},
+    "types": {"clock", "errors"},
     "paths": set(),
     "extensions": set(),
     "numbers": {"errors"},

@@ -103,7 +103,7 @@ def parts_of(cfg: DictConfig) -> dict[str, Part]:
 def build_model(values: dict[str, Any], made: Factories, data: WindowDataModule) -> AbstractModel:
     """Build the model, with its optimiser and what its checkpoints say of the training."""
     space, source, scheduler = data.source.space, data.source, made.get("scheduler")
-    given = {"dof": space.dof, "inertia": space.inertia, "controls": len(space.controls)}
+    given = {"dof": space.dof, "inertia": about_space(space)["inertia"], "controls": len(space.controls)}
     model = made["model"](**given, window=data.window).to(data.dtype)
     known = {"recipe": source.recipe(), "split": list(data.splits.fractions)}
     about = {"format": FORMAT, "space": about_space(space), "data": known, "settings": settings_of(values)}

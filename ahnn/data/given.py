@@ -30,8 +30,11 @@ def check_space(space: Space) -> None:
         if not text.strip() or not text.isprintable() or "$" in text:
             message = f"space: expected names and units that can be printed, without $; received {text!r}"
             raise UserError(message)
-    if not fits(space.inertia, Positive):
-        message = f"space.inertia: expected a finite number > 0; received {space.inertia!r}"
+    masses = space.inertia if isinstance(space.inertia, tuple | list) else (space.inertia,)
+    if not all(fits(mass, Positive) for mass in masses) or len(masses) not in (1, space.dof):
+        message = (
+            f"space.inertia: expected finite numbers > 0, one or {space.dof}; received {space.inertia!r}"
+        )
         raise UserError(message)
     size = len(space.components)
     if size < 2 or size % 2:

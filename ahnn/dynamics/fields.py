@@ -102,7 +102,8 @@ class HamiltonianDynamics(_Integrated):
 
     Args:
         dof: degrees of freedom n.
-        inertia: factor m of T = p^2 / 2m, used by `mechanical` and `central_body`.
+        inertia: factor m of T = p^2 / 2m, used by `mechanical` and `central_body`; one for each coordinate
+            with `mechanical`.
         hamiltonian: generic, separable, mechanical or central_body.
         mu: gravitational parameter of `central_body`; None learns it.
         falloff: k of a learned V(q) = (R / r)^k N(q); 0 leaves open how it goes with the distance.
@@ -118,7 +119,7 @@ class HamiltonianDynamics(_Integrated):
         self,
         dof: int,
         *,
-        inertia: float,
+        inertia: float | list[float],
         hamiltonian: Structure,
         mu: float | None,
         falloff: float = 0.0,

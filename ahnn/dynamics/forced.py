@@ -59,7 +59,7 @@ class Forced(nn.Module):
         self, hamiltonian: nn.Module, forces: Mapping[str, Mapping[str, Any]], dof: int, controls: int
     ) -> None:
         super().__init__()
-        self.hamiltonian = hamiltonian
+        self.hamiltonian, self.dof = hamiltonian, dof
         made = {name: make_force(name, dof, controls, options) for name, options in forces.items()}
         self.forces = nn.ModuleDict(made)
         self.clock = clock_size(made.values(), controls)

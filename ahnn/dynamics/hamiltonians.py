@@ -138,7 +138,7 @@ def make_hamiltonian(
     structure: Structure,
     dof: int,
     *,
-    mass: Positive,
+    mass: Positive | list[Positive],
     mu: Positive | None,
     falloff: NonNegative = 0.0,
     inputs: InputName,
@@ -151,7 +151,7 @@ def make_hamiltonian(
         structure: `generic` H(q, p), `separable` T(p) + V(q), `mechanical` p^2 / 2m + V(q), or
             `central_body` p^2 / 2m - m mu / r + V(q).
         dof: degrees of freedom n.
-        mass: used by the last two.
+        mass: used by the last two; one for each coordinate with `mechanical`.
         mu: gravitational parameter of `central_body`; None learns it.
         falloff: k of a learned V(q) = (R / r)^k N(q); 0 leaves open how it goes with the distance.
         inputs: cartesian, isotropic or radial, for the positions.
@@ -176,5 +176,12 @@ def make_hamiltonian(
     learned = NetworkEnergy(position_inputs(inputs, dof, scaling), network, 0, falloff)
     if structure == "separable":
         return SeparableHamiltonian(NetworkEnergy(Cartesian(dof, scaling, 1), network, 1), learned)
-    potential = learned if structure == "mechanical" else CentralBody(learned, mass, mu)
-    return SeparableHamiltonian(Quadratic(mass), potential)
+    if structure == "mechanical":
+        if isinstance(mass, list) and len(mass) != dof:
+            message = f"inertia: expected one mass, or {dof}; received {mass}"
+            raise UserError(message)
+        return SeparableHamiltonian(Quadratic(mass), learned)
+    if isinstance(mass, list):
+        message = f"inertia: expected one mass for hamiltonian=central_body; received {mass}"
+        raise UserError(message)
+    return SeparableHamiltonian(Quadratic(mass), CentralBody(learned, mass, mu))

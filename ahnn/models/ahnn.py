@@ -35,7 +35,7 @@ class AHNN(AbstractModel):
         self,
         dof: int,
         *,
-        inertia: float,
+        inertia: float | list[float],
         hamiltonian: Structure,
         mu: float | None,
         falloff: float = 0.0,

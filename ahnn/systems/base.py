@@ -14,7 +14,7 @@ from torch import Generator, Tensor
 from ahnn.arguments import Count, Interval, Positive, Range, Within, check_values
 from ahnn.dynamics.forced import clock_size, forced
 from ahnn.dynamics.forces import Force
-from ahnn.types import Flow, Space, Units
+from ahnn.types import Flow, Space, Units, as_factor
 
 Eccentricity = Annotated[tuple[float, float] | list[float], Interval(Within(0, below=1))]
 """A range of eccentricities of orbits that come back."""
@@ -88,8 +88,8 @@ class System(ABC):
         """Draw the initial states of `count` trajectories, shape (count, D), float64."""
 
     @property
-    def inertia(self) -> float:
-        """The factor m of the kinetic energy p^2 / 2m."""
+    def inertia(self) -> float | tuple[float, ...]:
+        """The factor m of the kinetic energy p^2 / 2m; a system of several masses has one for each."""
         return self.mass
 
     @property
@@ -133,7 +133,7 @@ class System(ABC):
 
     def velocity(self, p: Tensor) -> Tensor:
         """Return dq/dt = p / m, shape (..., n), at the momenta p, shape (..., n)."""
-        return p / self.inertia
+        return p / as_factor(self.inertia)
 
     def hamiltonian(self, x: Tensor) -> Tensor:
         """Return Hamilton's field (dH/dp, -dH/dq), shape (..., 2n), at the states x, shape (..., 2n)."""
@@ -166,8 +166,8 @@ class System(ABC):
 
     def deviations(self) -> Tensor:
         """Return the default standard deviations of an initial state error, shape (D,)."""
-        blocks = torch.tensor([self.noise.position, self.noise.velocity * self.inertia], dtype=torch.float64)
-        return blocks.repeat_interleave(self.dof)
+        ones = torch.ones(self.dof, dtype=torch.float64)
+        return torch.cat((self.noise.position * ones, self.noise.velocity * as_factor(self.inertia) * ones))
 
 
 def uniform(interval: Range, count: int, generator: Generator) -> Tensor:

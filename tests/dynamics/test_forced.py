@@ -12,6 +12,7 @@ from ahnn.clock import Clock, extended, on_clock, reduced
 from ahnn.dynamics import make_dynamics
 from ahnn.dynamics.derivatives import field_jacobian, parametrised
 from ahnn.dynamics.forces import Instant, make_force
+from ahnn.dynamics.variations import jacobians_of_steps, mapped_jacobians_of_steps
 from ahnn.errors import UserError
 from ahnn.integrators import INTEGRATORS
 from ahnn.rollouts import rollout
@@ -177,3 +178,13 @@ def test_what_makes_no_force_is_a_message():
         make_force("spring", 2, 0, {"stiffness": [[1.0, 2.0], [0.0, 1.0]]})
     with pytest.raises(UserError, match="rollout: expected the times of the samples"):
         rollout(dynamics({"forcing": {"frequency": 1.0}}), states(1, 4), 0.1, 3)
+
+
+@pytest.mark.parametrize("hamiltonian", ["generic", "mechanical"])
+def test_jacobians_of_steps_in_closed_form_are_those_of_reverse_mode(hamiltonian):
+    forces = {"friction": FRICTION, "controls": {"kind": "actuation"}, "network": {"sees": ["q", "v", "t"]}}
+    model = dynamics(forces, controls=1, hamiltonian=hamiltonian)
+    theta = parameters_to_vector(model.parameters()).detach()
+    z, lengths = states(3, 2 * 8 * 4).view(3, 8, 8), 0.1 + 0.01 * torch.rand(3, 8, **DOUBLE)
+    own = jacobians_of_steps(model, torch.float64)(theta, z, lengths)
+    close(own, mapped_jacobians_of_steps(model, torch.float64)(theta, z, lengths), 1e-11)
