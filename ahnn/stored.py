@@ -50,6 +50,7 @@ class Numbers:
     frame: Text = ""
     mechanical: bool = True
     controls: list[Text] = field(default_factory=list)
+    angles: list[Text] = field(default_factory=list)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +114,7 @@ def read_about(who: str, content: Any) -> tuple[About, Space]:
     if isinstance(inertia, tuple) and len(inertia) != dof:
         message = f"{who}.space.inertia: expected one number, or {dof}; received {inertia}"
         raise UserError(message)
-    more = {"mechanical": said.mechanical, "controls": tuple(said.controls)}
+    more = {"controls": tuple(said.controls), "angles": tuple(said.angles), "mechanical": said.mechanical}
     space = Space(said.name, names, Units(*said.units), inertia, said.frame, **more)
     return about, space
 
@@ -121,4 +122,4 @@ def read_about(who: str, content: Any) -> tuple[About, Space]:
 def about_space(space: Space) -> dict[str, Any]:
     """Return a space as plain values, as `read_about` reads them."""
     own = {k: [*v] if isinstance(v, tuple) else v for k, v in space._asdict().items()}
-    return {k: v for k, v in own.items() if k != "controls" or v}
+    return {k: v for k, v in own.items() if k not in ("controls", "angles") or v}

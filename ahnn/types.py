@@ -83,6 +83,8 @@ class Space(NamedTuple):
         mechanical: whether p = m dq/dt holds; momenta of another H, with a matrix of masses or in a rotating
             frame, are not called velocities (`ahnn.labels`).
         controls: names of numbers that are set from outside, on which the motion depends.
+        angles: names of coordinates that are angles in rad, of period 2 pi; all of them where positions are
+            in rad.
     """
 
     name: str
@@ -92,6 +94,13 @@ class Space(NamedTuple):
     frame: str = ""
     mechanical: bool = True
     controls: tuple[str, ...] = ()
+    angles: tuple[str, ...] = ()
+
+    @property
+    def angular(self) -> list[bool]:
+        """Which of the n coordinates are angles."""
+        every = self.units.position == "rad"
+        return [every or name in self.angles for name in self.components[: self.dof]]
 
     @property
     def dof(self) -> int:

@@ -92,7 +92,7 @@ def parts_of(cfg: DictConfig) -> dict[str, Part]:
         node.accelerator = "cpu"  # where measurements are learned from
     parts = {
         "data": Part(OmegaConf.create(data), WindowDataModule, ("source", "window", "sensor")),
-        "model": Part(cfg.model, AbstractModel, ("dof", "inertia", "window", "controls")),
+        "model": Part(cfg.model, AbstractModel, ("dof", "inertia", "window", "controls", "angular")),
         "optimizer": Part(cfg.optimizer),
         **({"scheduler": Part(cfg.scheduler)} if cfg.scheduler else {}),
         "trainer": Part(node, Trainer, ("plugins", "callbacks", "logger", "default_root_dir")),
@@ -104,6 +104,7 @@ def build_model(values: dict[str, Any], made: Factories, data: WindowDataModule)
     """Build the model, with its optimiser and what its checkpoints say of the training."""
     space, source, scheduler = data.source.space, data.source, made.get("scheduler")
     given = {"dof": space.dof, "inertia": about_space(space)["inertia"], "controls": len(space.controls)}
+    given |= {"angular": space.angular}
     model = made["model"](**given, window=data.window).to(data.dtype)
     known = {"recipe": source.recipe(), "split": list(data.splits.fractions)}
     about = {"format": FORMAT, "space": about_space(space), "data": known, "settings": settings_of(values)}

@@ -107,10 +107,11 @@ class HamiltonianDynamics(_Integrated):
         hamiltonian: generic, separable, mechanical or central_body.
         mu: gravitational parameter of `central_body`; None learns it.
         falloff: k of a learned V(q) = (R / r)^k N(q); 0 leaves open how it goes with the distance.
-        inputs: cartesian, isotropic or radial positions.
+        inputs: cartesian, isotropic or radial positions, or angles.
         scaling: minmax, block or none.
         network: width, depth, activation.
         integrator: `name` and options of the one-step method.
+        angular: which coordinates are angles, for inputs=angles.
         forces: beside the Hamiltonian, name -> options of `make_force`: friction, controls, known physics.
         controls: m, numbers that forces may depend on.
     """
@@ -127,10 +128,12 @@ class HamiltonianDynamics(_Integrated):
         scaling: Kind,
         network: dict[str, Any],
         integrator: dict[str, Any],
+        angular: list[bool] | None = None,
         forces: Mapping[str, Mapping[str, Any]] | None = None,
         controls: int = 0,
     ) -> None:
         options: dict[str, Any] = {"inputs": inputs, "scaling": scaling, "network": network}
+        options |= {"angular": angular}
         field: nn.Module = make_hamiltonian(hamiltonian, dof, mass=inertia, mu=mu, falloff=falloff, **options)
         assumed = [f"{hamiltonian} Hamiltonian, {inputs} inputs"]
         if forces:

@@ -54,6 +54,7 @@ class System(ABC):
         mass: in the unit of the system.
         constants: fields of which the force is a function besides the position; the mass apart.
         controls: names of numbers that are set from outside, on which forces may depend.
+        angles: names of coordinates that are angles; all of them where positions are in rad.
         linear: whether controls are interpolated linearly between samples; else they are held.
     """
 
@@ -68,6 +69,7 @@ class System(ABC):
     noise: ClassVar[FilterNoise]
     constants: ClassVar[tuple[str, ...]] = ()
     controls: ClassVar[tuple[str, ...]] = ()
+    angles: ClassVar[tuple[str, ...]] = ()
     linear: ClassVar[bool] = False
     mass: Positive = 1.0
 
@@ -129,7 +131,7 @@ class System(ABC):
     def space(self) -> Space:
         """What the numbers of a state mean."""
         own = self.name, self.components, self.units, self.inertia
-        return Space(*own, mechanical=self.mechanical, controls=self.controls)
+        return Space(*own, mechanical=self.mechanical, controls=self.controls, angles=self.angles)
 
     def velocity(self, p: Tensor) -> Tensor:
         """Return dq/dt = p / m, shape (..., n), at the momenta p, shape (..., n)."""
