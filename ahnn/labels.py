@@ -26,7 +26,7 @@ def headed(space: Space, name: str) -> str:
 
 def components(space: Space) -> list[str]:
     """Return the names of the components with their units, as `Space.divisor` has them."""
-    scale = "" if space.divisor == 1 else " / m"
+    scale = "" if space.divisor == 1.0 else " / m"
     units = [quantity(space, name)[1] for name in ("position", "velocity")]
     names = [*space.components[: space.dof], *(name + scale for name in space.components[space.dof :])]
     return [f"{name} [{units[k >= space.dof]}]" for k, name in enumerate(names)]

@@ -69,7 +69,7 @@ def typical_error(error: Tensor, ceiling: float) -> Tensor:
 
 
 def score(
-    prediction: Tensor, truth: Tensor, energies: tuple[Tensor, Tensor] | None, inertia: float
+    prediction: Tensor, truth: Tensor, energies: tuple[Tensor, Tensor] | None, inertia: float | Tensor
 ) -> Scores:
     """Return all scores.
 
@@ -77,7 +77,7 @@ def score(
         prediction: (B, T, D).
         truth: (B, T, D), NaN where there is none.
         energies: true Hamiltonian of prediction and of truth, each (B, T); None where it is not known.
-        inertia: momenta are divided by it to give velocities.
+        inertia: momenta are divided by it to give velocities, (n,) where it differs.
     """
     error = errors(prediction, truth)
     position, momentum = error.chunk(2, dim=-1)

@@ -7,9 +7,14 @@ import math
 import torch
 from torch import Tensor
 
+from ahnn.clock import Clock, extended, reduced
+from ahnn.errors import UserError
 from ahnn.progress import track
 from ahnn.substeps import substeps
 from ahnn.types import Flow, TimeStep
+
+NEEDED = ("the times of the samples", "times and controls of the samples")
+"""What a flow depends on, by whether it has controls."""
 
 
 def rollout(
@@ -21,6 +26,7 @@ def rollout(
     longest: float = math.inf,
     *,
     gradients: bool = False,
+    clock: Clock | None = None,
 ) -> Tensor:
     """Return the trajectories of a flow, shape (B, samples, D), beginning with `start`, shape (B, D).
 
@@ -32,13 +38,32 @@ def rollout(
         description: text of a progress bar; None shows none.
         longest: step of the flow; longer ones are cut into equal parts.
         gradients: whether they flow through the result, at the cost of the time and memory that they take.
+        clock: time and controls of the samples, (B, samples, k) or (samples, k), for a flow that depends on
+            them.
+
+    Raises:
+        UserError: a flow that depends on time or controls, without them.
     """
+    count = clock_of(flow)
+    if count and (clock is None or clock.values.shape[-1] < count):
+        message = (
+            f"rollout: expected {NEEDED[count > 1]}, on which the dynamics depend; received none. Give "
+            f"{'`controls`' if count > 1 else '`times`'}"
+        )
+        raise UserError(message)
+    own = clock.first(count) if count and clock is not None else None
     with torch.set_grad_enabled(gradients):
-        return _rolled(flow, start, dt, samples, description, longest)
+        return _rolled(flow, start, dt, samples, description, longest, own)
 
 
 def _rolled(
-    flow: Flow, start: Tensor, dt: TimeStep, samples: int, description: str | None, longest: float
+    flow: Flow,
+    start: Tensor,
+    dt: TimeStep,
+    samples: int,
+    description: str | None,
+    longest: float,
+    clock: Clock | None,
 ) -> Tensor:
     out = start.new_empty(start.shape[0], samples, start.shape[1])
     out[:, 0] = x = start
@@ -46,7 +71,28 @@ def _rolled(
     for k in track(steps, description, len(steps)) if description else steps:
         step = dt[:, k - 1] if isinstance(dt, Tensor) else dt
         parts = substeps(step, longest) if longest < math.inf else 1
-        for _ in range(parts):
-            x = flow(x, step / parts)
+        x = stepped(flow, x, step, None if clock is None else clock.at(k - 1), parts)
         out[:, k] = x
     return out
+
+
+def stepped(flow: Flow, x: Tensor, dt: TimeStep, clock: Clock | None, parts: int = 1) -> Tensor:
+    """Return the states (B, 2n) that x, shape (B, 2n), reaches after dt, in equal parts.
+
+    Args:
+        flow: map of a state over one step.
+        x: states.
+        dt: time step.
+        clock: k clock coordinates where the step begins, as the flow needs them; None where it needs none.
+        parts: into which the step is cut.
+    """
+    count = 0 if clock is None else clock.values.shape[-1]
+    z = extended(x, clock) if clock is not None and count else x
+    for _ in range(parts):
+        z = flow(z, dt / parts)
+    return reduced(z, count)
+
+
+def clock_of(flow: Flow) -> int:
+    """Return k, the clock coordinates of the states of a flow; 0 where it depends on the state alone."""
+    return getattr(flow, "clock", 0)

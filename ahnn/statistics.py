@@ -21,7 +21,8 @@ class Statistics(NamedTuple):
         increment: root mean square of each component of x_{k+1} - x_k.
         rate: root mean square of each component of (x_{k+1} - x_k) / dt.
         radius: (2,) extremes of the distance |q| from the origin.
-        positions, forces: (M, n) some positions half-way between samples, and dp/dt there.
+        positions, velocities, forces: (M, n) some positions half-way between samples, dq/dt and dp/dt there.
+        clock: (M, 1 + m) time and controls there.
         dt: sampling interval; the median of the steps of some trajectories where they differ.
     """
 
@@ -31,15 +32,24 @@ class Statistics(NamedTuple):
     rate: Tensor
     radius: Tensor
     positions: Tensor
+    velocities: Tensor
     forces: Tensor
+    clock: Tensor
     dt: float
+
+    def without(self, known: Tensor) -> Statistics:
+        """Return the statistics of momenta that forces `known`, (M, n), at the examples do not move."""
+        left = self.forces - known
+        share = left.square().mean(0).sqrt() / self.forces.square().mean(0).sqrt()
+        rate_q, rate_p = self.rate.chunk(2)
+        return self._replace(forces=left, rate=torch.cat((rate_q, rate_p * share)))
 
     @classmethod
     def of(cls, trajectories: Trajectories, examples: int = 20_000) -> Statistics:
         """Return the statistics of trajectories; absent samples and the steps beside them do not count."""
         dt = sampling_interval(trajectories)
         uniform = isinstance(dt, float)
-        begins, increments, lengths = steps_of(trajectories.spread())
+        begins, increments, lengths, clock = steps_of(trajectories.spread())
         some = slice(None, None, max(1, len(begins) // examples))
         rates = increments[some] / (dt if uniform else lengths[some])
         extents = [Extent.of(part) for part in trajectories.parts()]
@@ -53,7 +63,9 @@ class Statistics(NamedTuple):
             rate=typical / dt if uniform else (torch.stack([e.rates for e in extents]).sum(0) / count).sqrt(),
             radius=torch.stack((radius[:, 0].min(), radius[:, 1].max())),
             positions=(begins + increments / 2)[some].chunk(2, dim=-1)[0],
+            velocities=rates.chunk(2, dim=-1)[0],
             forces=rates.chunk(2, dim=-1)[1],
+            clock=clock[some],
             dt=dt if uniform else float(lengths.median()),
         )
 
@@ -80,7 +92,7 @@ class Extent(NamedTuple):
         """Return the extent of trajectories that fit into memory several times."""
         flat = part.states[part.present]
         radius = flat.chunk(2, dim=-1)[0].norm(dim=-1)
-        _, increments, lengths = steps_of(part)
+        _, increments, lengths, _ = steps_of(part)
         return cls(
             minimum=flat.amin(0),
             maximum=flat.amax(0),
@@ -91,16 +103,18 @@ class Extent(NamedTuple):
         )
 
 
-def steps_of(trajectories: Trajectories) -> tuple[Tensor, Tensor, Tensor]:
-    """Return where the R steps between neighbouring samples begin, their increments and their lengths.
+def steps_of(trajectories: Trajectories) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return where the R steps between neighbouring samples begin, their increments, lengths and middles.
 
     Returns:
-        Tensors (R, D), (R, D) and (R, 1).
+        Tensors (R, D), (R, D) and (R, 1), and time and controls in the middle of the steps, (R, 1 + m).
     """
     steps = increments_of(trajectories)
     valid = steps.isfinite().all(-1)
     lengths = trajectories.times.diff(dim=1)[valid].unsqueeze(-1)
-    return trajectories.states[:, :-1][valid], steps[valid], lengths
+    clock = trajectories.clock
+    middles = clock.values[:, :-1][valid] + lengths / 2 * clock.rates[:, :-1][valid]
+    return trajectories.states[:, :-1][valid], steps[valid], lengths, middles
 
 
 def increments_of(trajectories: Trajectories) -> Tensor:

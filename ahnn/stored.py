@@ -7,7 +7,7 @@ schema names, are kept.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Annotated, Any, TypeVar
 
 from ahnn.arguments import Count, Finite, Positive, Text, Within, check_arguments
@@ -36,7 +36,7 @@ class Made:
 
     kind: Text
     dof: Count
-    inertia: Positive = 1.0
+    inertia: Positive | list[Positive] = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,8 +46,11 @@ class Numbers:
     name: Text
     components: list[Text]
     units: tuple[Text, Text, Text, Text]
-    inertia: Positive
+    inertia: Positive | list[Positive]
     frame: Text = ""
+    mechanical: bool = True
+    controls: list[Text] = field(default_factory=list)
+    angles: list[Text] = field(default_factory=list)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,10 +110,16 @@ def read_about(who: str, content: Any) -> tuple[About, Space]:
     if about.dynamics.get("inertia", said.inertia) != said.inertia:
         message = f"{who}.dynamics.inertia: expected {said.inertia}, as in space; received {made.inertia}"
         raise UserError(message)
-    space = Space(said.name, names, Units(*said.units), said.inertia, said.frame)
+    inertia = tuple(said.inertia) if isinstance(said.inertia, list) else said.inertia
+    if isinstance(inertia, tuple) and len(inertia) != dof:
+        message = f"{who}.space.inertia: expected one number, or {dof}; received {inertia}"
+        raise UserError(message)
+    more = {"controls": tuple(said.controls), "angles": tuple(said.angles), "mechanical": said.mechanical}
+    space = Space(said.name, names, Units(*said.units), inertia, said.frame, **more)
     return about, space
 
 
 def about_space(space: Space) -> dict[str, Any]:
     """Return a space as plain values, as `read_about` reads them."""
-    return {**space._asdict(), "components": list(space.components), "units": list(space.units)}
+    own = {k: [*v] if isinstance(v, tuple) else v for k, v in space._asdict().items()}
+    return {k: v for k, v in own.items() if k not in ("controls", "angles") or v}

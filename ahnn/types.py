@@ -11,10 +11,14 @@ A state is x = [q, p] along the last axis, shape (..., 2n), in the physical unit
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
+import torch
 from torch import Tensor
+
+from ahnn.clock import Clock
+from ahnn.errors import UserError
 
 TimeStep = float | Tensor
 """A time step in the unit of the space: one number, or a (B,) tensor with one step for each member."""
@@ -73,18 +77,30 @@ class Space(NamedTuple):
         name: of the system, in folders and tables.
         components: names of the 2n state components, positions first.
         units: of time, position, velocity and energy.
-        inertia: the factor m of p = m dq/dt; momenta divided by it are velocities.
+        inertia: the factor m of p = m dq/dt, or one for each coordinate; momenta divided by it are
+            velocities.
         frame: in which positions are given, such as `EME2000, EARTH`; "" where nobody said.
         mechanical: whether p = m dq/dt holds; momenta of another H, with a matrix of masses or in a rotating
             frame, are not called velocities (`ahnn.labels`).
+        controls: names of numbers that are set from outside, on which the motion depends.
+        angles: names of coordinates that are angles in rad, of period 2 pi; all of them where positions are
+            in rad.
     """
 
     name: str
     components: tuple[str, ...]
     units: Units = Units()
-    inertia: float = 1.0
+    inertia: float | tuple[float, ...] = 1.0
     frame: str = ""
     mechanical: bool = True
+    controls: tuple[str, ...] = ()
+    angles: tuple[str, ...] = ()
+
+    @property
+    def angular(self) -> list[bool]:
+        """Which of the n coordinates are angles."""
+        every = self.units.position == "rad"
+        return [every or name in self.angles for name in self.components[: self.dof]]
 
     @property
     def dof(self) -> int:
@@ -92,9 +108,40 @@ class Space(NamedTuple):
         return len(self.components) // 2
 
     @property
-    def divisor(self) -> float:
+    def factor(self) -> float | Tensor:
+        """The factor m of p = m dq/dt: a number, or (n,) float64 where coordinates differ."""
+        return as_factor(self.inertia)
+
+    @property
+    def divisor(self) -> float | Tensor:
         """What momenta are divided by where people read them: m where that gives velocities, else 1."""
-        return self.inertia if self.mechanical else 1.0
+        return self.factor if self.mechanical else 1.0
+
+    @property
+    def scales(self) -> Tensor:
+        """What each component is divided by where people read it, (2n,) float64."""
+        ones = torch.ones(self.dof, dtype=torch.float64)
+        return torch.cat((ones, ones * self.divisor))
+
+    @property
+    def mass(self) -> float:
+        """The one mass of a body in space.
+
+        Raises:
+            UserError: coordinates of several masses.
+        """
+        factor = self.factor
+        if isinstance(factor, Tensor):
+            message = f"{self.name}: expected one mass for all coordinates; received {self.inertia}"
+            raise UserError(message)
+        return factor
+
+
+def as_factor(inertia: float | Sequence[float]) -> float | Tensor:
+    """Return the factor m of p = m dq/dt: a number, or (n,) float64 where coordinates differ."""
+    if isinstance(inertia, Sequence):
+        return inertia[0] if len({*inertia}) == 1 else torch.tensor(inertia, dtype=torch.float64)
+    return inertia
 
 
 class Trajectories(NamedTuple):
@@ -103,10 +150,19 @@ class Trajectories(NamedTuple):
     Attributes:
         states: (B, T, D) float64; a sample with any NaN is absent.
         times: (B, T) float64, increasing in each row; NaN only where the sample is absent.
+        controls: (B, T, m) float64, those of each sample on; None where nothing is controlled.
+        linear: whether controls are interpolated linearly between samples; else they are held.
     """
 
     states: Tensor
     times: Tensor
+    controls: Tensor | None = None
+    linear: bool = False
+
+    @property
+    def clock(self) -> Clock:
+        """Time and controls of all samples."""
+        return Clock.of(self.times, self.controls, self.linear)
 
     @property
     def present(self) -> Tensor:
@@ -115,7 +171,8 @@ class Trajectories(NamedTuple):
 
     def part(self, rows: slice) -> Trajectories:
         """Return some of the trajectories."""
-        return Trajectories(self.states[rows], self.times[rows])
+        controls = None if self.controls is None else self.controls[rows]
+        return self._replace(states=self.states[rows], times=self.times[rows], controls=controls)
 
     def parts(self) -> Iterator[Trajectories]:
         """Yield all trajectories in their order, so many at once as `PART` holds."""

@@ -33,13 +33,15 @@ OPEN = {
     "libraries",
     "deviations",
     "substeps",
+    "clock",
     "stored",
     "labels",
 }
 GROUND = OPEN | {"integrators", "measurements", "metrics", "rollouts", "statistics", "checkpoints"}
 MAY_IMPORT = {
     "errors": set(),
-    "types": set(),
+    "clock": set(),
+    "types": {"clock", "errors"},
     "paths": set(),
     "extensions": set(),
     "numbers": {"errors"},
@@ -63,7 +65,7 @@ MAY_IMPORT = {
     "integrators": OPEN,
     "measurements": OPEN,
     "dynamics": GROUND,
-    "systems": GROUND,
+    "systems": GROUND | {"dynamics"},
     "data": GROUND | {"systems"},
     "shooting": OPEN | {"measurements"},
     "uncertainty": GROUND | {"dynamics", "shooting"},

@@ -77,7 +77,7 @@ def deviations(record: Record, space: Space) -> Figure:
     figure = style.canvas(8, 5)
     panels = figure.subplots(2, 1, sharex=True)
     variance = np.diagonal(record.covariance, axis1=1, axis2=2)
-    parts = variance[:, : space.dof], variance[:, space.dof :] / space.divisor**2
+    parts = variance[:, : space.dof], variance[:, space.dof :] / np.square(space.divisor)
     for axes, part, name in zip(panels, parts, style.NAMES, strict=True):
         axes.plot(time, np.sqrt(part.sum(1)), **(style.MODEL | {"lw": 1.2}))
         axes.set_ylabel(f"believed σ of {headed(space, name)}")

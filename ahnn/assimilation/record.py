@@ -121,7 +121,7 @@ def write_ephemeris(path: Path, record: Record, space: Space, name: str, referen
     require_orbit(space, reference)
     frame, center, clock, epoch = reference
     assert epoch is not None
-    scale = np.array([1.0] * 3 + [1.0 / space.inertia] * 3)
+    scale = np.array([1.0] * 3 + [1.0 / space.mass] * 3)
     matrices = record.covariance * scale[:, None] * scale
     covariances = tuple(Covariance(float(t), matrix) for t, matrix in zip(record.time, matrices, strict=True))
     states = record.mean * scale

@@ -92,7 +92,7 @@ def parts_of(cfg: DictConfig) -> dict[str, Part]:
         node.accelerator = "cpu"  # where measurements are learned from
     parts = {
         "data": Part(OmegaConf.create(data), WindowDataModule, ("source", "window", "sensor")),
-        "model": Part(cfg.model, AbstractModel, ("dof", "inertia", "window")),
+        "model": Part(cfg.model, AbstractModel, ("dof", "inertia", "window", "controls", "angular")),
         "optimizer": Part(cfg.optimizer),
         **({"scheduler": Part(cfg.scheduler)} if cfg.scheduler else {}),
         "trainer": Part(node, Trainer, ("plugins", "callbacks", "logger", "default_root_dir")),
@@ -103,7 +103,9 @@ def parts_of(cfg: DictConfig) -> dict[str, Part]:
 def build_model(values: dict[str, Any], made: Factories, data: WindowDataModule) -> AbstractModel:
     """Build the model, with its optimiser and what its checkpoints say of the training."""
     space, source, scheduler = data.source.space, data.source, made.get("scheduler")
-    model = made["model"](dof=space.dof, inertia=space.inertia, window=data.window).to(data.dtype)
+    given = {"dof": space.dof, "inertia": about_space(space)["inertia"], "controls": len(space.controls)}
+    given |= {"angular": space.angular}
+    model = made["model"](**given, window=data.window).to(data.dtype)
     known = {"recipe": source.recipe(), "split": list(data.splits.fractions)}
     about = {"format": FORMAT, "space": about_space(space), "data": known, "settings": settings_of(values)}
     model.train_by(Optimisation(made["optimizer"](), scheduler and scheduler()), about)

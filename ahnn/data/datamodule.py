@@ -17,7 +17,7 @@ from ahnn.data.segments import Segments, whole
 from ahnn.data.sensor import Sensor
 from ahnn.data.sources import Source
 from ahnn.data.splits import Split, SplitData
-from ahnn.data.windows import Windows, require_span
+from ahnn.data.windows import Windows, on_clock, require_span
 from ahnn.errors import UserError
 from ahnn.measurements import Instrument, Segment
 from ahnn.measurements.smoothing import Local, as_states, smoothed
@@ -78,6 +78,7 @@ class WindowDataModule(LightningDataModule):
         self.splits = SplitData(source, split, sensor)
         self.stages: Stages | None = None
         self.epochs = 1
+        self.clock = 0
         self._cut: dict[int | None, Segments] = {}
         self._windows: dict[tuple[Split, int], Windows] = {}
         self.window, self.span, self.batch_size = window, window, batch_size
@@ -85,13 +86,17 @@ class WindowDataModule(LightningDataModule):
         self.dtype = {32: torch.float32, 64: torch.float64}[precision]
         self.emphasis, self.order_seed = emphasis, order_seed
 
-    def require_span(self, steps: int) -> None:
-        """Let training windows span at least so many steps: derivatives need more than W.
+    def require_span(self, steps: int, clock: int = 0) -> None:
+        """Let training windows span at least so many steps, for derivatives need more than W.
+
+        Args:
+            steps: of a window, at least.
+            clock: clock coordinates of their states, as the dynamics want them.
 
         Raises:
             UserError: the trajectories, as far as their length is known before they are made, are shorter.
         """
-        self.span = max(self.window, steps)
+        self.span, self.clock = max(self.window, steps), clock
         truth: Any = self.source.truth
         if truth is not None and getattr(truth, "periods", None) is None:
             require_span(self.span, truth.steps)
@@ -103,7 +108,8 @@ class WindowDataModule(LightningDataModule):
     @cached_property
     def smooth(self) -> Local:
         """Polynomials at some of the training measurements, which scalings and widths are read off."""
-        return smoothed(self.splits.instrument(), *self.trajectories("train"), EXAMPLES)
+        train = self.trajectories("train")
+        return smoothed(self.splits.instrument(), train.states, train.times, EXAMPLES)
 
     @cached_property
     def instrument(self) -> Instrument:
@@ -115,7 +121,7 @@ class WindowDataModule(LightningDataModule):
         train = self.trajectories("train")
         if self.sensor is None:
             return Statistics.of(train)
-        return measured_statistics(self.smooth, self.instrument, train.times)
+        return measured_statistics(self.smooth, self.instrument, train)
 
     def examples(self) -> Tensor:
         """Return training states (M, D) float64, measurements smoothed."""
@@ -191,7 +197,8 @@ class WindowDataModule(LightningDataModule):
         self, split: Split, span: int, limit: int | None, seed: int | None, emphasis: float = 0.0
     ) -> WindowLoader:
         if (split, span) not in self._windows:
-            self._windows[split, span] = Windows(self.trajectories(split), span, self.dtype)
+            data = on_clock(self.trajectories(split), self.clock)
+            self._windows[split, span] = Windows(data, span, self.dtype)
         windows = self._windows[split, span]
         size = 16.0 * min(self.batch_size, len(windows)) * (span + 1) * windows.flat.shape[-1]
         require_memory("data.batch_size", "the windows of a batch", size)

@@ -10,6 +10,7 @@ from torch import Tensor
 from ahnn.errors import UserError
 from ahnn.memory import require_memory
 from ahnn.progress import progress_bar
+from ahnn.rollouts import stepped
 from ahnn.systems import System
 from ahnn.systems.truth import exact_flow
 from ahnn.types import Trajectories, rows_of_part
@@ -19,7 +20,9 @@ def generate(system: System, count: int, seed: int) -> Trajectories:
     """Return all trajectories of `generated` in memory."""
     parts = [*generated(system, count, seed)]
     times = parts[0].times[:1].expand(count, -1)
-    return Trajectories(torch.cat([part.states for part in parts]), times)
+    controls = [part.controls for part in parts if part.controls is not None]
+    states = torch.cat([part.states for part in parts])
+    return parts[0]._replace(states=states, times=times, controls=torch.cat(controls) if controls else None)
 
 
 @torch.no_grad()
@@ -32,28 +35,32 @@ def generated(system: System, count: int, seed: int) -> Iterator[Trajectories]:
     Raises:
         UserError: the trajectories are too long to be kept, do not stay finite, or cannot be made accurate.
     """
-    x = system.initial_states(count, torch.Generator().manual_seed(seed))
+    generator = torch.Generator().manual_seed(seed)
+    x = system.initial_states(count, generator)
     steps = system.durations(x)
     longest = longest_of(system, steps)
     require_memory("system.steps, system.periods", "states of a trajectory", 8.0 * (longest + 1) * x.shape[1])
     times = torch.arange(longest + 1, dtype=torch.float64) * system.dt
     many = rows_of_part(longest + 1, x.shape[1])
-    flow = exact_flow(system)
+    flow, controls = exact_flow(system), system.signal(times, count, generator)
     with progress_bar() as bar:
         total = -(-count // many) * longest
         task = bar.add_task(f"generating {count} trajectories of {system.name}", total=total)
         for begin in range(0, count, many):
             now, ends = x[begin : begin + many], steps[begin : begin + many]
+            own = None if controls is None else controls[begin : begin + many]
+            part = Trajectories(now, times.expand(len(now), -1), own, system.linear)
+            clock = part.clock.first(system.clock)
             states = torch.empty(len(now), longest + 1, now.shape[1], dtype=torch.float64)
             states[:, 0] = now
             for k in range(1, longest + 1):
-                now = flow(now, system.dt)
+                now = stepped(flow, now, system.dt, clock.at(k - 1))
                 states[:, k] = now
                 bar.advance(task)
             require_finite(system, states, ends, begin)
             if int(ends.min()) < longest:
                 states[torch.arange(longest + 1) > ends.unsqueeze(-1)] = torch.nan
-            yield Trajectories(states, times.expand(len(states), -1))
+            yield part._replace(states=states)
 
 
 def longest_of(system: System, steps: Tensor) -> int:

@@ -30,8 +30,11 @@ def check_space(space: Space) -> None:
         if not text.strip() or not text.isprintable() or "$" in text:
             message = f"space: expected names and units that can be printed, without $; received {text!r}"
             raise UserError(message)
-    if not fits(space.inertia, Positive):
-        message = f"space.inertia: expected a finite number > 0; received {space.inertia!r}"
+    masses = space.inertia if isinstance(space.inertia, tuple | list) else (space.inertia,)
+    if not all(fits(mass, Positive) for mass in masses) or len(masses) not in (1, space.dof):
+        message = (
+            f"space.inertia: expected finite numbers > 0, one or {space.dof}; received {space.inertia!r}"
+        )
         raise UserError(message)
     size = len(space.components)
     if size < 2 or size % 2:
@@ -93,7 +96,7 @@ def content_of(given: Trajectories, space: Space) -> Content:
     Raises:
         UserError: what `check_trajectories` refuses.
     """
-    states, times = check_trajectories(given, space)
+    states, times, *_ = check_trajectories(given, space)
     q, p = space.components[: space.dof], space.components[space.dof :]
     alone = bool(states[..., len(q) :].isnan().all())
     values = (states[..., : len(q)] if alone else states).numpy()

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor
 
 from ahnn.measurements import Instrument
 from ahnn.measurements.smoothing import Local, as_states, scale_of
 from ahnn.statistics import Statistics
+from ahnn.types import Trajectories
 
 EXAMPLES = 4_000
 """Samples whose neighbourhood is smoothed."""
@@ -15,8 +15,8 @@ UNTRUE = 5.0
 """Times the median error, in predicting the sample in its middle, of polynomials too stiff for the motion."""
 
 
-def measured_statistics(local: Local, instrument: Instrument, times: Tensor) -> Statistics:
-    """Return the statistics of measurements at times (B, T), read off polynomials that are local in time.
+def measured_statistics(local: Local, instrument: Instrument, measured: Trajectories) -> Statistics:
+    """Return the statistics of measurements, read off polynomials that are local in time.
 
     Rates come from the polynomials and not from differences, which noise inflates; single forces only where
     a polynomial predicts its sample about as well as most do.
@@ -26,7 +26,9 @@ def measured_statistics(local: Local, instrument: Instrument, times: Tensor) -> 
     radius = states.chunk(2, dim=-1)[0].norm(dim=-1)
     error = (local.error / scale_of(local)).norm(dim=-1)
     true = error <= UNTRUE * error.median()
-    dt = float(times.diff(dim=1).nanmedian())
+    dt = float(measured.times.diff(dim=1).nanmedian())
+    assert local.chosen is not None
+    row, column = local.chosen[true].unbind(-1)
     rate = rates.square().mean(0).sqrt()
     return Statistics(
         minimum=states.amin(0),
@@ -35,6 +37,8 @@ def measured_statistics(local: Local, instrument: Instrument, times: Tensor) -> 
         rate=rate,
         radius=torch.stack((radius.min(), radius.max())),
         positions=states[true].chunk(2, dim=-1)[0],
+        velocities=rates[true].chunk(2, dim=-1)[0],
         forces=rates[true].chunk(2, dim=-1)[1],
+        clock=measured.clock.values[row, column],
         dt=dt,
     )

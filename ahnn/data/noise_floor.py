@@ -46,7 +46,7 @@ def noise_floor(trajectories: Trajectories) -> Tensor:
 
 def differences_level(trajectories: Trajectories) -> Tensor:
     """Return what differences of all high orders leave of each component, (D,); NaN where they disagree."""
-    samples, times = trajectories
+    samples, times, *_ = trajectories
     if samples.shape[1] <= ORDERS[-1]:
         return samples.new_full(samples.shape[-1:], torch.nan)
     level = torch.stack(levels(samples, times, ORDERS))
@@ -67,7 +67,7 @@ def falls_as_noise(trajectories: Trajectories, level: Tensor) -> Tensor:
     Those of independent noise do. A motion that is sampled a few times a period leaves differences of high
     order as large as it is itself, but not such means. A level of a small part of the motion needs no test.
     """
-    samples, times = trajectories
+    samples, times, *_ = trajectories
     if samples.shape[1] <= ORDERS[-1]:
         return torch.zeros_like(level, dtype=torch.bool)
     flat, samples = samples.flatten(0, 1), without_events(samples, times)
@@ -155,6 +155,6 @@ def remark_on(samples: Trajectories, names: Sequence[str], stated: Tensor | None
 
 def looked_at(trajectories: Trajectories) -> Trajectories:
     """Return the beginnings of some trajectories, evenly chosen, of `LOOKED_AT` samples in all."""
-    states, times = trajectories.part(slice(None, None, max(1, trajectories.times.numel() // LOOKED_AT)))
+    states, times, *_ = trajectories.part(slice(None, None, max(1, trajectories.times.numel() // LOOKED_AT)))
     samples = max(LOOKED_AT // len(times), ORDERS[-1] + 1)
     return Trajectories(states[:, :samples], times[:, :samples])

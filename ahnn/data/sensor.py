@@ -78,7 +78,7 @@ class Sensor:
     def instrument(self, spacing: float) -> Instrument:
         """Return what a fit must know of measurements on samples so far apart."""
         longest, space = self.stride * spacing, self.space
-        return Instrument(self.measurement, self.deviations, longest, space.dof, space.inertia)
+        return Instrument(self.measurement, self.deviations, longest, space.dof, space.factor)
 
     def measure(self, truth: Trajectories, part: int) -> Trajectories:
         """Return measurements (B, K, M) of true trajectories, with a seed for each part of the data."""

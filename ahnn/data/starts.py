@@ -173,7 +173,7 @@ def of_files(path: Path, space: Space, ours: Reference, *, last: bool, weighed: 
     second = 1.0 if kind == "elements" else None  # between the two samples that SGP4 gives
 
     def read(frame: Any = None) -> Files:
-        return Files("start", str(path), mass=space.inertia, frame=frame, step=second, duration=second)
+        return Files("start", str(path), mass=space.mass, frame=frame, step=second, duration=second)
 
     last, files = last and second is None, read()
     if not files.momenta:
@@ -204,7 +204,7 @@ def of_files(path: Path, space: Space, ours: Reference, *, last: bool, weighed: 
     known = covariances_of(path, since, frame, earlier=last)
     if known is None:
         return found
-    weights = factors * torch.tensor([1.0] * 3 + [space.inertia] * 3, dtype=torch.float64)
+    weights = factors * torch.tensor([1.0] * 3 + [space.mass] * 3, dtype=torch.float64)
     covariances = known.matrices[:, order][:, :, order] * torch.outer(weights, weights)
     at = torch.tensor(
         [(moment - files.epoch) / SECOND / size for moment in known.moments], dtype=torch.float64
@@ -253,7 +253,7 @@ def numbered(count: int) -> tuple[str, ...]:
 
 def _with_units(space: Space) -> list[str]:
     """Return the components with their units, those of momenta as of velocities times the inertia."""
-    scale = "" if space.inertia == 1 else f" x {space.inertia:g}"
+    scale = "" if space.mass == 1 else f" x {space.mass:g}"
     momentum = f"{space.units.velocity}{scale}" if space.mechanical else momentum_unit(space)
     parts = (space.units.position, momentum)
     return [f"{name} [{parts[k >= space.dof]}]" for k, name in enumerate(space.components)]

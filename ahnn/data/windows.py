@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from ahnn.clock import extended
 from ahnn.errors import UserError
 from ahnn.statistics import sampling_interval
 from ahnn.types import Trajectories, Window
@@ -87,6 +88,21 @@ class Windows:
             return
         for name in ("flat", "times", "ends", "firsts", "offsets"):
             setattr(self, name, getattr(self, name).to(device))
+
+
+def on_clock(trajectories: Trajectories, count: int) -> Trajectories:
+    """Return trajectories of extended states with k = `count` clock coordinates; 0 leaves them as they are.
+
+    Raises:
+        UserError: dynamics with controls, and trajectories without.
+    """
+    if count == 0:
+        return trajectories
+    clock = trajectories.clock
+    if clock.values.shape[-1] < count:
+        message = "forces: expected trajectories with controls; received none. Name them in the data"
+        raise UserError(message)
+    return trajectories._replace(states=extended(trajectories.states, clock.first(count)))
 
 
 def require_span(steps: int, longest: int) -> None:

@@ -18,13 +18,18 @@ if TYPE_CHECKING:
 class Dynamics(nn.Module, ABC):
     """Map of a state and a time step to an increment of the state.
 
+    Dynamics that depend on time or on controls move extended states z (`ahnn.clock`), (B, 2 (n + k)), in the
+    place of x.
+
     Attributes:
         spec: plain values from which `make_dynamics` builds the same module, weights apart.
         assumes: what is taken as known of the dynamics; scores mean little without it.
+        clock: k, clock coordinates of the states: 0, 1 for time, 1 + m for time and m controls.
     """
 
     spec: dict[str, Any]
     assumes: str
+    clock: int = 0
 
     @abstractmethod
     def fit(self, statistics: Statistics) -> None:

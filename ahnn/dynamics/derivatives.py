@@ -10,7 +10,10 @@ import torch
 from torch import Tensor, nn
 from torch.func import functional_call, jacrev, vmap
 
+from ahnn.clock import reduced, split
 from ahnn.dynamics.base import HasField
+from ahnn.dynamics.forced import Forced, total
+from ahnn.dynamics.forces import Instant
 from ahnn.dynamics.hamiltonians import SeparableHamiltonian
 from ahnn.dynamics.separable_rows import has_separable_rows, separable_rows
 from ahnn.types import TimeStep
@@ -65,6 +68,8 @@ IncrementJacobian = Callable[[Tensor, Tensor, TimeStep], tuple[Tensor, Tensor]]
 def field_jacobian(dynamics: HasField, dtype: torch.dtype = torch.float32) -> FieldJacobian:
     """Return the Jacobian of the field, computed in `dtype`: in closed form where H = T(p) + V(q)."""
     field = dynamics.field
+    if isinstance(field, Forced) and has_separable_rows(field.hamiltonian) and knows_velocities(field):
+        return forced_field_jacobian(field, dtype)
     if not has_separable_rows(field):
         return mapped_field_jacobian(dynamics, dtype)
 
@@ -73,6 +78,33 @@ def field_jacobian(dynamics: HasField, dtype: torch.dtype = torch.float32) -> Fi
         by = torch.ones_like(flat) if factors is None else factors.flatten(0, -2).to(dtype)
         rows = separable_rows(cast(SeparableHamiltonian, field), theta.to(dtype), flat, by)
         return rows.unflatten(0, x.shape[:-1])
+
+    return jacobian
+
+
+def forced_field_jacobian(field: Forced, dtype: torch.dtype) -> FieldJacobian:
+    """Return the Jacobian of p^2 / 2m + V(q) in closed form, beside that of forces by reverse mode.
+
+    Velocities are known, so that no parameter of V moves a force.
+    """
+    inner, clock = cast(SeparableHamiltonian, field.hamiltonian), field.clock
+    count = sum(p.numel() for p in inner.parameters())
+
+    def pushed(z: Tensor) -> Tensor:
+        q, c, p, _ = split(z, clock)
+        return total(field.parts, Instant(c[..., :1], c[..., 1:], q, inner.velocity(p)))
+
+    of_forces = mapped_jacobian(field.forces, pushed, dtype)
+
+    def jacobian(theta: Tensor, z: Tensor, factors: Tensor | None = None) -> Tensor:
+        flat = z.flatten(0, -2).to(dtype)
+        by = torch.ones_like(flat) if factors is None else factors.flatten(0, -2).to(dtype)
+        plain, theta = reduced(by, clock), theta.to(dtype)
+        rows = separable_rows(inner, theta[:count], reduced(flat, clock), plain)
+        if len(theta) > count:
+            rows = torch.cat((rows, of_forces(theta[count:], flat, plain.chunk(2, dim=-1)[1])), dim=-1)
+        rows = nn.functional.pad(rows, (0, 0, 0, clock)) if clock else rows  # no parameter moves a clock
+        return rows.unflatten(0, z.shape[:-1])
 
     return jacobian
 
@@ -136,4 +168,5 @@ def increment_jacobian(
 
 def knows_velocities(field: nn.Module) -> bool:
     """Return whether no parameter moves dq/dt: T(p) is known."""
-    return isinstance(field, SeparableHamiltonian) and not list(field.kinetic.parameters())
+    inner = field.hamiltonian if isinstance(field, Forced) else field
+    return isinstance(inner, SeparableHamiltonian) and not list(inner.kinetic.parameters())

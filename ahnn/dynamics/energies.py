@@ -5,6 +5,7 @@ Each is a module with `fit` (constants from the training split), a value and a g
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import torch
@@ -14,6 +15,7 @@ from ahnn.dynamics.inputs import InputMap
 from ahnn.dynamics.networks import make_network
 from ahnn.errors import UserError
 from ahnn.statistics import Statistics
+from ahnn.types import as_factor
 
 
 class Energy(Protocol):
@@ -103,22 +105,28 @@ class NetworkEnergy(nn.Module):
 
 
 class Quadratic(nn.Module):
-    """The kinetic energy p^2 / 2m of a known mass."""
+    """The kinetic energy p^2 / 2m of a known mass, or of one for each coordinate."""
 
-    def __init__(self, mass: float) -> None:
+    def __init__(self, mass: float | Sequence[float]) -> None:
         super().__init__()
-        self.mass = mass
+        self.factor = as_factor(mass)  # no buffer: it keeps all its digits in any precision of the weights
+
+    def mass(self, like: Tensor) -> float | Tensor:
+        """Return m: a number, or (n,) of the type of a tensor."""
+        return self.factor.to(like) if isinstance(self.factor, Tensor) else self.factor
 
     def fit(self, statistics: Statistics) -> None:
         """Nothing to set."""
 
     def forward(self, p: Tensor) -> Tensor:
         """Return p^2 / 2m, shape (...)."""
-        return (p * p).sum(-1) / (2 * self.mass)
+        if isinstance(self.factor, float):
+            return (p * p).sum(-1) / (2 * self.factor)
+        return 0.5 * (p * p / self.mass(p)).sum(-1)
 
     def gradient(self, p: Tensor) -> Tensor:
         """Return p / m, shape (..., n)."""
-        return p / self.mass
+        return p / self.mass(p)
 
     def seen(self, p: Tensor) -> Tensor:
         """Return nothing, shape (..., 0)."""

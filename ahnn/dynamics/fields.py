@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, cast, final
 
 import torch
@@ -9,6 +10,7 @@ from torch import Tensor, nn
 
 from ahnn.dynamics import native, written_out
 from ahnn.dynamics.base import Dynamics
+from ahnn.dynamics.forced import Forced
 from ahnn.dynamics.gradients import Layers
 from ahnn.dynamics.hamiltonians import GenericHamiltonian, Structure, make_hamiltonian
 from ahnn.dynamics.inputs import Cartesian, InputName
@@ -100,21 +102,25 @@ class HamiltonianDynamics(_Integrated):
 
     Args:
         dof: degrees of freedom n.
-        inertia: factor m of T = p^2 / 2m, used by `mechanical` and `central_body`.
+        inertia: factor m of T = p^2 / 2m, used by `mechanical` and `central_body`; one for each coordinate
+            with `mechanical`.
         hamiltonian: generic, separable, mechanical or central_body.
         mu: gravitational parameter of `central_body`; None learns it.
         falloff: k of a learned V(q) = (R / r)^k N(q); 0 leaves open how it goes with the distance.
-        inputs: cartesian, isotropic or radial positions.
+        inputs: cartesian, isotropic or radial positions, or angles.
         scaling: minmax, block or none.
         network: width, depth, activation.
         integrator: `name` and options of the one-step method.
+        angular: which coordinates are angles, for inputs=angles.
+        forces: beside the Hamiltonian, name -> options of `make_force`: friction, controls, known physics.
+        controls: m, numbers that forces may depend on.
     """
 
     def __init__(
         self,
         dof: int,
         *,
-        inertia: float,
+        inertia: float | list[float],
         hamiltonian: Structure,
         mu: float | None,
         falloff: float = 0.0,
@@ -122,11 +128,20 @@ class HamiltonianDynamics(_Integrated):
         scaling: Kind,
         network: dict[str, Any],
         integrator: dict[str, Any],
+        angular: list[bool] | None = None,
+        forces: Mapping[str, Mapping[str, Any]] | None = None,
+        controls: int = 0,
     ) -> None:
         options: dict[str, Any] = {"inputs": inputs, "scaling": scaling, "network": network}
-        field = make_hamiltonian(hamiltonian, dof, mass=inertia, mu=mu, falloff=falloff, **options)
+        options |= {"angular": angular}
+        field: nn.Module = make_hamiltonian(hamiltonian, dof, mass=inertia, mu=mu, falloff=falloff, **options)
+        assumed = [f"{hamiltonian} Hamiltonian, {inputs} inputs"]
+        if forces:
+            field = Forced(field, forces, dof, controls)
+            self.clock = field.clock
+            assumed += [force.assumes for force in field.parts]
         super().__init__(field, integrator)
-        self.assumes = f"{hamiltonian} Hamiltonian, {inputs} inputs"
+        self.assumes = ", ".join(assumed)
 
     def _as_one(self, x: Tensor, dt: TimeStep) -> tuple[Layers, Scheme] | None:
         """Return field and scheme where a step from states like x is one operation, else None."""
@@ -151,5 +166,8 @@ class HamiltonianDynamics(_Integrated):
         return native.applies(scheme, layers.leave, layers.tensors)
 
     def energy(self, x: Tensor) -> Tensor:
-        """Return the learned H, shape (...), at the states x, shape (..., D); a constant is free."""
+        """Return H, shape (...), at the states x, shape (..., D); a constant is free.
+
+        Potentials of forces that have one are part of it; it is conserved where all forces have one.
+        """
         return cast(Any, self.field).energy(x)

@@ -30,16 +30,25 @@ class GenericHamiltonian(nn.Module):
 
     Args:
         dof: degrees of freedom n.
-        inputs: cartesian, isotropic or radial, for the positions.
+        inputs: cartesian, isotropic, radial or angles, for the positions.
         scaling: minmax, block or none.
         network: width, depth, activation.
+        angular: which coordinates are angles.
     """
 
     unit: Tensor
 
-    def __init__(self, dof: int, *, inputs: InputName, scaling: Kind, network: dict[str, Any]) -> None:
+    def __init__(
+        self,
+        dof: int,
+        *,
+        inputs: InputName,
+        scaling: Kind,
+        network: dict[str, Any],
+        angular: list[bool] | None = None,
+    ) -> None:
         super().__init__()
-        self.positions = position_inputs(inputs, dof, scaling)
+        self.positions = position_inputs(inputs, dof, scaling, angular)
         self.momenta = Cartesian(dof, scaling, 1)
         self.network = make_network(self.positions.size + dof, 1, network)
         self.register_buffer("unit", torch.ones(()))
@@ -138,12 +147,13 @@ def make_hamiltonian(
     structure: Structure,
     dof: int,
     *,
-    mass: Positive,
+    mass: Positive | list[Positive],
     mu: Positive | None,
     falloff: NonNegative = 0.0,
     inputs: InputName,
     scaling: Kind,
     network: dict[str, Any],
+    angular: list[bool] | None = None,
 ) -> Hamiltonian:
     """Return the learned Hamiltonian of a structure.
 
@@ -151,12 +161,13 @@ def make_hamiltonian(
         structure: `generic` H(q, p), `separable` T(p) + V(q), `mechanical` p^2 / 2m + V(q), or
             `central_body` p^2 / 2m - m mu / r + V(q).
         dof: degrees of freedom n.
-        mass: used by the last two.
+        mass: used by the last two; one for each coordinate with `mechanical`.
         mu: gravitational parameter of `central_body`; None learns it.
         falloff: k of a learned V(q) = (R / r)^k N(q); 0 leaves open how it goes with the distance.
-        inputs: cartesian, isotropic or radial, for the positions.
+        inputs: cartesian, isotropic, radial or angles, for the positions.
         scaling: minmax, block or none.
         network: width, depth, activation.
+        angular: which coordinates are angles.
 
     Raises:
         UserError: unknown structure, mu or falloff for a structure without them, or out of range.
@@ -172,9 +183,16 @@ def make_hamiltonian(
         message = f"falloff: expected {needs}; received {falloff:g}"
         raise UserError(message)
     if structure == "generic":
-        return GenericHamiltonian(dof, inputs=inputs, scaling=scaling, network=network)
-    learned = NetworkEnergy(position_inputs(inputs, dof, scaling), network, 0, falloff)
+        return GenericHamiltonian(dof, inputs=inputs, scaling=scaling, network=network, angular=angular)
+    learned = NetworkEnergy(position_inputs(inputs, dof, scaling, angular), network, 0, falloff)
     if structure == "separable":
         return SeparableHamiltonian(NetworkEnergy(Cartesian(dof, scaling, 1), network, 1), learned)
-    potential = learned if structure == "mechanical" else CentralBody(learned, mass, mu)
-    return SeparableHamiltonian(Quadratic(mass), potential)
+    if structure == "mechanical":
+        if isinstance(mass, list) and len(mass) != dof:
+            message = f"inertia: expected one mass, or {dof}; received {mass}"
+            raise UserError(message)
+        return SeparableHamiltonian(Quadratic(mass), learned)
+    if isinstance(mass, list):
+        message = f"inertia: expected one mass for hamiltonian=central_body; received {mass}"
+        raise UserError(message)
+    return SeparableHamiltonian(Quadratic(mass), CentralBody(learned, mass, mu))

@@ -42,7 +42,7 @@ def gradient_and_hessian(energy: nn.Module, x: Tensor) -> tuple[Tensor, Tensor]:
         of_point = _point_mass(energy.mass * energy.mu, x)
         return gradient + of_point[0], hessian + of_point[1]
     if isinstance(energy, Quadratic):
-        return x / energy.mass, (torch.eye(x.shape[1]).to(x) / energy.mass).expand(len(x), -1, -1)
+        return energy.gradient(x), (torch.eye(x.shape[1]).to(x) / energy.mass(x)).expand(len(x), -1, -1)
     if isinstance(energy, GenericHamiltonian):
         gradient, hessian = _of_network(energy.network, _Both(energy.positions, energy.momenta), x)
         return energy.unit * gradient, energy.unit * hessian

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import torch
@@ -14,7 +14,7 @@ from ahnn.dynamics.scaling import Affine, Kind
 from ahnn.errors import UserError
 from ahnn.statistics import Statistics
 
-InputName = Literal["cartesian", "isotropic", "radial"]
+InputName = Literal["cartesian", "isotropic", "radial", "angles"]
 
 Pullback = Callable[[Tensor], Tensor]
 """From the gradient with respect to the inputs of a network to the one with respect to the coordinates."""
@@ -178,18 +178,85 @@ class Cartesian(nn.Module):
         return q.new_zeros(*q.shape, q.shape[-1])
 
 
-InputMap = Cartesian | Isotropic | Radial
+class Angles(nn.Module):
+    """Cosine and sine of coordinates that are angles, the others scaled: what is learned has period 2 pi.
+
+    Args:
+        angular: which of the n coordinates are angles, in rad.
+        scaling: of the others: minmax, block or none.
+    """
+
+    def __init__(self, angular: Sequence[bool], scaling: Kind) -> None:
+        super().__init__()
+        self.turning = [k for k, is_angle in enumerate(angular) if is_angle]
+        self.straight = [k for k, is_angle in enumerate(angular) if not is_angle]
+        self.affine = Affine(scaling, len(self.straight))
+        self.size = len(angular) + len(self.turning)
+
+    def fit(self, statistics: Statistics) -> None:
+        """Set the scaling of what is no angle; raises UserError for a constant component."""
+        if self.straight:
+            dof = len(self.straight) + len(self.turning)
+            self.affine.fit(statistics.minimum[:dof][self.straight], statistics.maximum[:dof][self.straight])
+
+    def forward(self, q: Tensor) -> Tensor:
+        """Return cosines, sines and scaled components, shape (..., F), at the positions q, shape (..., n)."""
+        angle = q[..., self.turning]
+        return torch.cat((angle.cos(), angle.sin(), self.affine(q[..., self.straight])), dim=-1)
+
+    def pullback(self, q: Tensor, gradient: Tensor) -> Tensor:
+        """Return the gradient with respect to q, shape (..., n), from the one with respect to z."""
+        return self.linearised(q)[1](gradient)
+
+    def linearised(self, q: Tensor) -> tuple[Tensor, Pullback]:
+        """Return z at q and the way back of gradients from there."""
+        z, count = self(q), len(self.turning)
+        order = [*self.turning, *self.straight]
+        back = [order.index(k) for k in range(len(order))]
+
+        def pullback(gradient: Tensor) -> Tensor:
+            of_cosine, of_sine, others = gradient.split((count, count, len(self.straight)), dim=-1)
+            turned = z[..., :count] * of_sine - z[..., count : 2 * count] * of_cosine
+            return torch.cat((turned, self.affine.pullback(others)), dim=-1)[..., back]
+
+        return z, pullback
+
+    def curvature(self, q: Tensor, gradient: Tensor) -> Tensor:
+        """Return the second derivative of z along the gradient with respect to it, shape (..., n, n)."""
+        angle, count = q[..., self.turning], len(self.turning)
+        bent = torch.zeros_like(q)
+        bent[..., self.turning] = -(
+            angle.cos() * gradient[..., :count] + angle.sin() * gradient[..., count : 2 * count]
+        )
+        return torch.diag_embed(bent)
+
+
+InputMap = Cartesian | Isotropic | Radial | Angles
 
 
 @checked
-def position_inputs(name: InputName, dof: int, scaling: Kind) -> InputMap:
+def position_inputs(name: InputName, dof: int, scaling: Kind, angular: list[bool] | None = None) -> InputMap:
     """Return the input map of the positions.
 
+    Args:
+        name: of the map.
+        dof: degrees of freedom n.
+        scaling: minmax, block or none.
+        angular: which coordinates are angles, for `angles`.
+
     Raises:
-        UserError: unknown name, or inputs of a distance in one dimension.
+        UserError: unknown name, angles without any, or inputs of a distance in one dimension.
     """
     if name == "cartesian":
         return Cartesian(dof, scaling, 0)
+    if name == "angles":
+        if not angular or len(angular) != dof or not any(angular):
+            message = (
+                f"inputs angles: expected coordinates that are angles, in rad; received {angular}. Positions "
+                "whose unit is rad are, and those that `Space.angles` names"
+            )
+            raise UserError(message)
+        return Angles(angular, scaling)
     if dof < 2:
         message = f"inputs {name}: expected a system of at least 2 degrees of freedom; received 1"
         raise UserError(message)

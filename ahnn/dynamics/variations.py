@@ -13,12 +13,16 @@ from functools import partial
 
 import torch
 from torch import Tensor, nn
+from torch.func import jacrev, vmap
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
+from ahnn.clock import split
 from ahnn.cores import each, slices
 from ahnn.dynamics.base import Dynamics
 from ahnn.dynamics.derivatives import parametrised
 from ahnn.dynamics.fields import HamiltonianDynamics
+from ahnn.dynamics.forced import Forced, total
+from ahnn.dynamics.forces import Instant
 from ahnn.dynamics.hamiltonians import GenericHamiltonian, SeparableHamiltonian
 from ahnn.dynamics.hessians import gradient_and_hessian, has_hessian
 from ahnn.integrators import ExplicitRungeKutta, SymmetricComposition
@@ -78,8 +82,15 @@ def jacobian_along(function: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:
     return function(torch.cat((x.unsqueeze(1), one), dim=1))[:, 1:].mT
 
 
-def varied(field: nn.Module) -> GenericVariations | SeparableVariations | None:
+Variations = Callable[[Tensor], Tensor]
+"""Field of states with their variations, (B, 1 + D, D)."""
+
+
+def varied(field: nn.Module) -> Variations | None:
     """Return the field of states with their variations, (B, 1 + D, D); None where it is not known."""
+    if isinstance(field, Forced):
+        inner = varied(field.hamiltonian)
+        return None if inner is None else ForcedVariations(field, inner)
     if isinstance(field, GenericHamiltonian):
         return GenericVariations(field) if has_hessian(field) else None
     if not isinstance(field, SeparableHamiltonian):
@@ -118,6 +129,29 @@ class SeparableVariations:
         """Return the rates, shape (B, 1 + D, D), of states and variations."""
         q, p = x.chunk(2, dim=-1)
         return torch.cat((self.velocity(p), self.force(q)), dim=-1)
+
+
+class ForcedVariations:
+    """The same for Hamilton's equations with forces, whose derivatives come from reverse mode."""
+
+    def __init__(self, field: Forced, inner: Variations) -> None:
+        self.field, self.inner = field, inner
+
+    def __call__(self, z: Tensor) -> Tensor:
+        """Return the rates, shape (B, 1 + D, D), of extended states and variations."""
+        dof = self.field.dof
+        q, c, p, rates = split(z, self.field.clock)
+        v, pull = self.inner(torch.cat((q, p), dim=-1)).chunk(2, dim=-1)
+        seen = torch.cat((c, q, v), dim=-1)
+
+        def pushed(row: Tensor) -> Tensor:
+            t, u, q, v = row.split((min(1, self.field.clock), max(0, self.field.clock - 1), dof, dof), dim=-1)
+            return total(self.field.parts, Instant(t, u, q, v))
+
+        here = seen[:, 0]
+        moved = seen[:, 1:] @ vmap(jacrev(pushed))(here).mT
+        force = torch.cat((pushed(here).unsqueeze(1), moved), dim=1)
+        return torch.cat((v, rates, pull + force, torch.zeros_like(rates)), dim=-1)
 
 
 def _slope(energy: nn.Module, x: Tensor) -> Tensor:

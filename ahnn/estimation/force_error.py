@@ -39,7 +39,7 @@ class ForceError(NamedTuple):
 
     size: Tensor | float
     memory: Tensor | float
-    inertia: float = 1.0
+    inertia: float | Tensor = 1.0
     growth: Callable[[Tensor], Tensor] | None = None
 
     @property

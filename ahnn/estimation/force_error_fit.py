@@ -40,7 +40,7 @@ def fitted_force_error(
     setting: Setting,
     problem: Problem,
     trajectories: Trajectories,
-    inertia: float,
+    inertia: float | Tensor,
     *,
     size: float | None = None,
     memory: float | None = None,

@@ -85,8 +85,8 @@ def _start(system: System, given: Sequence[float] | None) -> Tensor:
     """Return the standard deviations of the initial error, (D,)."""
     if given is None:
         return system.deviations()
-    blocks = torch.tensor([given[0], given[1] * system.space.divisor], dtype=torch.float64)
-    return require_squares(blocks, "start_sd").repeat_interleave(system.dof)
+    values = torch.tensor(given, dtype=torch.float64).repeat_interleave(system.dof) * system.space.scales
+    return require_squares(values, "start_sd")
 
 
 def _try(measurement: Any, system: System, time: float) -> None:
@@ -95,7 +95,7 @@ def _try(measurement: Any, system: System, time: float) -> None:
     mass = getattr(measurement, "mass", system.inertia)
     if mass != system.inertia:
         message = (
-            f"measurement: expected {type(measurement).__name__} with mass={system.inertia:g}, "
+            f"measurement: expected {type(measurement).__name__} with mass={system.inertia}, "
             f"that of the system, whose momenta it reads; received mass={mass:g}"
         )
         raise UserError(message)

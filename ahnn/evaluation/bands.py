@@ -118,10 +118,11 @@ def percent(shares: tuple[float, ...]) -> str:
     return ", ".join(f"{100 * share:.3g}" for share in shares)
 
 
-def norms(values: Tensor, inertia: float) -> tuple[float, float]:
+def norms(values: Tensor, divisor: float | Tensor) -> tuple[float, float]:
     """Return the rms norm over trajectories and times of the positions and velocities in (B, T, D)."""
-    position, momentum = (float(block.square().sum(-1).nanmean().sqrt()) for block in values.chunk(2, dim=-1))
-    return position, momentum / inertia
+    position, momentum = values.chunk(2, dim=-1)
+    rms = (float(block.square().sum(-1).nanmean().sqrt()) for block in (position, momentum / divisor))
+    return next(rms), next(rms)
 
 
 def band_figure(case: Case, prediction: Tensor, deviations: Tensor) -> Figure:
@@ -130,7 +131,8 @@ def band_figure(case: Case, prediction: Tensor, deviations: Tensor) -> Figure:
     panels = figure.subplots(2, 1, sharex=True)
     axis, names = style.time_axis(case), style.state_labels(case)
     off = errors(prediction, case.test.states)[0]
-    for axes, i, unit in zip(panels, (0, case.space.dof), (1.0, case.space.divisor), strict=True):
+    for axes, i in zip(panels, (0, case.space.dof), strict=True):
+        unit = case.space.scales[i]
         sd = deviations[0, :, i] / unit
         for k, alpha in zip(SIGMAS, (0.5, 0.3, 0.15), strict=True):
             axes.fill_between(

@@ -74,9 +74,9 @@ def error(case: Case, curves: list[Curve]) -> Figure:
     for curve in curves:
         blocks = errors(curve.states, case.test.states).chunk(2, dim=-1)
         for axes, block, unit in zip(panels, blocks, (1.0, case.space.divisor), strict=False):
-            squares = block.square().sum(-1)
+            squares = (block / unit).square().sum(-1)
             time, mean = in_time(axis.time, squares) if uneven else (axis.time, squares.nanmean(0))
-            rms = mean[1:].sqrt() / unit
+            rms = mean[1:].sqrt()
             main = moving_average(rms, SMOOTHING) if smooth else rms
             axes.plot(time[1:], main, **curve.look, label=curve.name)
             if smooth:
@@ -167,7 +167,9 @@ def phase_portrait(case: Case, curves: list[Curve], count: int = 4) -> Figure:
 
 def _plane(case: Case, states: Tensor) -> Tensor:
     """Return the first position and its velocity, (B, T, 2), NaN where they are not finite."""
-    plane = torch.stack((states[..., 0], states[..., case.space.dof] / case.space.divisor), dim=-1)
+    plane = torch.stack(
+        (states[..., 0], states[..., case.space.dof] / case.space.scales[case.space.dof]), dim=-1
+    )
     return plane.where(plane.isfinite(), torch.nan)
 
 

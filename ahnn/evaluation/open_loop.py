@@ -28,13 +28,25 @@ class Floor(NamedTuple):
     flow: Flow
 
 
+class Integrated(NamedTuple):
+    """The flow of the true field through an integrator."""
+
+    system: System
+    integrator: Integrator
+
+    @property
+    def clock(self) -> int:
+        """Clock coordinates of its states."""
+        return self.system.clock
+
+    def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
+        """Return the states after dt."""
+        return self.integrator.step(self.system, x, dt)
+
+
 def integrated(system: System, integrator: Integrator) -> Flow:
     """Return the flow of the true field through an integrator."""
-
-    def flow(x: Tensor, dt: TimeStep) -> Tensor:
-        return integrator.step(system, x, dt)
-
-    return flow
+    return Integrated(system, integrator)
 
 
 def floors(case: Case) -> dict[Start, Floor]:
@@ -64,7 +76,10 @@ def open_loop(case: Case) -> Findings:
     together = torch.cat(list(starts.values()))
     text = described(Who(MODEL, case.start), case.label)
     dt = case.dt.repeat(len(starts), 1) if isinstance(case.dt, Tensor) else case.dt
-    predictions = rollout(case.flow, together, dt, samples, text, case.longest).chunk(len(starts))
+    clock = case.test.clock
+    both = clock.rows(torch.arange(len(case.test.times)).repeat(len(starts)))
+    predictions = rollout(case.flow, together, dt, samples, text, case.longest, clock=both)
+    predictions = predictions.chunk(len(starts))
     for start, prediction in zip(starts, predictions, strict=True):
         who = Who(MODEL, start)
         findings.arrays[f"{start}_start"] = prediction
@@ -73,7 +88,7 @@ def open_loop(case: Case) -> Findings:
         extra = _drift(case.energy, prediction) | {"lost": lost / len(prediction)}
         findings.rows.append(Row(who, case.score(prediction), note, extra))
     for start, floor in there.items():
-        prediction = rollout(floor.flow, starts[start], case.dt, samples)
+        prediction = rollout(floor.flow, starts[start], case.dt, samples, clock=clock)
         findings.arrays[f"floor_{start}_start"] = prediction
         findings.rows.append(Row(floor.who, case.score(prediction)))
     return findings

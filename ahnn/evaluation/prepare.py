@@ -66,12 +66,18 @@ def make_case(
         folder=folder,
         measured=measured,
         robust=robust,
-        learned_from=None if data.sensor is None else Segment(*data.measured("train"), data.instrument()),
+        learned_from=None if data.sensor is None else learned_from(data),
         uncertainty=uncertainty,
         novelty=None if domain is None else partial(domain.novelty, dynamics),
         fitted=fitted,
         remark=remark,
     )
+
+
+def learned_from(data: SplitData) -> Segment:
+    """Return the measurements of the training trajectories."""
+    measured = data.measured("train")
+    return Segment(measured.states, measured.times, data.instrument())
 
 
 def as_test(measured: Segment) -> Trajectories:

@@ -112,7 +112,7 @@ def decoded(content: Mapping[str, Any]) -> Results:
         label=_text(content["model"]),
         assumes=_text(content["assumes"]),
         space=Space(
-            _text(content["system"]), components, units, _number(content["inertia"]), frame, mechanical
+            _text(content["system"]), components, units, _inertia(content["inertia"]), frame, mechanical
         ),
         rows=tuple(_row(row) for row in content["rows"]),
         training=restored(dict(content["training"])),
@@ -120,6 +120,10 @@ def decoded(content: Mapping[str, Any]) -> Results:
         about=restored(dict(content["about"])),
         schema=content["schema"],
     )
+
+
+def _inertia(value: Any) -> float | tuple[float, ...]:
+    return tuple(map(_number, value)) if isinstance(value, list) else _number(value)
 
 
 def plain(value: Any) -> Any:

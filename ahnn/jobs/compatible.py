@@ -23,7 +23,7 @@ def check_together(prepared: Prepared) -> None:
     data, model, trainer = prepared.data, prepared.model, prepared.trainer
     require_learnable(model, data)
     if model.curriculum.span is not None:
-        data.require_span(model.curriculum.span)
+        data.require_span(model.curriculum.span, model.dynamics.clock)
     else:
         data.follow(model.curriculum, int(trainer.max_epochs or 1))
     parts: list[Any] = [model, *trainer.callbacks]  # pyright: ignore[reportAttributeAccessIssue]

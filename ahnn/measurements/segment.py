@@ -27,7 +27,7 @@ class Instrument(NamedTuple):
     deviations: Tensor
     longest: float
     dof: int
-    inertia: float
+    inertia: float | Tensor
     width: int = 2
 
 

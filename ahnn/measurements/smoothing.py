@@ -29,6 +29,7 @@ class Local(NamedTuple):
         error: (E, C) difference of the sample in the middle from the polynomial of the others.
         leverage: (E,) share of that sample in its own polynomial.
         width: samples on either side that it was fitted to.
+        chosen: (E, 2) row and column of the samples in the middle; None where it is the first.
     """
 
     value: Tensor
@@ -37,6 +38,7 @@ class Local(NamedTuple):
     error: Tensor
     leverage: Tensor
     width: int = 0
+    chosen: Tensor | None = None
 
 
 def local_polynomials(values: Tensor, offsets: Tensor, middle: int) -> Local:
@@ -125,4 +127,4 @@ def around(instrument: Instrument, values: Tensor, times: Tensor, chosen: Tensor
     located = located_at(instrument, values[chosen[:, :1], columns], there.nan_to_num())
     middle = times[chosen[:, 0], chosen[:, 1]].unsqueeze(-1)
     enough = (located.isfinite().all(-1) & inside).sum(1) > DEGREE + 1
-    return local_polynomials(located[enough], (there - middle)[enough], width)
+    return local_polynomials(located[enough], (there - middle)[enough], width)._replace(chosen=chosen[enough])

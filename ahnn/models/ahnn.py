@@ -21,19 +21,22 @@ class AHNN(AbstractModel):
         hamiltonian: generic, separable, mechanical or central_body.
         mu: gravitational parameter of `central_body`; None learns it.
         falloff: k of a learned V(q) = (R / r)^k N(q); 0 leaves open how it goes with the distance.
-        inputs: cartesian, isotropic or radial positions.
+        inputs: cartesian, isotropic or radial positions, or angles.
         scaling: minmax, block or none.
         network: width, depth, activation.
         integrator: `name` and options of the one-step method.
         window: W, steps of the recursive predictions in the loss.
         loss: options of `LossOptions`.
+        angular: which coordinates are angles, for inputs=angles.
+        forces: beside the Hamiltonian, name -> options.
+        controls: m, numbers that forces may depend on.
     """
 
     def __init__(
         self,
         dof: int,
         *,
-        inertia: float,
+        inertia: float | list[float],
         hamiltonian: Structure,
         mu: float | None,
         falloff: float = 0.0,
@@ -43,8 +46,15 @@ class AHNN(AbstractModel):
         integrator: dict[str, Any],
         window: int,
         loss: dict[str, Any],
+        angular: list[bool] | None = None,
+        forces: dict[str, dict[str, Any]] | None = None,
+        controls: int = 0,
     ) -> None:
         options = {"inertia": inertia, "hamiltonian": hamiltonian, "mu": mu, "falloff": falloff}
         options |= {"inputs": inputs, "scaling": scaling, "network": network, "integrator": integrator}
+        if inputs == "angles":
+            options |= {"angular": angular}
+        if forces:  # weights of a Hamiltonian alone keep their arguments
+            options |= {"forces": forces, "controls": controls}
         super().__init__(make_dynamics("hamiltonian", dof=dof, **options), dof, window, loss)
         self.save_hyperparameters()

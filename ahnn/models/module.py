@@ -65,7 +65,7 @@ class AbstractModel(LightningModule, ABC):
             )
             raise UserError(message)
         self.dynamics = dynamics
-        self.loss, self.curriculum = make_curriculum(2 * dof, window, loss)
+        self.loss, self.curriculum = make_curriculum(2 * (dof + dynamics.clock), window, loss)
         self.dof, self.window = dof, window
         self.stepper: Stepper = FirstOrder()
         self._optimisation: Optimisation | None = None

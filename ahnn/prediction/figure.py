@@ -20,7 +20,7 @@ def prediction_figure(prediction: Prediction, space: Space, title: str) -> Figur
     time, n = prediction.times, space.dof
     colours = (style.BLUE, style.VERMILLION, style.GREEN, style.PURPLE, style.ORANGE, style.SKY)
     for k, name in enumerate(labels(space)):
-        axes, scale = panels[k // n], 1.0 if k < n else 1 / space.divisor
+        axes, scale = panels[k // n], 1 / float(space.scales[k])
         value, colour = prediction.states[0, :, k] * scale, colours[k % n % len(colours)]
         axes.plot(time, value, color=colour, label=name)
         if prediction.deviations is not None:

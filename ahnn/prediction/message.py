@@ -51,7 +51,7 @@ def ephemerides(prediction: Prediction, starts: Starts, space: Space) -> list[Ep
     require_named(starts.reference)
     assert epoch is not None
     km = position.size / 1e3
-    speed = unit(space.units.velocity).size / 1e3 / space.inertia
+    speed = unit(space.units.velocity).size / 1e3 / space.mass
     scale = torch.tensor([km] * 3 + [speed] * 3, dtype=torch.float64)
     times = (prediction.times * second.size).numpy()
     matrices, segments = prediction.covariances, []

@@ -19,7 +19,7 @@ def summary(prediction: Prediction, starts: Starts, space: Space, title: str) ->
     deviations = prediction.deviations
     lines.append(f"  {'':16s}{'last state':>16s}{'1 sigma':>12s}")
     for k, name in enumerate(labels(space)):
-        scale = 1.0 if k < space.dof else 1 / space.divisor
+        scale = 1 / float(space.scales[k])
         value = float(prediction.states[0, -1, k]) * scale
         sigma = "not known" if deviations is None else f"{float(deviations[0, -1, k]) * scale:.3g}"
         lines.append(f"  {name:16s}{value:>16.9g}{sigma:>12s}")

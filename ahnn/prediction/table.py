@@ -37,7 +37,7 @@ def columns(prediction: Prediction, starts: Starts, space: Space) -> dict[str, A
         utc = starts.reference.clock == "UTC"
         moments = (epoch + picoseconds(float(t), space.units.time) for t in times)
         found["epoch"] = np.asarray([epochs.spelled(moment, utc=utc) for moment in moments])
-    names, factors = labels(space), np.repeat([1.0, 1 / space.divisor], space.dof)
+    names, factors = labels(space), 1 / space.scales.numpy()
     for prefix, values in (("", prediction.states), ("sd_", prediction.deviations)):
         if values is not None:
             rows = values.flatten(0, 1).numpy() * factors

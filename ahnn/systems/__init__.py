@@ -6,6 +6,7 @@ A system is one class in one file and one YAML in conf/system.
 from __future__ import annotations
 
 from ahnn.systems.base import FilterNoise, Range, System, Units, uniform
+from ahnn.systems.driven_pendulum import DrivenPendulum
 from ahnn.systems.henon_heiles import HenonHeiles
 from ahnn.systems.kepler import Kepler
 from ahnn.systems.mass_spring import MassSpring
@@ -15,6 +16,7 @@ from ahnn.systems.pendulum import Pendulum
 from ahnn.systems.truth import exact_flow
 
 __all__ = [
+    "DrivenPendulum",
     "FilterNoise",
     "HenonHeiles",
     "Kepler",

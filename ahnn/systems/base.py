@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
+from functools import cached_property
 from typing import Annotated, Any, ClassVar
 
 import torch
 from torch import Generator, Tensor
 
 from ahnn.arguments import Count, Interval, Positive, Range, Within, check_values
-from ahnn.types import Flow, Space, Units
+from ahnn.dynamics.forced import clock_size, forced
+from ahnn.dynamics.forces import Force
+from ahnn.types import Flow, Space, Units, as_factor
 
 Eccentricity = Annotated[tuple[float, float] | list[float], Interval(Within(0, below=1))]
 """A range of eccentricities of orbits that come back."""
@@ -35,7 +39,8 @@ class System(ABC):
     """A Hamiltonian system, T(p) + V(q) unless it says otherwise, ground truth for data and floors.
 
     A subclass is a frozen dataclass whose fields are its physical constants; all of them enter the hash
-    under which generated trajectories are cached.
+    under which generated trajectories are cached. With `forces` beside H, its states carry time and controls
+    as far as these need them (`ahnn.clock`).
 
     Attributes:
         name: in folders and tables.
@@ -48,6 +53,9 @@ class System(ABC):
         noise: default standard deviations for a filter.
         mass: in the unit of the system.
         constants: fields of which the force is a function besides the position; the mass apart.
+        controls: names of numbers that are set from outside, on which forces may depend.
+        angles: names of coordinates that are angles; all of them where positions are in rad.
+        linear: whether controls are interpolated linearly between samples; else they are held.
     """
 
     name: str
@@ -60,6 +68,9 @@ class System(ABC):
     integrator: ClassVar[str]
     noise: ClassVar[FilterNoise]
     constants: ClassVar[tuple[str, ...]] = ()
+    controls: ClassVar[tuple[str, ...]] = ()
+    angles: ClassVar[tuple[str, ...]] = ()
+    linear: ClassVar[bool] = False
     mass: Positive = 1.0
 
     def __post_init__(self) -> None:
@@ -79,14 +90,32 @@ class System(ABC):
         """Draw the initial states of `count` trajectories, shape (count, D), float64."""
 
     @property
-    def inertia(self) -> float:
-        """The factor m of the kinetic energy p^2 / 2m."""
+    def inertia(self) -> float | tuple[float, ...]:
+        """The factor m of the kinetic energy p^2 / 2m; a system of several masses has one for each."""
         return self.mass
 
     @property
+    def forces(self) -> Sequence[Force]:
+        """Forces beside the Hamiltonian; a subclass returns its own, by a `cached_property`."""
+        return ()
+
+    @cached_property
+    def clock(self) -> int:
+        """Clock coordinates of the states: 0, 1 where forces depend on time, 1 + m on controls."""
+        return clock_size(self.forces, len(self.controls))
+
+    def signal(self, times: Tensor, count: int, generator: Generator) -> Tensor | None:
+        """Draw the controls of `count` trajectories at times (T,), shape (count, T, m); None without any.
+
+        A system with controls overrides it.
+        """
+        del times, count, generator
+        return None
+
+    @property
     def separable(self) -> bool:
-        """Whether H is T(p) + V(q), which symplectic compositions need; else it overrides `__call__`."""
-        return True
+        """Whether H is T(p) + V(q), which symplectic compositions need; else it overrides `hamiltonian`."""
+        return not self.forces
 
     def parameters(self) -> dict[str, Any]:
         """Return all that determines the equations and initial states, as plain values."""
@@ -95,21 +124,27 @@ class System(ABC):
     @property
     def mechanical(self) -> bool:
         """Whether p = m dq/dt; a system whose H has other kinetic terms says so by what it overrides."""
-        return self.separable and type(self).velocity is System.velocity
+        kinetic = type(self).velocity is System.velocity
+        return kinetic and type(self).hamiltonian is System.hamiltonian
 
     @property
     def space(self) -> Space:
         """What the numbers of a state mean."""
-        return Space(self.name, self.components, self.units, self.inertia, mechanical=self.mechanical)
+        own = self.name, self.components, self.units, self.inertia
+        return Space(*own, mechanical=self.mechanical, controls=self.controls, angles=self.angles)
 
     def velocity(self, p: Tensor) -> Tensor:
         """Return dq/dt = p / m, shape (..., n), at the momenta p, shape (..., n)."""
-        return p / self.inertia
+        return p / as_factor(self.inertia)
 
-    def __call__(self, x: Tensor) -> Tensor:
-        """Return Hamilton's field (dq/dt, dp/dt), shape (..., D), at the states x, shape (..., D)."""
+    def hamiltonian(self, x: Tensor) -> Tensor:
+        """Return Hamilton's field (dH/dp, -dH/dq), shape (..., 2n), at the states x, shape (..., 2n)."""
         q, p = x.chunk(2, dim=-1)
         return torch.cat((self.velocity(p), self.force(q)), dim=-1)
+
+    def __call__(self, x: Tensor) -> Tensor:
+        """Return dx/dt, forces included, shape (..., D), at the states x, shape (..., D)."""
+        return forced(self.hamiltonian, self.forces, x, self.clock) if self.forces else self.hamiltonian(x)
 
     def compiled(self, flow: Flow, longest: float) -> Flow:
         """Return the exact flow, faster where a system knows how; its steps are at most `longest`."""
@@ -133,8 +168,8 @@ class System(ABC):
 
     def deviations(self) -> Tensor:
         """Return the default standard deviations of an initial state error, shape (D,)."""
-        blocks = torch.tensor([self.noise.position, self.noise.velocity * self.inertia], dtype=torch.float64)
-        return blocks.repeat_interleave(self.dof)
+        ones = torch.ones(self.dof, dtype=torch.float64)
+        return torch.cat((self.noise.position * ones, self.noise.velocity * as_factor(self.inertia) * ones))
 
 
 def uniform(interval: Range, count: int, generator: Generator) -> Tensor:

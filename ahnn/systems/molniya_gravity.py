@@ -100,9 +100,9 @@ class MolniyaGravity(Satellites):
         """Return the attraction -m dV/dq, shape (..., 3)."""
         return self.mass * self.gravity_field.attraction(q)
 
-    def __call__(self, x: Tensor) -> Tensor:
+    def hamiltonian(self, x: Tensor) -> Tensor:
         """Return Hamilton's field (dq/dt, dp/dt), shape (..., 6), at the states x, shape (..., 6)."""
-        at_rest = super().__call__(x)
+        at_rest = super().hamiltonian(x)
         if self.separable:
             return at_rest
         turned = x.unflatten(-1, (2, 3)) @ TURN.to(x)

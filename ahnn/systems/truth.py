@@ -5,13 +5,16 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from ahnn.clock import Clock
 from ahnn.errors import UserError
 from ahnn.integrators import INTEGRATORS
 from ahnn.jacobians import differenced
+from ahnn.rollouts import rollout
 from ahnn.substeps import substeps
 from ahnn.systems.base import System
 from ahnn.types import Flow, TimeStep
@@ -51,6 +54,7 @@ def varied_flow(system: System, constants: Mapping[str, Tensor]) -> Flow:
     varied = copy.copy(system)
     for name, values in constants.items():
         object.__setattr__(varied, name, values)  # frozen, and its checks expect one number for all
+    vars(varied).pop("forces", None)  # made of the constants of before
     return SubstepsFlow(varied, accurate_substeps(system))
 
 
@@ -83,15 +87,15 @@ def accurate_substeps(system: System) -> int:
 @torch.no_grad()
 def _trial_error(system: System, count: int) -> float:
     """Return the estimated error of a trajectory with `count` substeps, relative to its size."""
-    start = system.initial_states(TRIED, torch.Generator().manual_seed(0))
+    generator = torch.Generator().manual_seed(0)
+    start = system.initial_states(TRIED, generator)
     whole = int(system.durations(start).max())
     steps = min(whole, max(4, STEPS // count))
-    coarse, fine = (SubstepsFlow(system, n) for n in (count, 2 * count))
-    x = y = start
-    size = start.abs()
-    for _ in range(steps):
-        x, y = coarse(x, system.dt), fine(y, system.dt)
-        size = torch.maximum(size, y.abs())
+    times = torch.arange(steps + 1, dtype=torch.float64) * system.dt
+    clock = Clock.of(times.expand(TRIED, -1), system.signal(times, TRIED, generator), system.linear)
+    flows = [SubstepsFlow(system, n) for n in (count, 2 * count)]
+    coarse, fine = (rollout(flow, start, system.dt, steps + 1, clock=clock) for flow in flows)
+    x, y, size = coarse[:, -1], fine[:, -1], fine.abs().amax(1)
     blocks = zip((x - y).chunk(2, dim=-1), size.chunk(2, dim=-1), strict=True)
     errors = [
         float(difference.norm(dim=-1).max() / extent.norm(dim=-1).max()) for difference, extent in blocks
@@ -100,22 +104,24 @@ def _trial_error(system: System, count: int) -> float:
     return worst if math.isfinite(worst) else 0.0  # who generates it will see it diverge
 
 
-class SubstepsFlow:
+class SubstepsFlow(NamedTuple):
     """The flow of a system with `count` substeps in a sampling interval, in proportion for other steps."""
 
-    def __init__(self, system: System, count: int) -> None:
-        self.system, self.longest = system, system.dt / count
-        self.integrator = INTEGRATORS[system.integrator]
+    system: System
+    count: int
 
-        self.half = DIFFERENCE * system.deviations()
+    @property
+    def clock(self) -> int:
+        """Clock coordinates of its states."""
+        return self.system.clock
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the states (B, D) after dt."""
-        parts = substeps(dt, self.longest)
+        integrator, parts = INTEGRATORS[self.system.integrator], substeps(dt, self.system.dt / self.count)
         for _ in range(parts):
-            x = self.integrator.step(self.system, x, dt / parts)
+            x = integrator.step(self.system, x, dt / parts)
         return x
 
     def transition(self, x: Tensor, dt: float) -> tuple[Tensor, Tensor]:
         """Return the states (B, D) after dt, and the state transitions (B, D, D)."""
-        return differenced(self, x, dt, self.half)
+        return differenced(self, x, dt, DIFFERENCE * self.system.deviations())

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from ahnn.data.sensor import Sensor
-from ahnn.dynamics import Dynamics
-from ahnn.dynamics.energies import Quadratic
+from ahnn.dynamics import Dynamics, has_field
+from ahnn.dynamics.derivatives import knows_velocities
 from ahnn.errors import UserError
 
 
@@ -22,13 +22,19 @@ def require_identifiable(dynamics: Dynamics, sensor: Sensor, *, windows: bool) -
     Raises:
         UserError: names what can be learned instead.
     """
+    if dynamics.clock:
+        message = (
+            "data.noise: expected forces of positions and velocities alone for training on measurements; "
+            f"received {dynamics.assumes}, which depend on time or controls. Train on exact states"
+        )
+        raise UserError(message)
     if sensor.gives_states:
         return
     received = f"received {', '.join(sensor.measurement.names)}"
     if windows:
         message = f"loss: expected measured states for windows of them; {received}. Use recipe=measurements"
         raise UserError(message)
-    if not isinstance(getattr(getattr(dynamics, "field", None), "kinetic", None), Quadratic):
+    if not (has_field(dynamics) and knows_velocities(dynamics.field)):
         message = (
             f"data.measured: expected momenta among the measurements, or a known kinetic energy; {received} "
             f"for a {dynamics.assumes.split(',')[0]}. Use hamiltonian=mechanical or central_body"

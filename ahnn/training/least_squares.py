@@ -13,6 +13,7 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor, nn
 
+from ahnn.clock import on_clock
 from ahnn.cores import each, slices
 from ahnn.dynamics.derivatives import (
     increment_jacobian,
@@ -90,7 +91,11 @@ def pointwise_problem(
 
 
 def recursive_problem(
-    module: nn.Module, increment: Callable[[Tensor, TimeStep], Tensor], batch: Window, weights: Tensor
+    module: nn.Module,
+    increment: Callable[[Tensor, TimeStep], Tensor],
+    batch: Window,
+    weights: Tensor,
+    clock: int = 0,
 ) -> LeastSquares:
     """Return the problem of predicting W steps recursively.
 
@@ -99,6 +104,7 @@ def recursive_problem(
         increment: (x (B, D), dt) -> (B, D) of one step, computed with the module.
         batch: first states and true increments of W steps.
         weights: of the residuals, (B, W, D).
+        clock: clock coordinates of extended states, whose increments are known.
     """
     function = parametrised(module, increment, batch.start.dtype)
     derivatives = increment_jacobian(module, increment)
@@ -107,7 +113,7 @@ def recursive_problem(
         own, rows = batch.rows(part), []
         state, residual = own.start, torch.zeros_like(own.start)
         for k, target in enumerate(own.increments.unbind(1)):
-            step = increment(state, own.step(k))
+            step = on_clock(increment(state, own.step(k)), target, clock)
             state, residual = state + step, residual + (step - target)
             rows.append(residual)
         return torch.stack(rows, dim=1) * weights[part]
@@ -122,7 +128,8 @@ def recursive_problem(
             with torch.no_grad():
                 sensitivity = of_theta.baddbmm_(of_state + one, sensitivity)
                 torch.mul(sensitivity, factors[:, k], out=rows[:, k])
-                state = state + function(theta, state, batch.step(k))
+                step = function(theta, state, batch.step(k))
+                state = state + on_clock(step, batch.increments[:, k], clock)
         return rows.flatten(0, 2)
 
     return LeastSquares(_all_residuals(module, weighted, batch.start), jacobian)

@@ -48,7 +48,7 @@ class Loss(nn.Module):
     """Mean Huber loss of residuals in units that are fitted to the training split.
 
     Args:
-        size: D, components of a state.
+        size: D, components of a state; clock coordinates of extended ones keep the unit 1.
         options: scale, delta and balance.
     """
 
@@ -63,7 +63,8 @@ class Loss(nn.Module):
     def fit(self, statistics: Statistics) -> None:
         """Set the unit of each component."""
         half_range = (statistics.maximum - statistics.minimum) / 2
-        self.unit.copy_(statistics.increment if self.options.scale == "increment" else half_range)
+        sizes = statistics.increment if self.options.scale == "increment" else half_range
+        self.unit.unflatten(0, (2, -1))[:, : len(sizes) // 2] = sizes.unflatten(0, (2, -1))
 
     def forward(self, residuals: Tensor) -> Tensor:
         """Return the mean Huber loss of weighted residuals, a scalar."""

@@ -15,6 +15,7 @@ from typing import Any, Protocol, cast
 import torch
 from torch import Tensor, nn
 
+from ahnn.clock import on_clock
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.errors import UserError
@@ -72,7 +73,7 @@ class Recursive:
         residual = torch.zeros_like(x)
         residuals = []
         for k, target in enumerate(batch.increments.unbind(1)):
-            predicted = dynamics.increment(x, batch.step(k))
+            predicted = on_clock(dynamics.increment(x, batch.step(k)), target, dynamics.clock)
             x = x + predicted
             residual = residual + (predicted - target)
             residuals.append(residual)
@@ -81,7 +82,8 @@ class Recursive:
     def problem(self, dynamics: Dynamics, batch: Window) -> LeastSquares:
         """Return the same residuals as a problem in the parameters of the dynamics."""
         batch = batch.first(self.window)
-        return recursive_problem(dynamics, dynamics.increment, batch, self.loss.weights(batch.increments))
+        weights = self.loss.weights(batch.increments)
+        return recursive_problem(dynamics, dynamics.increment, batch, weights, dynamics.clock)
 
     def divided(self, batch: Window) -> tuple[Window, Window]:
         """Return a fifth of a W-th of the windows, so that residuals are as many as those of single steps."""

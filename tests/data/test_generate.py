@@ -18,7 +18,7 @@ ESCAPING = dataclasses.replace(SYSTEMS["henon_heiles"], amplitude=(3.0, 4.0))
 
 def test_trajectories_are_finite_up_to_their_ends_and_nan_beyond():
     system = dataclasses.replace(MOLNIYA, periods=0.1, dt=300.0)
-    states, times = generate(system, 5, 0)
+    states, times, *_ = generate(system, 5, 0)
     lengths = system.durations(states[:, 0]) + 1
     within = torch.arange(states.shape[1]) < lengths.unsqueeze(-1)
     assert len(set(lengths.tolist())) > 1

@@ -84,7 +84,7 @@ def test_what_was_made_is_mapped_and_the_file_keeps_what_it_has(tmp_path):
 
 @pytest.mark.parametrize("uniform", [True, False])
 def test_statistics_of_parts_are_those_of_the_whole(uniform, few):
-    states, times = generate(dataclasses.replace(MOLNIYA, steps=40), 9, 0)
+    states, times, *_ = generate(dataclasses.replace(MOLNIYA, steps=40), 9, 0)
     states[2, 30:], states[5, 7] = torch.nan, torch.nan
     if not uniform:
         times = times + torch.rand(times.shape, generator=generator(0), dtype=torch.float64)
@@ -103,7 +103,7 @@ def test_statistics_of_parts_are_those_of_the_whole(uniform, few):
 
 
 def test_windows_are_found_part_by_part(few):
-    states, times = generate(SHORT, 7, 0)
+    states, times, *_ = generate(SHORT, 7, 0)
     states[1, 5], states[4, :3] = torch.nan, torch.nan
     data = Trajectories(states, times)
     whole = Windows(data, 3, torch.float64)

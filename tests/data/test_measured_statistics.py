@@ -9,6 +9,7 @@ from helpers import close, generator
 from ahnn.data.measured import measured_statistics
 from ahnn.measurements import Instrument, Position
 from ahnn.measurements.smoothing import smoothed
+from ahnn.types import Trajectories
 
 SD = 1e-3
 
@@ -25,7 +26,7 @@ def test_forces_are_told_where_a_polynomial_follows_the_motion():
     values, times = turning()
     instrument = Instrument(Position(1), torch.tensor([SD], dtype=torch.float64), 0.05, 1, 1.0)
     local = smoothed(instrument, values, times, 2_000)
-    found = measured_statistics(local, instrument, times)
+    found = measured_statistics(local, instrument, Trajectories(values, times))
     exact = 0.05**2 / found.positions**3
     assert 0.75 < len(found.forces) / len(local.value) < 0.99
     assert float(found.positions.abs().min()) > 2 * 0.05
@@ -39,7 +40,8 @@ def test_distances_are_those_of_the_positions_in_the_plane():
     phase = times + torch.arange(6.0).double().unsqueeze(1)
     values = torch.stack((3 + 2 * phase.cos(), 4 + 2 * phase.sin()), dim=-1)
     instrument = Instrument(Position(2), torch.full((2,), SD, dtype=torch.float64), 0.05, 2, 3.0)
-    found = measured_statistics(smoothed(instrument, values, times, 5_000), instrument, times)
+    local = smoothed(instrument, values, times, 5_000)
+    found = measured_statistics(local, instrument, Trajectories(values, times))
     close(found.radius, torch.tensor([3.0, 7.0]), 1e-3)
     close(found.minimum, torch.tensor([1.0, 2.0, -6.0, -6.0]), 1e-2)
     close(found.rate, torch.tensor([2.0, 2.0, 6.0, 6.0]) / 2**0.5, 3e-2)

@@ -27,7 +27,7 @@ def statistics(seed=0, mass=1.0, mu=5.0, extra=0.0, count=200):
     high = torch.tensor([6.0, 5.0, 8.0, 0.3, 0.6, 0.5], dtype=torch.float64)
     rate = torch.tensor([0.3, 0.2, 0.5, 0.07, 0.05, 0.02], dtype=torch.float64)
     radius = torch.stack((r.min(), r.max()))
-    return Statistics(low, high, 0.1 * rate, rate, radius, q, forces, 0.1)
+    return Statistics(low, high, 0.1 * rate, rate, radius, q, forces, forces, q[:, :1], 0.1)
 
 
 def body(mass=1.0, mu=None, falloff=0.0):
@@ -142,3 +142,24 @@ def test_radial_inputs_pull_toward_the_centre_by_the_derivative_of_their_curve()
         inputs.fit(statistics()._replace(radius=torch.tensor([2.0, 2.0])))
     with pytest.raises(UserError, match="inputs radial: expected a system of at least 2"):
         position_inputs("radial", 1, "block")
+
+
+def test_angles_have_a_period_and_exact_derivatives():
+    """Of three coordinates the first and the last are angles."""
+    inputs = position_inputs("angles", 3, "minmax", [True, False, True]).double()
+    inputs.fit(statistics())
+    q = torch.randn(9, 3, generator=generator(1), dtype=torch.float64)
+    turned = q + 2 * torch.pi * torch.tensor([3.0, 0.0, -2.0], dtype=torch.float64)
+    close(inputs(turned), inputs(q), 1e-14)
+    assert inputs.size == 5
+    weights = torch.randn(9, 5, generator=generator(2), dtype=torch.float64)
+
+    def along(row, weight):
+        return (inputs(row) * weight).sum()
+
+    slope = torch.func.grad(along)
+    bent = torch.func.vmap(torch.func.jacrev(slope))(q, weights)
+    close(inputs.pullback(q, weights), torch.func.vmap(slope)(q, weights), 1e-13)
+    close(inputs.curvature(q, weights), bent, 1e-13)
+    with pytest.raises(UserError, match="inputs angles: expected coordinates that are angles"):
+        position_inputs("angles", 3, "minmax", [False] * 3)

@@ -29,7 +29,7 @@ def simulated_filter(case: Case, setting: Setting) -> Watched:
     times = dt * torch.arange(states.shape[1], dtype=states.dtype).expand(len(states), -1)
     values = pad(simulated(setting, states, dt, seed=0), (0, 0, 1, 0), value=torch.nan)
     instrument = Instrument(
-        setting.measurement, setting.measurement_sd, dt, case.space.dof, case.space.inertia
+        setting.measurement, setting.measurement_sd, dt, case.space.dof, case.space.factor
     )
     return Watched(states[:, 0], setting.start_sd, Segment(values, times, instrument))
 

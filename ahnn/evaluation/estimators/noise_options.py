@@ -110,7 +110,7 @@ def given_noise(
     if isinstance(option, ForceOptions):
         if option.size is None or option.memory is None:
             return None
-        return nothing, ForceError(option.size, option.memory, space.inertia, growth)
+        return nothing, ForceError(option.size, option.memory, space.factor, growth)
     if isinstance(option, str | ParameterOptions):
         return None
     return given_covariance(option, space), None
@@ -133,9 +133,10 @@ def online_parameters(
 def given_covariance(deviations: tuple[float, float], space: Space) -> Tensor:
     """Return Q, (D, D), of standard deviations of positions and velocities."""
     position, velocity = deviations
-    blocks = torch.tensor([position, velocity * space.divisor], dtype=torch.float64)
-    require_squares(blocks[blocks > 0], "process_noise")
-    return torch.diag(blocks.repeat_interleave(space.dof) ** 2)
+    values = torch.tensor([position, velocity], dtype=torch.float64).repeat_interleave(space.dof)
+    values = values * space.scales
+    require_squares(values[values > 0], "process_noise")
+    return torch.diag(values**2)
 
 
 def with_process_noise(
@@ -177,7 +178,7 @@ def with_process_noise(
         return plain._replace(force_error=error), about
     if isinstance(option, ForceOptions):
         given = {"size": option.size, "memory": option.memory, "growth": grown(case.novelty, rate)}
-        tried, inertia = arcs(FORCE_FITTED_ON), case.space.inertia
+        tried, inertia = arcs(FORCE_FITTED_ON), case.space.factor
         fit = fitted_force_error(plain, setting, tried, case.validation, inertia, **given)
         told = {"size": float(fit.error.size), "memory": float(fit.error.memory)}
         about = {"from": "force_error", **told, "scale": fit.scale, "nees_of_scales": list(fit.nees)}

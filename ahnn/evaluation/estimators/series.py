@@ -49,13 +49,13 @@ def _in_turn(first: Tensor, before: Tensor, after: Tensor) -> Tensor:
     return torch.cat((first[:, None], torch.stack((before, after), dim=2).flatten(1, 2)), dim=1)
 
 
-def blocks(x: Tensor, inertia: float) -> tuple[Tensor, Tensor]:
+def blocks(x: Tensor, inertia: float | Tensor) -> tuple[Tensor, Tensor]:
     """Return the positions and the velocities (..., n) in states, or state errors, (..., 2 n)."""
     position, momentum = x.chunk(2, dim=-1)
     return position, momentum / inertia
 
 
-def rms_over_members(error: Tensor, inertia: float) -> Tensor:
+def rms_over_members(error: Tensor, inertia: float | Tensor) -> Tensor:
     """Return the rms over living members of the error norms of position and velocity, (2, T).
 
     A member that is lost drops out from there on: how many are lost is in the table, not in a picture.
@@ -64,7 +64,7 @@ def rms_over_members(error: Tensor, inertia: float) -> Tensor:
     return torch.stack(norms)
 
 
-def smoothed_rms(error: Tensor, inertia: float) -> Tensor:
+def smoothed_rms(error: Tensor, inertia: float | Tensor) -> Tensor:
     """Return the trailing means over 240 samples of `rms_over_members`, (2, T)."""
     return torch.stack([moving_average(row, SMOOTHING) for row in rms_over_members(error, inertia)])
 

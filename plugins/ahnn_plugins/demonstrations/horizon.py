@@ -106,7 +106,7 @@ class Horizon:
         noise = self.noise * torch.randn(positions.shape, generator=draw, dtype=torch.float64)
         deviations = torch.full((3,), self.noise, dtype=torch.float64)
         longest = float(times.diff(dim=1).max())
-        instrument = Instrument(Position(), deviations, longest, 3, case.space.inertia)
+        instrument = Instrument(Position(), deviations, longest, 3, case.space.factor)
         return Segment(positions + noise, times, instrument)
 
     def _figure(self, ahead: list[Ahead], case: Case) -> Figure:

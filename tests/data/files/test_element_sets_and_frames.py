@@ -30,7 +30,7 @@ def test_element_sets_are_propagated_to_the_published_states(tmp_path):
     pytest.importorskip("sgp4")
     (tmp_path / "a.tle").write_text(VANGUARD)
     files = Files("orbit", str(tmp_path / "a.tle"), step=21600.0, duration=86400.0)
-    states, times = files.read()
+    states, times, *_ = files.read()
     assert times.tolist() == [[0.0, 21600.0, 43200.0, 64800.0, 86400.0]]
     assert files.space.frame == "TEME, EARTH, UTC, from 2000-06-27T18:50:19.733568"
     published = [7022.46529266, -1400.08296755, 0.03995155, 1.893841015, 6.405893759, 4.534807250]

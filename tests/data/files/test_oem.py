@@ -112,7 +112,7 @@ def test_a_message_is_a_source_of_trajectories(tmp_path):
     assert files.space.components == ("x", "y", "z", "px", "py", "pz")
     assert files.space.frame == "EME2000, EARTH, UTC, from 2016-12-31T23:59:00.000"
     assert files.space.units.velocity == "km/s"
-    states, times = files.read()
+    states, times, *_ = files.read()
     assert times[1, :2].tolist() == [3661.0, 3721.0]
     assert states[0, 0].tolist() == [7000.0, 0.0, 0.0, 0.0, 7.5, 0.25]
     (tmp_path / "later.oem").write_text(TEXT.replace("T23:59", "T23:58"))

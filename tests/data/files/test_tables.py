@@ -39,7 +39,7 @@ def test_columns_are_told_by_their_names_and_brought_to_common_units(tmp_path):
     files = read(tmp_path, text)
     assert files.space.components == ("x", "y", "px", "py")
     assert files.space.units == Units("s", "km", "km/s", "km²/s²")
-    states, times = files.read()
+    states, times, *_ = files.read()
     assert times.tolist() == [[60.0, 120.0, 180.0]]
     expected = torch.tensor([[7, 8, 0.25, 0.5], [8, 9, 1, 0.25]], dtype=torch.float64)
     assert torch.equal(states[0, ::2], expected)
@@ -86,7 +86,7 @@ def test_positions_alone_have_unknown_momenta(tmp_path):
 
 def test_rows_of_several_ids_may_be_mixed(tmp_path):
     text = "id,t,q,v\nb,0,1,1\na,0,2,2\nb,1,3,3\na,0.5,4,4\nb,2,5,5\n"
-    states, times = read(tmp_path, text).read()
+    states, times, *_ = read(tmp_path, text).read()
     assert times[0].tolist() == [0.0, 1.0, 2.0]
     assert times[1, :2].tolist() == [0.0, 0.5]
     assert times[1, 2].isnan()

@@ -196,14 +196,14 @@ def _time(times: Tensor | None, samples: int, unit: str) -> tuple[Tensor, str]:
     return (time / 3600, "h") if unit == "s" and float(time[-1]) > HOURS else (time, unit)
 
 
-def velocities(states: Tensor, inertia: float) -> Tensor:
+def velocities(states: Tensor, inertia: float | Tensor) -> Tensor:
     """Return states (..., D) with p / m in place of momenta p, NaN where they are not finite."""
     position, momentum = states.chunk(2, dim=-1)
     both = torch.cat((position, momentum / inertia), dim=-1)
     return both.masked_fill(~both.isfinite(), torch.nan)
 
 
-def _rms(error: Tensor, inertia: float) -> Tensor:
+def _rms(error: Tensor, inertia: float | Tensor) -> Tensor:
     """Return rms errors over trajectories, (T, D + 2), of components and of the norms of both blocks."""
     position, momentum = error.chunk(2, dim=-1)
     squares = torch.cat((position, momentum / inertia), dim=-1).square()
@@ -211,7 +211,7 @@ def _rms(error: Tensor, inertia: float) -> Tensor:
     return torch.cat((squares, *norms), dim=-1).nanmean(0).sqrt()
 
 
-def _teeth(arrays: Arrays, prefix: str, truth: Tensor, time: Tensor, inertia: float) -> Teeth | None:
+def _teeth(arrays: Arrays, prefix: str, truth: Tensor, time: Tensor, inertia: float | Tensor) -> Teeth | None:
     """Return the drawn trajectory of a filter, None of an evaluation that did not keep it."""
     shape = (2 * len(time) - 1, truth.shape[-1])
     mean = arrays.get(f"{prefix}_sawtooth_mean", shape)

@@ -1,0 +1,98 @@
+"""The clock of a motion: time and controls as coordinates of an extended phase space.
+
+Forces that depend on time t and on controls u make the equations of motion explicit in time. They are
+autonomous in the coordinates (q, c) with c = (t, u), whose rates are known: dc/dt = r, dr/dt = 0 (Hairer,
+Lubich & Wanner, Geometric Numerical Integration, section VI.1). So an extended state is
+
+    z = [q, c, p, r],  shape (..., 2 (n + k)),  k = 0: autonomous, 1: time, 1 + m: time and m controls,
+
+and integrators, derivatives and objectives are those of any other state. Controls that are held between
+samples have the rate 0, those that are interpolated linearly their slope.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+
+class Clock(NamedTuple):
+    """Time and controls at some instants.
+
+    Attributes:
+        values: c = (t, u), shape (..., k).
+        rates: r = (1, du/dt), shape (..., k).
+    """
+
+    values: Tensor
+    rates: Tensor
+
+    @classmethod
+    def of(cls, times: Tensor, controls: Tensor | None, linear: bool = False) -> Clock:
+        """Return the clock of samples at times (..., T), with controls (..., T, m) from each sample on.
+
+        Args:
+            times: of the samples.
+            controls: None where there are none.
+            linear: whether controls are interpolated linearly; else they are held.
+        """
+        t = times.unsqueeze(-1)
+        one = torch.ones_like(t)
+        if controls is None:
+            return cls(t, one)
+        slopes = torch.zeros_like(controls)
+        if linear:
+            gaps = t.diff(dim=-2)
+            slopes[..., :-1, :] = controls.diff(dim=-2) / gaps
+        return cls(torch.cat((t, controls), dim=-1), torch.cat((one, slopes), dim=-1))
+
+    def first(self, count: int) -> Clock:
+        """Return the clock cut to its first k components."""
+        return Clock(self.values[..., :count], self.rates[..., :count])
+
+    def at(self, sample: int) -> Clock:
+        """Return the clock of one sample, (..., k), from that of all, (..., T, k)."""
+        return Clock(self.values[..., sample, :], self.rates[..., sample, :])
+
+    def rows(self, part: slice | Tensor) -> Clock:
+        """Return the clock of some trajectories."""
+        return Clock(self.values[part], self.rates[part])
+
+    def after(self, seconds: Tensor | float) -> Clock:
+        """Return the clock a time later, a number or one for each instant, (..., 1)."""
+        return Clock(self.values + seconds * self.rates, self.rates)
+
+
+def extended(x: Tensor, clock: Clock) -> Tensor:
+    """Return z, shape (..., 2 (n + k)), of the states x, shape (..., 2n), at instants of a clock."""
+    q, p = x.chunk(2, dim=-1)
+    shape = x.shape[:-1]
+    values, rates = (part.to(x).expand(*shape, part.shape[-1]) for part in clock)
+    return torch.cat((q, values, p, rates), dim=-1)
+
+
+def reduced(z: Tensor, count: int) -> Tensor:
+    """Return the states x, shape (..., 2n), in extended states z of k = `count` clock coordinates."""
+    if count == 0:
+        return z
+    first, second = z.chunk(2, dim=-1)
+    dof = first.shape[-1] - count
+    return torch.cat((first[..., :dof], second[..., :dof]), dim=-1)
+
+
+def split(z: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return q, c, p and r of extended states z of k = `count` clock coordinates."""
+    first, second = z.chunk(2, dim=-1)
+    dof = first.shape[-1] - count
+    return first[..., :dof], first[..., dof:], second[..., :dof], second[..., dof:]
+
+
+def on_clock(predicted: Tensor, known: Tensor, count: int) -> Tensor:
+    """Return increments, (..., 2 (n + k)), whose clock moves as is known: controls jump between samples."""
+    if count <= 1:
+        return predicted
+    q, _, p, _ = split(predicted, count)
+    _, c, _, r = split(known, count)
+    return torch.cat((q, c, p, r), dim=-1)

@@ -1,0 +1,103 @@
+"""Hamilton's equations with forces beside them: friction, controls, forcing, what is known of the physics.
+
+dq/dt = dH/dp, dp/dt = -dH/dq + sum of forces f(t, q, v, u) with v = dq/dt. With f = -R v + G u that is a
+port-Hamiltonian system, whose energy changes by dH/dt = -v^T R v + v^T G u (van der Schaft & Jeltsema 2014).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, cast
+
+import torch
+from torch import Tensor, nn
+
+from ahnn.clock import split
+from ahnn.dynamics.forces import Force, Instant, make_force
+from ahnn.statistics import Statistics
+
+
+def clock_size(forces: Iterable[Force], controls: int) -> int:
+    """Return k, how many clock coordinates forces need: 0, 1 for time, 1 + m for controls."""
+    some = [*forces]
+    if any(force.controlled for force in some):
+        return 1 + controls
+    return int(any(force.timed for force in some))
+
+
+def total(forces: Iterable[Force], at: Instant) -> Tensor:
+    """Return the sum of forces, one at least, shape (..., n)."""
+    return cast(Tensor, sum(force(at) for force in forces))
+
+
+def forced(hamiltonian: Callable[[Tensor], Tensor], forces: Iterable[Force], z: Tensor, clock: int) -> Tensor:
+    """Return dz/dt, shape (..., 2 (n + k)), of extended states z.
+
+    Args:
+        hamiltonian: x -> (dH/dp, -dH/dq), shape (..., 2n).
+        forces: beside it.
+        z: extended states, shape (..., 2 (n + k)).
+        clock: k.
+    """
+    q, c, p, rates = split(z, clock)
+    v, pull = hamiltonian(torch.cat((q, p), dim=-1)).chunk(2, dim=-1)
+    at = Instant(c[..., :1], c[..., 1:], q, v)
+    return torch.cat((v, rates, pull + total(forces, at), torch.zeros_like(rates)), dim=-1)
+
+
+class Forced(nn.Module):
+    """The field of a learned Hamiltonian and forces, on extended states.
+
+    Args:
+        hamiltonian: the field of H alone.
+        forces: name -> options of `make_force`.
+        dof: degrees of freedom n.
+        controls: m.
+    """
+
+    def __init__(
+        self, hamiltonian: nn.Module, forces: Mapping[str, Mapping[str, Any]], dof: int, controls: int
+    ) -> None:
+        super().__init__()
+        self.hamiltonian, self.dof = hamiltonian, dof
+        made = {name: make_force(name, dof, controls, options) for name, options in forces.items()}
+        self.forces = nn.ModuleDict(made)
+        self.clock = clock_size(made.values(), controls)
+
+    @property
+    def parts(self) -> list[Force]:
+        """The forces."""
+        return [*cast("Iterable[Force]", self.forces.values())]
+
+    @property
+    def known(self) -> list[Force]:
+        """The forces of which nothing is learned."""
+        return [force for force in self.parts if not [*force.parameters()]]
+
+    def fit(self, statistics: Statistics) -> None:
+        """Set all constants from the training split, those of H from what known forces leave."""
+        for force in self.parts:
+            force.fit(statistics)
+        left = statistics
+        if self.known:
+            at = Instant(
+                statistics.clock[:, :1], statistics.clock[:, 1:], statistics.positions, statistics.velocities
+            )
+            left = statistics.without(total(self.known, at))
+        cast(Any, self.hamiltonian).fit(left)
+
+    def seen(self, x: Tensor) -> Tensor:
+        """Return what the networks of H see of the states x, shape (..., 2n): (..., F)."""
+        return cast(Any, self.hamiltonian).seen(x)
+
+    def energy(self, x: Tensor) -> Tensor:
+        """Return H and the potentials of forces that have one, shape (...), at the states x, (..., 2n)."""
+        q, nothing = x.chunk(2, dim=-1)[0], x[..., :0]
+        value = cast(Any, self.hamiltonian).energy(x)
+        at = Instant(nothing, nothing, q, torch.zeros_like(q))
+        potentials = [force.potential(at) for force in self.parts]
+        return cast(Tensor, sum((part for part in potentials if part is not None), value))
+
+    def forward(self, z: Tensor) -> Tensor:
+        """Return dz/dt, shape (..., 2 (n + k)), at extended states z."""
+        return forced(self.hamiltonian, self.parts, z, self.clock)

@@ -1,0 +1,83 @@
+"""Actuation G u: how controls push the coordinates."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Literal, final
+
+import torch
+from torch import Tensor, nn
+
+from ahnn.arguments import checked
+from ahnn.dynamics.forces.base import Force, Instant
+from ahnn.dynamics.inputs import Cartesian
+from ahnn.dynamics.networks import make_network
+from ahnn.dynamics.scaling import Kind
+from ahnn.errors import UserError
+from ahnn.statistics import Statistics
+
+
+@final
+@checked
+class Actuation(Force):
+    """The force G u of controls u: the ports of a port-Hamiltonian system, which supply the power v^T G u.
+
+    Args:
+        dof: degrees of freedom n.
+        controls: m.
+        matrix: G, n rows of m numbers; None learns it.
+        of: `constant`, or `positions`: then a network gives G(q).
+        network: width, depth, activation of G(q).
+        scaling: of the positions that the network sees.
+
+    Raises:
+        UserError: a matrix of another shape.
+    """
+
+    controlled: ClassVar[bool] = True
+    unit: Tensor
+
+    def __init__(
+        self,
+        dof: int,
+        controls: int,
+        *,
+        matrix: list[list[float]] | None = None,
+        of: Literal["constant", "positions"] = "constant",
+        network: dict[str, Any] | None = None,
+        scaling: Kind = "minmax",
+    ) -> None:
+        super().__init__()
+        self.shape, self.of, self.known = (dof, controls), of, matrix
+        self.assumes = "control matrix" if matrix is None else "known control matrix"
+        self.register_buffer("unit", torch.ones(controls))
+        if matrix is not None:
+            if [len(row) for row in matrix] != [controls] * dof:
+                message = f"actuation: expected {dof} rows of {controls} numbers; received {matrix}"
+                raise UserError(message)
+        elif of == "constant":
+            self.weight = nn.Parameter(torch.zeros(dof, controls))
+        else:
+            self.positions = Cartesian(dof, scaling, 0)
+            options = network or {"width": 16, "depth": 1, "activation": "tanh"}
+            self.network = make_network(dof, dof * controls, options)
+
+    def fit(self, statistics: Statistics) -> None:
+        """Set the scaling, and the force of a control of typical size as the unit."""
+        if self.known is not None:
+            return
+        sizes = statistics.clock[:, 1:].square().mean(0).sqrt()
+        self.unit.copy_(statistics.rate.chunk(2)[1].mean() / sizes.clamp(min=1e-300))
+        if self.of == "positions":
+            self.positions.fit(statistics)
+
+    def matrix(self, q: Tensor) -> Tensor:
+        """Return G, shape (..., n, m), at the positions q, shape (..., n)."""
+        if self.known is not None:
+            return torch.tensor(self.known, dtype=torch.float64).to(q).expand(*q.shape[:-1], *self.shape)
+        if self.of == "constant":
+            return (self.unit * self.weight).expand(*q.shape[:-1], *self.shape)
+        return self.unit * self.network(self.positions(q)).unflatten(-1, self.shape)
+
+    def forward(self, at: Instant) -> Tensor:
+        """Return G u, shape (..., n)."""
+        return (self.matrix(at.q) @ at.u.unsqueeze(-1)).squeeze(-1)

@@ -1,0 +1,71 @@
+"""Periodic forcing at a known frequency."""
+
+from __future__ import annotations
+
+from typing import ClassVar, final
+
+import torch
+from torch import Tensor, nn
+
+from ahnn.arguments import Positive, checked
+from ahnn.dynamics.forces.base import Force, Instant
+from ahnn.errors import UserError
+from ahnn.statistics import Statistics
+
+
+@final
+@checked
+class Forcing(Force):
+    """The force a cos(w t) + b sin(w t).
+
+    Args:
+        dof: degrees of freedom n.
+        controls: not used.
+        frequency: w, in radians per unit of time.
+        cosine, sine: a and b, n numbers each; both None learns them.
+
+    Raises:
+        UserError: one of a and b without the other, or of another length.
+    """
+
+    timed: ClassVar[bool] = True
+    unit: Tensor
+
+    def __init__(
+        self,
+        dof: int,
+        controls: int = 0,
+        *,
+        frequency: Positive,
+        cosine: list[float] | None = None,
+        sine: list[float] | None = None,
+    ) -> None:
+        super().__init__()
+        del controls
+        self.frequency, self.known = frequency, None
+        self.assumes = f"forcing at {frequency:g} rad per unit of time"
+        self.register_buffer("unit", torch.ones(dof))
+        if cosine is None and sine is None:
+            self.amplitudes = nn.Parameter(torch.zeros(2, dof))
+            return
+        given = [cosine or [0.0] * dof, sine or [0.0] * dof]
+        if any(len(part) != dof for part in given):
+            message = f"forcing: expected {dof} amplitudes; received cosine={cosine}, sine={sine}"
+            raise UserError(message)
+        self.known = given
+        self.assumes = "known forcing"
+
+    def fit(self, statistics: Statistics) -> None:
+        """Set the typical force as the unit of learned amplitudes."""
+        if self.known is None:
+            self.unit.copy_(statistics.rate.chunk(2)[1])
+
+    def forward(self, at: Instant) -> Tensor:
+        """Return the force, shape (..., n)."""
+        phase = self.frequency * at.t
+        both = (
+            torch.tensor(self.known, dtype=torch.float64).to(at.q)
+            if self.known is not None
+            else self.unit * self.amplitudes
+        )
+        return both[0] * phase.cos() + both[1] * phase.sin()

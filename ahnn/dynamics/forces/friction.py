@@ -1,0 +1,104 @@
+"""Friction -R v with R symmetric and not negative: it never adds energy."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, final
+
+import torch
+from torch import Tensor, nn
+
+from ahnn.arguments import Within, checked
+from ahnn.dynamics.forces.base import Force, Instant
+from ahnn.dynamics.inputs import Cartesian
+from ahnn.dynamics.networks import make_network
+from ahnn.dynamics.scaling import Kind
+from ahnn.errors import UserError
+from ahnn.statistics import Statistics
+
+FIRST = 0.01
+"""A learned coefficient begins at this fraction of the typical force over the typical velocity."""
+
+
+@final
+@checked
+class Friction(Force):
+    """The force -R v, v = dq/dt: dissipation of a port-Hamiltonian system, dH/dt = -v^T R v.
+
+    Args:
+        dof: degrees of freedom n.
+        controls: not used.
+        coefficient: of all coordinates, in the unit of force over velocity, or one for each; None learns one
+            for each, which stays positive.
+        of: `constant`, or `positions`: then R(q) = L(q) L(q)^T with a network for the lower triangular L
+            (van der Schaft & Jeltsema 2014, Port-Hamiltonian Systems Theory, chapter 2).
+        network: width, depth, activation of L(q).
+        scaling: of the positions that the network sees.
+
+    Raises:
+        UserError: coefficients that are negative, or not one for each coordinate.
+    """
+
+    unit: Tensor
+    basis: Tensor
+
+    def __init__(
+        self,
+        dof: int,
+        controls: int = 0,
+        *,
+        coefficient: Annotated[float, Within(0)] | list[float] | None = None,
+        of: Literal["constant", "positions"] = "constant",
+        network: dict[str, Any] | None = None,
+        scaling: Kind = "minmax",
+    ) -> None:
+        super().__init__()
+        del controls
+        self.dof, self.of, self.known = dof, of, None
+        self.assumes = "friction"
+        if of == "positions":
+            self.positions = Cartesian(dof, scaling, 0)
+            size = dof * (dof + 1) // 2
+            self.network = make_network(dof, size, network or {"width": 16, "depth": 1, "activation": "tanh"})
+            self.register_buffer("unit", torch.ones(()))
+            rows, columns = torch.tril_indices(dof, dof)
+            basis = torch.zeros(size, dof, dof)
+            basis[torch.arange(size), rows, columns] = 1.0
+            self.register_buffer("basis", basis, persistent=False)
+        elif coefficient is None:
+            self.log_coefficient = nn.Parameter(torch.zeros(dof))
+        else:
+            self.known = coefficient if isinstance(coefficient, list) else [coefficient] * dof
+            self.assumes = "known friction"
+            if len(self.known) != dof or min(self.known) < 0:
+                message = f"friction: expected {dof} coefficients >= 0; received {coefficient}"
+                raise UserError(message)
+
+    def fit(self, statistics: Statistics) -> None:
+        """Set the scaling, and the size at which a learned friction begins."""
+        rate_q, rate_p = statistics.rate.chunk(2)
+        typical = rate_p / rate_q
+        if self.of == "positions":
+            self.positions.fit(statistics)
+            self.unit.copy_(typical.mean().sqrt())
+        elif self.known is None:
+            self.log_coefficient.data.copy_((FIRST * typical).log())
+
+    def coefficients(self) -> Tensor:
+        """Return the constant coefficients, shape (n,)."""
+        if self.known is not None:
+            return torch.tensor(self.known, dtype=torch.float64)
+        return self.log_coefficient.exp()
+
+    def matrix(self, q: Tensor) -> Tensor:
+        """Return R, shape (..., n, n), at the positions q, shape (..., n)."""
+        if self.of == "constant":
+            return self.coefficients().to(q).diag().expand(*q.shape, -1)
+        entries = self.unit * self.network(self.positions(q))
+        lower = torch.einsum("...k,kij->...ij", entries, self.basis)
+        return lower @ lower.mT
+
+    def forward(self, at: Instant) -> Tensor:
+        """Return -R v, shape (..., n)."""
+        if self.of == "constant":
+            return -self.coefficients().to(at.v) * at.v
+        return -(self.matrix(at.q) @ at.v.unsqueeze(-1)).squeeze(-1)

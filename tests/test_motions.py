@@ -1,0 +1,110 @@
+"""What the contract can say, each in one file and one YAML: friction, masses, angles, known forces."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from entry import SMALL, call
+from helpers import close
+from motions.coupled_masses import CoupledMasses
+from motions.forced_oscillator import ForcedOscillator
+from motions.rotor import Rotor
+from motions.weight import Weight
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+import ahnn
+from ahnn.data.generate import generate
+from ahnn.dynamics.forces import FORCES
+from ahnn.evaluation import load_results
+
+CONF = Path(__file__).parent / "motions" / "conf"
+TINY = [*SMALL, "recipe=second_order", "data.batch_size=400", "evaluation=scores"]
+
+
+def trained(folder, *options):
+    assert call("ahnn.train", "--config-dir", str(CONF), f"run={folder}", *TINY, *options) == 0
+    return ahnn.load(folder)
+
+
+def reference(field, start, times):
+    """The solution by SciPy's DOP853, (T, D)."""
+    options = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-12, "t_eval": times}
+    return torch.from_numpy(solve_ivp(field, (times[0], times[-1]), start, **options).y.T.copy())
+
+
+def test_a_forced_damped_oscillator_is_that_of_scipy():
+    system = ForcedOscillator(name="f", dt=0.05, steps=200, mass=2.0)
+
+    def field(t, x):
+        q, p = x
+        return p / 2.0, -5.0 * q - 0.4 * p / 2.0 + np.sin(1.3 * t)
+
+    data = generate(system, 3, 0)
+    for states, times in zip(data.states, data.times, strict=True):
+        close(states, reference(field, states[0].numpy(), times.numpy()), 1e-9)
+    assert not system.separable
+    assert system.space.mechanical
+
+
+def test_masses_that_differ_by_a_thousand_move_as_their_matrix_says():
+    system = CoupledMasses(name="c", dt=0.05, steps=200)
+    data = generate(system, 3, 0)
+    matrix = np.zeros((4, 4))
+    matrix[0, 2], matrix[1, 3] = 1.0, 1e-3
+    matrix[2:, :2] = [[-4.0, 4.0], [4.0, -1004.0]]
+    step = torch.from_numpy(expm(0.05 * matrix))
+    exact = [data.states[:, 0]]
+    for _ in range(200):
+        exact.append(exact[-1] @ step.T)
+    scales = system.space.scales
+    close(data.states / scales, torch.stack(exact, 1) / scales, 1e-9)
+    assert scales.tolist() == [1.0, 1.0, 1.0, 1000.0]
+
+
+def test_a_training_learns_time_and_friction(tmp_path):
+    forces = ["forces=[friction,forcing]", "model.forces.forcing.frequency=1.3"]
+    options = ["system=forced_oscillator", "hamiltonian=mechanical", "data.windows_per_epoch=2000"]
+    options += ["trainer.max_epochs=8", "callbacks.rollout.every=8"]
+    run = trained(tmp_path / "run", *options, *forces)
+    assert run.dynamics.clock == 1
+    friction = run.dynamics.field.forces["friction"].coefficients()
+    assert float(friction) == pytest.approx(0.4, rel=0.2)
+    scores = load_results(tmp_path / "run").rows[0].scores
+    still = trained(tmp_path / "still", *options)
+    assert scores.position < 0.2 * load_results(tmp_path / "still").rows[0].scores.position
+    assert still.dynamics.clock == 0
+
+
+def test_a_training_divides_each_momentum_by_its_own_mass(tmp_path):
+    run = trained(tmp_path / "run", "system=coupled_masses", "hamiltonian=mechanical", "scaling=minmax")
+    assert run.space.inertia == (1.0, 1000.0)
+    x = torch.tensor([[0.1, 0.2, 0.3, 400.0]], dtype=torch.float64)
+    close(run.dynamics.field(x)[:, :2], torch.tensor([[0.3, 0.4]], dtype=torch.float64), 1e-15)
+    components = load_results(tmp_path / "run").rows[0].scores.components
+    assert components[3] < 10  # a velocity: the momentum is a thousand times as large
+
+
+def test_a_learned_force_has_the_period_of_an_angle(tmp_path):
+    run = trained(tmp_path / "run", "system=rotor", "hamiltonian=mechanical", "inputs=angles")
+    x = torch.tensor([[0.4, 8.0]], dtype=torch.float64)
+    turned = x + torch.tensor([[20 * torch.pi, 0.0]], dtype=torch.float64)
+    close(run.dynamics.field(turned), run.dynamics.field(x), 1e-12)
+    data = generate(Rotor(name="r", dt=0.01, steps=1000), 4, 0)
+    assert float(data.states[..., 0].abs().max()) > 50
+
+
+def test_a_known_force_stands_beside_a_learned_one(tmp_path, monkeypatch):
+    monkeypatch.setitem(FORCES.own, "weight", Weight)
+    run = trained(
+        tmp_path / "run", "hamiltonian=mechanical", "forces=[weight]", "model.forces.weight.force=[2.0]"
+    )
+    x = torch.tensor([[0.3, 0.1]], dtype=torch.float64)
+    field = run.dynamics.field
+    close(field(x)[:, 1] - field.hamiltonian(x)[:, 1], torch.tensor([2.0], dtype=torch.float64), 1e-12)
+    close(run.energy(x) - field.hamiltonian.energy(x), torch.tensor([-0.6], dtype=torch.float64), 1e-12)
+    assert "known weight" in run.dynamics.assumes
+    assert float(field(x)[0, 1]) == pytest.approx(-1.5, abs=0.5)  # the learned part undoes the weight
