@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from entry import SMALL, call
-from helpers import close
+from helpers import close, generator
 from motions.coupled_masses import CoupledMasses
 from motions.forced_oscillator import ForcedOscillator
 from motions.rotor import Rotor
@@ -18,8 +18,15 @@ from scipy.linalg import expm
 
 import ahnn
 from ahnn.data.generate import generate
+from ahnn.dynamics.bound import at, wrapped
 from ahnn.dynamics.forces import FORCES
+from ahnn.errors import UserError
+from ahnn.estimation import initial_belief
 from ahnn.evaluation import load_results
+from ahnn.measurements import reading
+from ahnn.systems import exact_flow
+from ahnn_plugins.ekf import ExtendedKalmanFilter
+from ahnn_plugins.ukf import UnscentedKalmanFilter
 
 CONF = Path(__file__).parent / "motions" / "conf"
 TINY = [*SMALL, "recipe=second_order", "data.batch_size=400", "evaluation=scores"]
@@ -108,3 +115,27 @@ def test_a_known_force_stands_beside_a_learned_one(tmp_path, monkeypatch):
     close(run.energy(x) - field.hamiltonian.energy(x), torch.tensor([-0.6], dtype=torch.float64), 1e-12)
     assert "known weight" in run.dynamics.assumes
     assert float(field(x)[0, 1]) == pytest.approx(-1.5, abs=0.5)  # the learned part undoes the weight
+
+
+@pytest.mark.parametrize("name", ["ukf", "ekf"])
+def test_filters_follow_a_force_that_depends_on_time(name):
+    """Exact dynamics: errors are those that the filter believes; a flow that stands still in time is off."""
+    system = ForcedOscillator(name="f", dt=0.05, steps=200)
+    data, flow = generate(system, 30, 0), exact_flow(system)
+    sd = torch.tensor([1e-2], dtype=torch.float64)
+    noise = 1e-2 * torch.randn(30, 200, 1, generator=generator(1), dtype=torch.float64)
+    rows = data.states[:, 1:, :1] + noise
+    belief = initial_belief(data.states[:, 0], torch.diag(torch.tensor([1e-2, 1e-2]).double() ** 2))
+    off = 1e-2 * torch.randn(30, 2, generator=generator(2), dtype=torch.float64)
+    belief = belief._replace(mean=belief.mean + off)
+    own = UnscentedKalmanFilter() if name == "ukf" else ExtendedKalmanFilter()
+    q = 1e-14 * torch.eye(2, dtype=torch.float64)
+    arguments = (belief, rows, reading("position", system.space), q, torch.diag(sd**2), 0.05)
+    result = own.run(flow, *arguments)
+    errors = result.means - data.states[:, 1:]
+    deviations = result.covariances.diagonal(dim1=-2, dim2=-1).sqrt()
+    assert 0.8 < float((errors / deviations).square().mean().sqrt()) < 1.2
+    frozen = own.run(lambda x, dt: at(flow, 0.0)(x, dt), *arguments)
+    assert float((frozen.means - data.states[:, 1:]).norm()) > 5 * float(errors.norm())
+    with pytest.raises(UserError, match="expected the time at which a step begins"):
+        wrapped(flow, lambda inner: inner)(data.states[:, 0], 0.05)

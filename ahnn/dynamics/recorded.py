@@ -25,6 +25,7 @@ from ahnn.dynamics.transition import transition
 from ahnn.integrators.explicit import ExplicitRungeKutta
 from ahnn.integrators.symplectic import SymmetricComposition
 from ahnn.libraries import followed
+from ahnn.rollouts import clock_of
 from ahnn.types import Flow, TimeStep
 
 SETTLED = 3
@@ -46,6 +47,8 @@ def recorded(flow: Flow) -> Flow:
 
 def _fixed(flow: Flow) -> bool:
     """Return whether these are dynamics whose operations do not depend on the numbers."""
+    if clock_of(flow):
+        return False
     if isinstance(flow, HamiltonianDynamics | NeuralODE):
         return isinstance(flow.integrator, ExplicitRungeKutta | SymmetricComposition)
     return isinstance(flow, NextState)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.dynamics.bound import at
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.consistency import deviations
 from ahnn.estimation.estimator import Sensor
@@ -74,8 +75,9 @@ def followed(arc: Arc, start: Tensor) -> Fit:
         (start.unsqueeze(1), start.unsqueeze(1) + offsets, start.unsqueeze(1) - offsets), dim=1
     )
     along = [points]
-    for length in arc.grid.lengths[:steps]:
-        along.append(arc.flow(along[-1].flatten(0, 1), length).to(start).reshape(points.shape))
+    for k, length in enumerate(arc.grid.lengths[:steps]):
+        flow = at(arc.flow, float(arc.grid.times[k]) - length)
+        along.append(flow(along[-1].flatten(0, 1), length).to(start).reshape(points.shape))
     path = torch.stack(along, dim=1)
     plus, minus = path[:, :, 1:].chunk(2, dim=2)
     moved = ((plus - minus) / (2 * half[:, None, :, None])).mT

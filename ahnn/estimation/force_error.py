@@ -21,6 +21,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.dynamics.bound import wrapped
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.results import FilterResult, SmootherResult
 from ahnn.measurements import Measurement, Time, periods, residual
@@ -64,7 +65,9 @@ class ForceError(NamedTuple):
 
     def flow(self, flow: Flow) -> Flow:
         """Return the flow of augmented states."""
+        return wrapped(flow, self._augmented)
 
+    def _augmented(self, flow: Flow) -> Flow:
         def augmented(x: Tensor, dt: TimeStep) -> Tensor:
             n = x.shape[-1] // 3
             state, error = x[..., : 2 * n], x[..., 2 * n :]

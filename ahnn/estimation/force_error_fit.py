@@ -15,11 +15,13 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.clock import Clock
 from ahnn.estimation.consistency import correlation_time
 from ahnn.estimation.force_error import ForceError
 from ahnn.estimation.process_noise import crossing, mean_nees
 from ahnn.estimation.scenario import Problem, Setting
 from ahnn.estimation.trial import Filter
+from ahnn.rollouts import clock_of, stepped
 from ahnn.statistics import Statistics
 from ahnn.types import Flow, Trajectories
 
@@ -77,7 +79,9 @@ def force_errors(
     """Return the errors e (B, T - 1, n) of a flow on each step, over growth; NaN where there is none."""
     before, after = trajectories.states[:, :-1], trajectories.states[:, 1:]
     dof = before.shape[-1] // 2
-    predicted = flow(before.flatten(0, 1), dt).unflatten(0, before.shape[:2])
+    clock = trajectories.clock.first(clock_of(flow))
+    clock = Clock(*(part[:, :-1].flatten(0, 1) for part in clock))
+    predicted = stepped(flow, before.flatten(0, 1), dt, clock).unflatten(0, before.shape[:2])
     impulse = (predicted - before)[..., dof:].norm(dim=-1, keepdim=True)
     errors = (after - predicted)[..., dof:] / impulse
     if growth is not None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from ahnn.dynamics.bound import at
 from ahnn.estimation.belief import Status, choose
 from ahnn.estimation.estimator import Kernel, Sensor
 from ahnn.estimation.results import Backward, Updated
@@ -15,6 +16,7 @@ from ahnn.estimation.rounding import Rounding, lost_in_prediction, lost_in_updat
 from ahnn.estimation.state import FilterState, add_repairs, fail, frozen
 from ahnn.measurements import Measurement
 from ahnn.numbers import described
+from ahnn.rollouts import clock_of
 from ahnn.types import Flow
 
 
@@ -29,7 +31,8 @@ def predict(
     smoothing: bool = False,
 ) -> tuple[FilterState, Backward | None]:
     """Return the state after a step of the flow that ends at `time`, and the law back, if asked for."""
-    predicted = kernel.predict(state.belief, flow, dt, chol_q, smoothing=smoothing)
+    here = at(flow, float(state.time)) if clock_of(flow) else flow
+    predicted = kernel.predict(state.belief, here, dt, chol_q, smoothing=smoothing)
     after = FilterState(predicted.belief, time, state.steps + 1, *state[3:])
     after = add_repairs(after, predicted.repaired)
     if not predicted.sound:

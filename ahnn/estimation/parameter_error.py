@@ -16,6 +16,7 @@ from torch import Tensor
 from torch.nn.utils import parameters_to_vector
 
 from ahnn.dynamics import Dynamics, HasField
+from ahnn.dynamics.bound import wrapped
 from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.force_error import OfStates
@@ -66,7 +67,9 @@ class ParameterError(NamedTuple):
 
     def flow(self, flow: Flow) -> Flow:
         """Return the flow of augmented states."""
+        return wrapped(flow, self._augmented)
 
+    def _augmented(self, flow: Flow) -> Flow:
         def augmented(x: Tensor, dt: TimeStep) -> Tensor:
             state, eta = x[..., : -self.added], x[..., -self.added :]
             half = 0.5 * (dt.unsqueeze(-1) if isinstance(dt, Tensor) else dt)

@@ -22,9 +22,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.clock import Clock
 from ahnn.estimation.consistency import nees
 from ahnn.estimation.scenario import Problem, Setting
 from ahnn.estimation.trial import Filter, assimilate, shown
+from ahnn.rollouts import clock_of, stepped
 from ahnn.statistics import Statistics
 from ahnn.types import Flow, Trajectories
 
@@ -54,7 +56,9 @@ def one_step_covariance(flow: Flow, trajectories: Trajectories) -> Tensor:
     before = trajectories.states[:, :-1].reshape(-1, size)
     after = trajectories.states[:, 1:].reshape(-1, size)
     chosen = torch.linspace(0, len(before) - 1, min(PAIRS, len(before)), dtype=torch.float64).long()
-    residual = flow(before[chosen], Statistics.of(trajectories).dt) - after[chosen]
+    clock, dt = trajectories.clock.first(clock_of(flow)), Statistics.of(trajectories).dt
+    clock = Clock(*(part[:, :-1].reshape(len(before), -1)[chosen] for part in clock))
+    residual = stepped(flow, before[chosen], dt, clock) - after[chosen]
     residual = residual[residual.isfinite().all(-1)]
     return residual.mT @ residual / max(len(residual), 1)
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.dynamics.bound import at
 from ahnn.dynamics.transition import transition
 from ahnn.estimation.batch import BatchResult, batch_least_squares
 from ahnn.estimation.covariances import initial_belief
@@ -18,6 +19,7 @@ from ahnn.estimation.parameter_error import ParameterError
 from ahnn.estimation.results import FilterResult
 from ahnn.estimation.scenario import Problem, Setting
 from ahnn.progress import progress_bar
+from ahnn.rollouts import clock_of
 from ahnn.types import Flow, TimeStep
 
 
@@ -120,6 +122,15 @@ class _Shown(NamedTuple):
 
     flow: Flow
     advance: Callable[[], None]
+
+    @property
+    def clock(self) -> int:
+        """Clock coordinates of its states."""
+        return clock_of(self.flow)
+
+    def at(self, time: float) -> Flow:
+        """Return the flow from an instant on."""
+        return _Shown(at(self.flow, time), self.advance)
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the states after dt."""

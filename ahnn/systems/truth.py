@@ -10,7 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ahnn.clock import Clock
+from ahnn.clock import Clock, extended
 from ahnn.errors import UserError
 from ahnn.integrators import INTEGRATORS
 from ahnn.jacobians import differenced
@@ -124,4 +124,8 @@ class SubstepsFlow(NamedTuple):
 
     def transition(self, x: Tensor, dt: float) -> tuple[Tensor, Tensor]:
         """Return the states (B, D) after dt, and the state transitions (B, D, D)."""
-        return differenced(self, x, dt, DIFFERENCE * self.system.deviations())
+        half = DIFFERENCE * self.system.deviations()
+        if self.clock:
+            instant = torch.full((self.clock,), DIFFERENCE * self.system.dt, dtype=torch.float64)
+            half = extended(half, Clock(instant, instant))
+        return differenced(self, x, dt, half)

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.dynamics.bound import at
 from ahnn.estimation.belief import Belief, Status, choose
 from ahnn.estimation.checks import checked_rows, checked_sensor
 from ahnn.estimation.consistency import deviations
@@ -103,7 +104,8 @@ def iterated_smoother(
     def relinearised(about: SmootherResult) -> SmootherResult:
         def line(k: int) -> StepModel:
             length = grid.lengths[k]
-            step = linear_flow(flow, length, _belief(about, k), weights, chol_q(length)[there])
+            here = at(flow, float(grid.times[k]) - length)
+            step = linear_flow(here, length, _belief(about, k), weights, chol_q(length)[there])
             return StepModel(
                 *step, linear_sensor(sensor, float(grid.times[k]), _belief(about, k + 1), weights)
             )

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from ahnn.arguments import Count, Interval, Range, Seed, Within, check_arguments, checked
 from ahnn.contents import read_whole
+from ahnn.dynamics.bound import at
 from ahnn.errors import UserError
 from ahnn.estimation.belief import Status
 from ahnn.estimation.scenario import Problem, Setting
@@ -208,7 +209,7 @@ def _stored(path: Path) -> dict[str, Any]:
 def _recipe(chosen: Filter, setting: Setting, problem: Problem, options: Tuning) -> dict[str, Any]:
     """Return what determines a search, as plain values; the flow is known by what it does to a state."""
     with torch.no_grad():
-        image = chosen.flow(problem.truth[:1, 0], problem.dt)
+        image = at(chosen.flow, 0.0)(problem.truth[:1, 0], problem.dt)
     tensors = {
         "image": image,
         "process_noise": chosen.process_noise,

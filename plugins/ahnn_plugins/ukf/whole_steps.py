@@ -12,6 +12,7 @@ import math
 import torch
 from torch import Tensor
 
+from ahnn.dynamics.bound import at
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.estimator import Sensor
 from ahnn.estimation.kernel import propagate, taken
@@ -19,6 +20,7 @@ from ahnn.estimation.loop import StepModel, stepper
 from ahnn.estimation.records import Step
 from ahnn.estimation.state import FilterState
 from ahnn.measurements import periods
+from ahnn.rollouts import clock_of
 from ahnn_plugins.ukf import members
 from ahnn_plugins.ukf.kernel import READINGS, SigmaPoints
 from ahnn_plugins.ukf.sigma_points import draw
@@ -49,7 +51,8 @@ class WholeSteps:
         self, k: int, state: FilterState, row: Tensor | None, model: StepModel, length: float, time: Tensor
     ) -> tuple[FilterState, Step]:
         """Return the state after step k, whole or not, and its record."""
-        points = propagate(model.flow, self.points(state), length)
+        flow = at(model.flow, float(state.time)) if clock_of(model.flow) else model.flow
+        points = propagate(flow, self.points(state), length)
         done = self.step(k, state, points, time, model.chol_q, model.sensor)
         if done is None:
             single = stepper(self.kernel._replace(points=points), smoothing=self.smoothing)
