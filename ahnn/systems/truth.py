@@ -124,4 +124,11 @@ class SubstepsFlow(NamedTuple):
 
     def transition(self, x: Tensor, dt: float) -> tuple[Tensor, Tensor]:
         """Return the states (B, D) after dt, and the state transitions (B, D, D)."""
-        return differenced(self, x, dt, DIFFERENCE * self.system.deviations())
+        return differenced(self, x, dt, self.half)
+
+    @property
+    def half(self) -> Tensor:
+        """Half widths of differences, (2 (n + k),); those of a clock as fractions of an interval."""
+        position, momentum = (DIFFERENCE * self.system.deviations()).chunk(2)
+        rates = position.new_full((self.clock,), DIFFERENCE)
+        return torch.cat((position, self.system.dt * rates, momentum, rates))
