@@ -105,10 +105,10 @@ def _trial_error(system: System, count: int) -> float:
 
 
 class SubstepsFlow(NamedTuple):
-    """The flow of a system with `count` substeps in a sampling interval, in proportion for other steps."""
+    """The flow of a system with `number` substeps in a sampling interval, in proportion for other steps."""
 
     system: System
-    count: int
+    number: int
 
     @property
     def clock(self) -> int:
@@ -117,7 +117,7 @@ class SubstepsFlow(NamedTuple):
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the states (B, D) after dt."""
-        integrator, parts = INTEGRATORS[self.system.integrator], substeps(dt, self.system.dt / self.count)
+        integrator, parts = INTEGRATORS[self.system.integrator], substeps(dt, self.system.dt / self.number)
         for _ in range(parts):
             x = integrator.step(self.system, x, dt / parts)
         return x
