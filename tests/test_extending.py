@@ -78,7 +78,7 @@ def trained(installed, tmp_path_factory):
 def test_a_run_with_all_of_it_is_evaluated_again_with_no_word_of_trust(trained, monkeypatch, capsys):
     results = ahnn.load(trained).results
     assert {row.who.estimator for row in results.rows} == {None, "ekf"}
-    assert results.numbers["ekf"]["measured"] == ["bearing"]
+    assert results.numbers["first_order"]["measured"] == ["bearing"]
     assert any(row.who.process == "exact field, ralston" for row in results.rows)
     words = shlex.split(COMMANDS[1])
     monkeypatch.chdir(trained.parents[1])
@@ -100,7 +100,7 @@ def test_its_dynamics_are_loaded_in_python(trained):
 def test_help_lists_its_options_and_a_name_beside_them_is_corrected(capsys):
     assert call("ahnn.train", "--help") == 0
     out = capsys.readouterr().out
-    for name in ("duffing", "newton", "ralston", "endpoint", "bearing", "ekf"):
+    for name in ("duffing", "newton", "ralston", "endpoint", "bearing", "first_order"):
         assert f" {name}" in out
     assert call("ahnn.train", "--help", "loss=endpoint") == 0
     assert "states at the end that count" in capsys.readouterr().out

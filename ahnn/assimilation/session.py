@@ -38,7 +38,7 @@ REMEDIES = {
     "bad": "The lines above say what is wrong with them",
     "late": "They are before the start: set epoch= and time=, at which it holds, or window=",
     "ahead": "They are far behind the start: set epoch= and time=, at which it holds, or gap=",
-    "rejected": "Set start= and start_sd=, or epoch= and time=, at which it holds, or plugins.ukf.gate",
+    "rejected": "Set start= and start_sd=, or epoch= and time=, at which it holds, or plugins.{name}.gate",
     "repeated": "They come twice: leave state= out or begin another",
     "predicted": "Their numbers are missing: fill the columns of the sensor, or set measurement=",
 }
@@ -147,7 +147,10 @@ class Session:
         mean, (low, high) = self.nis / self.numbers, band(1, self.numbers)
         text = f"mean NIS of a number {mean:.3g}; {low:.3g} to {high:.3g} where a filter is consistent"
         if mean > high:
-            text += ": it trusts its model or the measurements too much, or took outliers (plugins.ukf.gate)"
+            name = self.filter.process.estimator.name
+            text += (
+                f": it trusts its model or the measurements too much, or took outliers (plugins.{name}.gate)"
+            )
         return text + (": it trusts them too little" if mean < low else "")
 
     def close(self) -> None:
@@ -191,7 +194,8 @@ class Session:
             return
         most, count = max(self.counts.items(), key=lambda item: item[1], default=("none", 0))
         received = f"{count:,} of {self.counts.total():,} {most}" if count else "no line behind the header"
-        message = f"measurements: expected one that counts; received {received}. {REMEDIES[most]}"
+        remedy = REMEDIES[most].format(name=self.filter.process.estimator.name)
+        message = f"measurements: expected one that counts; received {received}. {remedy}"
         raise TrainingError(message)
 
     def _begin(self, text: str) -> None:

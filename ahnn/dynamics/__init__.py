@@ -37,9 +37,9 @@ def make_dynamics(kind: str, **options: Any) -> Dynamics:
         )
         raise UserError(message)
     check_arguments("dynamics", KINDS[kind], options)
-    dynamics = KINDS[kind](**options)
-    dynamics.spec = {"kind": kind, **options}
-    return dynamics
+    made = KINDS[kind](**options)
+    made.spec = {"kind": kind, **options}
+    return made
 
 
 __all__ = [

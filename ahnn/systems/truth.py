@@ -10,7 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ahnn.clock import Clock, extended
+from ahnn.clock import Clock
 from ahnn.errors import UserError
 from ahnn.integrators import INTEGRATORS
 from ahnn.jacobians import differenced
@@ -105,10 +105,10 @@ def _trial_error(system: System, count: int) -> float:
 
 
 class SubstepsFlow(NamedTuple):
-    """The flow of a system with `count` substeps in a sampling interval, in proportion for other steps."""
+    """The flow of a system with `number` substeps in a sampling interval, in proportion for other steps."""
 
     system: System
-    count: int
+    number: int
 
     @property
     def clock(self) -> int:
@@ -117,15 +117,18 @@ class SubstepsFlow(NamedTuple):
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the states (B, D) after dt."""
-        integrator, parts = INTEGRATORS[self.system.integrator], substeps(dt, self.system.dt / self.count)
+        integrator, parts = INTEGRATORS[self.system.integrator], substeps(dt, self.system.dt / self.number)
         for _ in range(parts):
             x = integrator.step(self.system, x, dt / parts)
         return x
 
     def transition(self, x: Tensor, dt: float) -> tuple[Tensor, Tensor]:
         """Return the states (B, D) after dt, and the state transitions (B, D, D)."""
-        half = DIFFERENCE * self.system.deviations()
-        if self.clock:
-            instant = torch.full((self.clock,), DIFFERENCE * self.system.dt, dtype=torch.float64)
-            half = extended(half, Clock(instant, instant))
-        return differenced(self, x, dt, half)
+        return differenced(self, x, dt, self.half)
+
+    @property
+    def half(self) -> Tensor:
+        """Half widths of differences, (2 (n + k),); those of a clock as fractions of an interval."""
+        position, momentum = (DIFFERENCE * self.system.deviations()).chunk(2)
+        rates = position.new_full((self.clock,), DIFFERENCE)
+        return torch.cat((position, self.system.dt * rates, momentum, rates))

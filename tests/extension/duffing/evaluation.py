@@ -18,7 +18,7 @@ from duffing.estimator import ExtendedKalmanFilter
 @final
 @checked
 class EKFEvaluation:
-    """Rows `+ EKF` from every start; its arguments are the keys of `plugins.ekf` in YAML."""
+    """Rows `+ EKF` from every start; its arguments are the keys of `plugins.first_order` in YAML."""
 
     def __init__(
         self,

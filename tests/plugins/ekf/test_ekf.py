@@ -20,6 +20,7 @@ from ahnn.estimation.smoother import smoother
 from ahnn.estimation.trial import Filter, assimilate
 from ahnn.evaluation.open_loop import integrated
 from ahnn.integrators import INTEGRATORS
+from ahnn.jacobians import pointwise_jacobian
 from ahnn.measurements import GroundStation, Position, State
 from ahnn.systems import MassSpring, Molniya, exact_flow
 from ahnn_plugins.ekf import ExtendedKalmanFilter
@@ -232,3 +233,13 @@ def test_a_flow_or_a_model_that_returns_another_shape_is_refused():
         ExtendedKalmanFilter(0.9)
     assert ekf.about != ExtendedKalmanFilter(Gate()).about
     assert State(1).names
+
+
+@pytest.mark.parametrize("system", [SPRING, ORBITS], ids=["spring", "orbits"])
+def test_the_transition_of_an_exact_flow_is_that_of_reverse_mode(system):
+    flow, x = exact_flow(system), system.initial_states(2, torch.Generator().manual_seed(0))
+    value, moved = transition(flow, x, system.dt)
+    exact = pointwise_jacobian(lambda z: flow(z, system.dt), x)
+    torch.testing.assert_close(value, flow(x, system.dt), rtol=1e-12, atol=1e-9)
+    scale = system.deviations()
+    assert float(((moved - exact) * scale / scale.unsqueeze(-1)).abs().max()) < 1e-7
