@@ -168,9 +168,9 @@ def test_a_potential_is_not_asked_for_where_there_is_a_beginning_or_another_obje
 def test_a_command_line_is_composed_twice_and_no_more(tmp_path, monkeypatch):
     compose, names = ConfigLoaderImpl.load_configuration, []
 
-    def counted(self, name, *arguments, **options):
-        names.append(name)
-        return compose(self, name, *arguments, **options)
+    def counted(self, config_name, *arguments, **options):
+        names.append(config_name)
+        return compose(self, config_name, *arguments, **options)
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(ConfigLoaderImpl, "load_configuration", counted)

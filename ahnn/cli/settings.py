@@ -73,6 +73,10 @@ def check_settings(cfg: DictConfig) -> None:
     Raises:
         UserError: a wrong type, an impossible value, or one that contradicts the chosen model.
     """
+    for name, key in signature(Settings).parameters.items():  # others refer to them: nothing resolves without
+        if key.default is key.empty and name not in cfg:
+            message = f"expected key {name!r}; received a configuration without it"
+            raise UserError(message)
     values = plain_config(cfg)
     check_keys(values, {"": Settings, "data": Splits, "evaluation": Evaluation, "trainer": Training})
     seeds = values.get("seeds") or []

@@ -27,6 +27,7 @@ from ahnn.dynamics.hamiltonians import GenericHamiltonian, SeparableHamiltonian
 from ahnn.dynamics.hessians import gradient_and_hessian, has_hessian
 from ahnn.integrators import ExplicitRungeKutta, SymmetricComposition
 from ahnn.jacobians import step_jacobians
+from ahnn.types import VectorField
 
 SAMPLES = 1000
 """Steps whose Jacobians are formed at once: what they take stays in the cache."""
@@ -82,11 +83,7 @@ def jacobian_along(function: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:
     return function(torch.cat((x.unsqueeze(1), one), dim=1))[:, 1:].mT
 
 
-Variations = Callable[[Tensor], Tensor]
-"""Field of states with their variations, (B, 1 + D, D)."""
-
-
-def varied(field: nn.Module) -> Variations | None:
+def varied(field: nn.Module) -> VectorField | None:
     """Return the field of states with their variations, (B, 1 + D, D); None where it is not known."""
     if isinstance(field, Forced):
         inner = varied(field.hamiltonian)
@@ -134,13 +131,13 @@ class SeparableVariations:
 class ForcedVariations:
     """The same for Hamilton's equations with forces, whose derivatives come from reverse mode."""
 
-    def __init__(self, field: Forced, inner: Variations) -> None:
+    def __init__(self, field: Forced, inner: VectorField) -> None:
         self.field, self.inner = field, inner
 
-    def __call__(self, z: Tensor) -> Tensor:
+    def __call__(self, x: Tensor) -> Tensor:
         """Return the rates, shape (B, 1 + D, D), of extended states and variations."""
         dof = self.field.dof
-        q, c, p, rates = split(z, self.field.clock)
+        q, c, p, rates = split(x, self.field.clock)
         v, pull = self.inner(torch.cat((q, p), dim=-1)).chunk(2, dim=-1)
         seen = torch.cat((c, q, v), dim=-1)
 

@@ -94,9 +94,9 @@ class System(ABC):
         """The factor m of the kinetic energy p^2 / 2m; a system of several masses has one for each."""
         return self.mass
 
-    @property
+    @cached_property
     def forces(self) -> Sequence[Force]:
-        """Forces beside the Hamiltonian; a subclass returns its own, by a `cached_property`."""
+        """Forces beside the Hamiltonian; a subclass returns its own."""
         return ()
 
     @cached_property

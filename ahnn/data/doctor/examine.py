@@ -39,7 +39,7 @@ class Examined(NamedTuple):
 
 
 def examine(
-    paths: Sequence[Path], reading: Reading, mass: float | None = None, gap: float = 10.0
+    paths: Sequence[Path], reading: Reading, mass: float | Sequence[float] | None = None, gap: float = 10.0
 ) -> Examined:
     """Return all that is wrong with files.
 
@@ -68,7 +68,7 @@ def examine(
     return Examined(found + later, contents)
 
 
-def diagnosis(contents: Sequence[Content], mass: float | None, gap: float) -> list[Finding]:
+def diagnosis(contents: Sequence[Content], mass: float | Sequence[float] | None, gap: float) -> list[Finding]:
     """Return what is wrong with the content of files that could be read.
 
     Args:

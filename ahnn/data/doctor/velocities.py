@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -43,18 +44,18 @@ class Compared(NamedTuple):
     doubts: Array
 
 
-def velocity_findings(content: Content, tracks: list[Track], mass: float) -> list[Finding]:
+def velocity_findings(content: Content, tracks: list[Track], mass: float | Sequence[float]) -> list[Finding]:
     """Return what is wrong with the velocities, or with momenta over the mass, of some tracks of a file.
 
     Args:
         content: of the file.
         tracks: those that are judged.
-        mass: factor of momenta.
+        mass: factor of momenta, or one for each coordinate.
     """
     n = len(content.positions)
     if len(content.rates) != n:
         return []
-    scale = 1 / mass if content.momenta else 1.0
+    scale = 1 / np.asarray(mass, dtype=float) if content.momenta else np.ones(())
     pairs = [(track, compared(track, n, scale)) for track in tracks]
     long = [(track, one) for track, one in pairs if one is not None and len(one.stated) >= LEAST]
     short = [one for _, one in pairs if one is not None and len(one.stated) < LEAST]
@@ -64,15 +65,21 @@ def velocity_findings(content: Content, tracks: list[Track], mass: float) -> lis
     return [finding for c in range(n) for finding in of_component(content, c, long)]
 
 
-def compared(track: Track, n: int, scale: float) -> Compared | None:
-    """Return stated and derived velocities of a track; None where it is too short."""
+def compared(track: Track, n: int, scale: Array) -> Compared | None:
+    """Return stated and derived velocities of a track; None where it is too short.
+
+    Args:
+        track: of positions, and of velocities or momenta.
+        n: coordinates.
+        scale: by which momenta are velocities, () or (n,).
+    """
     found: Slopes | None = slopes(track.times, track.values[:, :n], 1)
     if found is None:
         return None
-    stated = scale * track.values
-    doubts = found.doubts + roughness(track.times, stated[:, n:], found.at)
+    stated = scale * track.values[:, n:]
+    doubts = found.doubts + roughness(track.times, stated, found.at)
     known = np.isfinite(doubts).all(1)  # they hold all samples that the derivatives hold
-    return Compared(stated[found.at, n:][known], found.values[known], doubts[known])
+    return Compared(stated[found.at][known], found.values[known], doubts[known])
 
 
 def of_component(content: Content, c: int, pairs: list[tuple[Track, Compared]]) -> list[Finding]:

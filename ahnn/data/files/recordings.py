@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -47,7 +48,7 @@ class Recordings(ABC):
         self,
         space: Space,
         contents: list[Content],
-        mass: float | None,
+        mass: float | Sequence[float] | None,
         *,
         cut: int | None,
         gap: float,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -26,8 +27,8 @@ class Files(Recordings):
     Args:
         name: of the data, in folders and tables.
         path: of the file, or of several.
-        mass: factor m of p = m dq/dt, in kg (of angles: the inertia in kg m^2); None is 1, with energies per
-            unit mass.
+        mass: factor m of p = m dq/dt, in kg (of angles: the inertia in kg m^2), or one for each coordinate;
+            None is 1, with energies per unit mass.
         cut: samples of the stretches that trajectories are cut into; None leaves them whole.
         gap: a step so many times longer than the median is a gap, where samples lie on no grid.
         frame: into which data of a known frame and epoch are turned; None leaves them as they are.
@@ -44,7 +45,7 @@ class Files(Recordings):
         self,
         name: str,
         path: str | list[str],
-        mass: Positive | None = None,
+        mass: Positive | list[Positive] | None = None,
         cut: Annotated[int, Within(2)] | None = None,
         gap: Annotated[float, Within(1.5)] = 10.0,
         frame: Literal["GCRF", "EME2000"] | None = None,
@@ -111,9 +112,13 @@ def spelled(value: Any) -> str:
     return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
-def space_of(name: str, content: Content, mass: float | None) -> Space:
+def space_of(name: str, content: Content, mass: float | Sequence[float] | None) -> Space:
     """Return what the numbers mean."""
     momenta = content.rates if content.momenta else tuple(f"p{q}" for q in content.positions)
     turning = content.momenta and content.frame.upper().startswith(ROTATING)
-    parts = (*content.positions, *momenta), content.units, mass or 1.0, content.frame
+    inertia = (*mass,) if isinstance(mass, Sequence) else mass or 1.0
+    if isinstance(inertia, tuple) and len(inertia) != len(content.positions):
+        message = f"system.mass: expected one, or one for each of {content.positions}; received {inertia}"
+        raise UserError(message)
+    parts = (*content.positions, *momenta), content.units, inertia, content.frame
     return Space(name, *parts, mechanical=not turning)
