@@ -30,7 +30,7 @@ def check_space(space: Space) -> None:
         if not text.strip() or not text.isprintable() or "$" in text:
             message = f"space: expected names and units that can be printed, without $; received {text!r}"
             raise UserError(message)
-    masses = space.inertia if isinstance(space.inertia, tuple | list) else (space.inertia,)
+    masses = space.inertia if isinstance(space.inertia, tuple) else (space.inertia,)
     if not all(fits(mass, Positive) for mass in masses) or len(masses) not in (1, space.dof):
         message = (
             f"space.inertia: expected finite numbers > 0, one or {space.dof}; received {space.inertia!r}"
