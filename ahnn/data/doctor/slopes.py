@@ -79,7 +79,11 @@ def weights(offsets: Array, order: int) -> Array:
     powers = (offsets / size)[:, None, :] ** np.arange(offsets.shape[1])[:, None]
     unit = np.zeros((offsets.shape[1], 1))
     unit[order] = math.factorial(order)
-    return np.linalg.solve(powers, unit[None])[..., 0] / size**order
+    try:
+        found = np.linalg.solve(powers, unit[None])
+    except np.linalg.LinAlgError:  # two samples at nearly one time share a weight
+        found = np.linalg.pinv(powers) @ unit
+    return found[..., 0] / size**order
 
 
 def roughness(times: Array, values: Array, at: NDArray[np.int64]) -> Array:

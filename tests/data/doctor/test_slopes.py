@@ -73,3 +73,11 @@ def test_samples_are_told_by_how_far_they_are_from_the_cubic_through_four_neighb
     around = [np.prod([abs(t[k + j] - t[k]) for j in (-2, -1, 1, 2)]) for k in at]
     assert roughness(t, t[:, None] ** 4, at)[:, 0] == pytest.approx(around, rel=1e-8)
     assert np.abs(roughness(t, t[:, None] ** 3, at)).max() < 1e-9 * t[-1] ** 3
+
+
+def test_two_samples_at_nearly_one_time_share_a_weight():
+    times = np.arange(12.0)
+    times[1] = 1e-200
+    values = (2 * times + 1)[:, None]
+    at = np.arange(2, 10)
+    np.testing.assert_allclose(roughness(times, values, at), 0, atol=1e-9)
