@@ -18,6 +18,10 @@ WIDE = 3.0
 """A stencil so many times wider than most lies across a gap."""
 
 
+CLOSE = 1e-12
+"""Distance of two samples, as a fraction of a stencil, within which no polynomial goes through both."""
+
+
 class Slopes(NamedTuple):
     """Derivatives of samples, and how much stencils of three and of five points differ in them.
 
@@ -74,16 +78,19 @@ def over(times: Array, values: Array, stride: int, order: int) -> Slopes:
 
 
 def weights(offsets: Array, order: int) -> Array:
-    """Return weights (K, P) of a derivative at zero of the polynomials through points at offsets (K, P)."""
+    """Return weights (K, P) of a derivative at zero of the polynomials through points at offsets (K, P).
+
+    NaN where two of the points, which are in their order, meet.
+    """
     size = np.abs(offsets).max(axis=1, keepdims=True)
     powers = (offsets / size)[:, None, :] ** np.arange(offsets.shape[1])[:, None]
     unit = np.zeros((offsets.shape[1], 1))
     unit[order] = math.factorial(order)
-    try:
-        found = np.linalg.solve(powers, unit[None])
-    except np.linalg.LinAlgError:  # two samples at nearly one time share a weight
-        found = np.linalg.pinv(powers) @ unit
-    return found[..., 0] / size**order
+    met = np.diff(offsets, axis=1).min(axis=1) < CLOSE * size[:, 0]
+    powers[met] = np.eye(offsets.shape[1])
+    found = np.linalg.solve(powers, unit[None])[..., 0] / size**order
+    found[met] = np.nan
+    return found
 
 
 def roughness(times: Array, values: Array, at: NDArray[np.int64]) -> Array:
