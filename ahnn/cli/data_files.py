@@ -18,13 +18,14 @@ KEYS = ("mass", "gap", "frame", "step", "duration")
 def read_check(arguments: list[str], usage: str) -> tuple[list[Path], Path | None, dict[str, Any]]:
     """Return the files, the folder for figures and the options of a command line; raises UserError."""
     paths, pairs = divided(arguments[1:], (*KEYS, "figures"))
-    options = dict(map(pair, pairs))
-    if unknown := [key for key in options if key not in (*KEYS, "figures")]:
+    named = [text.partition("=")[0] for text in pairs]
+    if unknown := [key for key in named if key not in (*KEYS, "figures")]:
         message = f"check: unknown key {unknown[0]!r}{nearest(unknown[0], (*KEYS, 'figures'))}"
         raise UserError(message)
     if arguments[:1] != ["check"] or not paths:
         message = f"{usage}; received: {' '.join(arguments) or 'nothing'}"
         raise UserError(message)
+    options = dict(map(pair, pairs))
     figures = options.pop("figures", None)
     check_values("", Files, options)
     return paths, None if figures is None else Path(str(figures)), options
