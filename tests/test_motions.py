@@ -11,6 +11,7 @@ from entry import SMALL, call
 from helpers import close, generator
 from motions.coupled_masses import CoupledMasses
 from motions.forced_oscillator import ForcedOscillator
+from motions.pushed_spring import PushedSpring
 from motions.rotor import Rotor
 from motions.weight import Weight
 from scipy.integrate import solve_ivp
@@ -139,3 +140,30 @@ def test_filters_follow_a_force_that_depends_on_time(name):
     assert float((frozen.means - data.states[:, 1:]).norm()) > 5 * float(errors.norm())
     with pytest.raises(UserError, match="expected the time at which a step begins"):
         wrapped(flow, lambda inner: inner)(data.states[:, 0], 0.05)
+
+
+def test_a_training_learns_how_controls_push(tmp_path, capsys):
+    options = ["system=pushed_spring", "hamiltonian=mechanical", "forces=controls", "trainer.max_epochs=6"]
+    options += ["data.trajectories=60", "data.windows_per_epoch=4000", "data.batch_size=1000"]
+    options += ["callbacks.rollout.every=6"]
+    words = ["ahnn.train", "--config-dir", str(CONF), f"run={tmp_path / 'none'}", *TINY, *options]
+    assert call(*words) == 2
+    assert "loss.derivative: expected 0 with controls" in capsys.readouterr().err
+    options.append("loss=recursive")
+    run = trained(tmp_path / "run", *options)
+    assert run.space.controls == ("u",)
+    matrix = run.dynamics.field.forces["controls"].matrix(torch.zeros(1, 1, dtype=torch.float64))
+    assert float(matrix) == pytest.approx(2.0, rel=0.25)  # it begins at 0
+    (floor,) = [r for r in load_results(tmp_path / "run").rows if r.who.floor and r.who.start == "true"]
+    assert floor.scores.position < 1e-4  # it knows the pushes
+
+
+def test_pushes_that_are_held_are_those_of_the_exact_solution():
+    """Between samples q'' = -5 q + 2 u: a rotation about 2 u / 5."""
+    system = PushedSpring(name="p", dt=0.05, steps=100)
+    data = generate(system, 4, 0)
+    w = 5**0.5
+    c, s = np.cos(0.05 * w), np.sin(0.05 * w)
+    middle = torch.cat((0.4 * data.controls[:, :-1], torch.zeros(4, 100, 1, dtype=torch.float64)), dim=-1)
+    turn = torch.tensor([[c, s / w], [-s * w, c]], dtype=torch.float64)
+    close(data.states[:, 1:], middle + (data.states[:, :-1] - middle) @ turn.T, 1e-11)

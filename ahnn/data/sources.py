@@ -10,7 +10,7 @@ import torch
 from ahnn.arguments import Count, Seed, Within, checked
 from ahnn.data import store
 from ahnn.data.files.recordings import Recordings
-from ahnn.data.generate import generated
+from ahnn.data.generate import generate, generated
 from ahnn.data.given import content_of
 from ahnn.memory import require_disk
 from ahnn.systems import System
@@ -78,7 +78,9 @@ class Simulated:
         return int(self.truth.durations(self.truth.initial_states(1, torch.Generator().manual_seed(0))).max())
 
     def read(self) -> Trajectories:
-        """Return the trajectories, from the cache where they are in it."""
+        """Return the trajectories, from the cache where they are in it; it holds no controls."""
+        if self.truth.controls:
+            return generate(self.truth, self.count, self.seed)
         make = lambda: generated(self.truth, self.count, self.seed)  # noqa: E731
         return store.load_or_make(self.cache, self.recipe(), make)
 

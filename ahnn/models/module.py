@@ -58,6 +58,12 @@ class AbstractModel(LightningModule, ABC):
 
     def __init__(self, dynamics: Dynamics, dof: int, window: int, loss: dict[str, Any]) -> None:
         super().__init__()
+        if loss.get("derivative") and dynamics.clock > 1:
+            message = (
+                "loss.derivative: expected 0 with controls, whose jumps no difference of samples crosses; "
+                f"received {loss['derivative']}. Use loss=recursive"
+            )
+            raise UserError(message)
         if loss.get("derivative") and not has_field(dynamics):
             message = (
                 f"model {type(self).__name__.lower()}: expected loss.derivative=0, since its dynamics have "
