@@ -90,10 +90,14 @@ def unread_of_training(cfg: DictConfig, prepared: Prepared, *, several: bool) ->
     )
 
 
+def of_plugins(nodes: DictConfig) -> Iterator[tuple[str, DictConfig]]:
+    """Yield name and options of each plugin; what is none is refused where it is built."""
+    yield from ((str(name), node) for name, node in nodes.items() if isinstance(node, DictConfig))
+
+
 def unread_of_plugins(nodes: DictConfig) -> Unread:
     """Yield the keys of filters that another of their keys leaves unread."""
-    for name, node in nodes.items():
-        options = node or {}
+    for name, options in of_plugins(nodes):
         yield from unless(
             (f"plugins.{name}.patience", options.get("gate", 0) is not None, "gate=null refuses nothing"),
             (f"plugins.{name}.cadence", options.get("times") is None, "times says when measurements come"),
@@ -103,9 +107,9 @@ def unread_of_plugins(nodes: DictConfig) -> Unread:
 def unread_online(nodes: DictConfig, *, covariance: bool) -> Unread:
     """Yield the keys of filters that a stream leaves unread; `covariance`: that of the weights is known."""
     yield from unread_of_plugins(nodes)
-    for name, node in nodes.items():
+    for name, options in of_plugins(nodes):
         yield from ((f"plugins.{name}.{key}", "a stream is filtered, and no more") for key in EVALUATED)
-        if not _is_fitted((node or {}).get("process_noise"), covariance=covariance):
+        if not _is_fitted(options.get("process_noise"), covariance=covariance):
             yield from ((f"plugins.{name}.{key}", "no process noise is fitted to data") for key in SIMULATED)
 
 
