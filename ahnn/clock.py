@@ -52,6 +52,10 @@ class Clock(NamedTuple):
         """Return the clock cut to its first k components."""
         return Clock(self.values[..., :count], self.rates[..., :count])
 
+    def of_steps(self) -> Clock:
+        """Return the clock where all steps begin, (B (T - 1), k), from that of samples (B, T, k)."""
+        return Clock(*(part[:, :-1].flatten(0, 1) for part in self))
+
     def at(self, sample: int) -> Clock:
         """Return the clock of one sample, (..., k), from that of all, (..., T, k)."""
         return Clock(self.values[..., sample, :], self.rates[..., sample, :])
@@ -59,10 +63,6 @@ class Clock(NamedTuple):
     def rows(self, part: slice | Tensor) -> Clock:
         """Return the clock of some trajectories."""
         return Clock(self.values[part], self.rates[part])
-
-    def after(self, seconds: Tensor | float) -> Clock:
-        """Return the clock a time later, a number or one for each instant, (..., 1)."""
-        return Clock(self.values + seconds * self.rates, self.rates)
 
 
 def extended(x: Tensor, clock: Clock) -> Tensor:

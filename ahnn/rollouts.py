@@ -76,7 +76,7 @@ def _rolled(
     return out
 
 
-def stepped(flow: Flow, x: Tensor, dt: TimeStep, clock: Clock | None, parts: int = 1) -> Tensor:
+def stepped(flow: Flow, x: Tensor, dt: TimeStep, clock: Clock | None = None, parts: int = 1) -> Tensor:
     """Return the states (B, 2n) that x, shape (B, 2n), reaches after dt, in equal parts.
 
     Args:
@@ -86,11 +86,10 @@ def stepped(flow: Flow, x: Tensor, dt: TimeStep, clock: Clock | None, parts: int
         clock: k clock coordinates where the step begins, as the flow needs them; None where it needs none.
         parts: into which the step is cut.
     """
-    count = 0 if clock is None else clock.values.shape[-1]
-    z = extended(x, clock) if clock is not None and count else x
+    z = x if clock is None else extended(x, clock)
     for _ in range(parts):
         z = flow(z, dt / parts)
-    return reduced(z, count)
+    return z if clock is None else reduced(z, clock.values.shape[-1])
 
 
 def clock_of(flow: Flow) -> int:

@@ -23,7 +23,7 @@ from ahnn.dynamics import Dynamics, HasEnergy, make_dynamics
 from ahnn.dynamics.sizes import fillable
 from ahnn.errors import UserError
 from ahnn.numbers import Numbers, as_float64
-from ahnn.prediction.arguments import lengths_of, paths_of, starts_of, states_of
+from ahnn.prediction.arguments import clock_along, lengths_of, paths_of, starts_of, states_of
 from ahnn.prediction.kernel import Knowledge, Prediction, predicted
 from ahnn.pretrained import names, shipped
 from ahnn.rollouts import rollout
@@ -96,7 +96,15 @@ class Run:
             raise UserError(message)
         return cast(HasEnergy, self.dynamics).energy(states_of(x, "x", self.dynamics, self.space))
 
-    def rollout(self, start: Numbers, steps: int, dt: Numbers | None = None) -> Tensor:
+    def rollout(
+        self,
+        start: Numbers,
+        steps: int,
+        dt: Numbers | None = None,
+        *,
+        start_time: float = 0.0,
+        controls: Numbers | None = None,
+    ) -> Tensor:
         """Return predicted trajectories, shape (B, steps + 1, 2n), start included.
 
         Gradients flow to the start, the steps and the parameters that require them.
@@ -106,15 +114,18 @@ class Run:
             steps: number of time steps.
             dt: time step, or the length of each, (B, steps); the sampling interval of the training data if
                 None.
+            start_time: of the starts, for forces that depend on time.
+            controls: held in each step, (steps, m) or (B, steps, m), for forces that depend on them.
 
         Raises:
-            UserError: starts or steps that are none.
+            UserError: starts, steps or controls that are none.
         """
         dt = self.dt if dt is None else dt
         x, steps, lengths = paths_of(start, steps, dt, self.dynamics, self.space)
         given = (x, *self.dynamics.parameters(), *([lengths] if isinstance(lengths, Tensor) else []))
         gradients = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in given)
-        return rollout(self.dynamics, x, lengths, steps + 1, gradients=gradients)
+        clock = clock_along(self.dynamics, lengths, steps, start_time, controls)
+        return rollout(self.dynamics, x, lengths, steps + 1, gradients=gradients, clock=clock)
 
     def band(self, start: Numbers, steps: int, dt: Numbers | None = None) -> Tensor:
         """Return standard deviations of `rollout`, shape (B, steps + 1, 2n), for exactly known starts.

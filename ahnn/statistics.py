@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.clock import Clock
 from ahnn.types import TimeStep, Trajectories
 
 CLOSE = 1e-9
@@ -49,7 +50,8 @@ class Statistics(NamedTuple):
         """Return the statistics of trajectories; absent samples and the steps beside them do not count."""
         dt = sampling_interval(trajectories)
         uniform = isinstance(dt, float)
-        begins, increments, lengths, clock = steps_of(trajectories.spread())
+        spread = trajectories.spread()
+        begins, increments, lengths = steps_of(spread)
         some = slice(None, None, max(1, len(begins) // examples))
         rates = increments[some] / (dt if uniform else lengths[some])
         extents = [Extent.of(part) for part in trajectories.parts()]
@@ -65,7 +67,7 @@ class Statistics(NamedTuple):
             positions=(begins + increments / 2)[some].chunk(2, dim=-1)[0],
             velocities=rates.chunk(2, dim=-1)[0],
             forces=rates.chunk(2, dim=-1)[1],
-            clock=clock[some],
+            clock=between(spread)[some],
             dt=dt if uniform else float(lengths.median()),
         )
 
@@ -92,7 +94,7 @@ class Extent(NamedTuple):
         """Return the extent of trajectories that fit into memory several times."""
         flat = part.states[part.present]
         radius = flat.chunk(2, dim=-1)[0].norm(dim=-1)
-        _, increments, lengths, _ = steps_of(part)
+        _, increments, lengths = steps_of(part)
         return cls(
             minimum=flat.amin(0),
             maximum=flat.amax(0),
@@ -103,18 +105,24 @@ class Extent(NamedTuple):
         )
 
 
-def steps_of(trajectories: Trajectories) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return where the R steps between neighbouring samples begin, their increments, lengths and middles.
+def between(trajectories: Trajectories) -> Tensor:
+    """Return time and controls in the middle of the R steps of `steps_of`, (R, 1 + m)."""
+    clock = Clock.of(trajectories.times, trajectories.controls, trajectories.linear).of_steps()
+    there = increments_of(trajectories).isfinite().all(-1).flatten()
+    half = trajectories.times.diff(dim=1).flatten()[there].unsqueeze(-1) / 2
+    return clock.values[there] + half * clock.rates[there]
+
+
+def steps_of(trajectories: Trajectories) -> tuple[Tensor, Tensor, Tensor]:
+    """Return where the R steps between neighbouring samples begin, their increments and their lengths.
 
     Returns:
-        Tensors (R, D), (R, D) and (R, 1), and time and controls in the middle of the steps, (R, 1 + m).
+        Tensors (R, D), (R, D) and (R, 1).
     """
     steps = increments_of(trajectories)
     valid = steps.isfinite().all(-1)
     lengths = trajectories.times.diff(dim=1)[valid].unsqueeze(-1)
-    clock = trajectories.clock
-    middles = clock.values[:, :-1][valid] + lengths / 2 * clock.rates[:, :-1][valid]
-    return trajectories.states[:, :-1][valid], steps[valid], lengths, middles
+    return trajectories.states[:, :-1][valid], steps[valid], lengths
 
 
 def increments_of(trajectories: Trajectories) -> Tensor:

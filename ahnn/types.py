@@ -159,10 +159,9 @@ class Trajectories(NamedTuple):
     controls: Tensor | None = None
     linear: bool = False
 
-    @property
-    def clock(self) -> Clock:
-        """Time and controls of all samples."""
-        return Clock.of(self.times, self.controls, self.linear)
+    def clock(self, count: int) -> Clock | None:
+        """Return the first k = `count` clock coordinates of all samples, (B, T, k); None of none."""
+        return Clock.of(self.times, self.controls, self.linear).first(count) if count else None
 
     @property
     def present(self) -> Tensor:

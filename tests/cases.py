@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from ahnn.dynamics.base import Dynamics
 from ahnn.evaluation import Case, Results, Row, Who
 from ahnn.evaluation.case import perturbations
-from ahnn.evaluation.open_loop import integrated
+from ahnn.evaluation.open_loop import Integrated
 from ahnn.integrators import INTEGRATORS
 from ahnn.metrics import Scores
 from ahnn.rollouts import rollout
@@ -57,7 +57,7 @@ class Learned(Dynamics):
 def trajectories(system: System, count: int, seed: int) -> Trajectories:
     """Exact trajectories of the system's own steps, on one grid of times."""
     x = system.initial_states(count, torch.Generator().manual_seed(seed))
-    flow = integrated(system, INTEGRATORS[system.integrator])
+    flow = Integrated(system, INTEGRATORS[system.integrator])
     states = rollout(flow, x, system.dt, system.steps + 1)
     times = system.dt * torch.arange(system.steps + 1, dtype=torch.float64)
     return Trajectories(states, times.expand(count, -1))
@@ -71,7 +71,7 @@ def make_case(folder: Path, system: System = SPRING, wrong: System | None = STIF
         assumes="all but the stiffness",
         space=system.space,
         truth=system,
-        flow=integrated(learned, RK4),
+        flow=Integrated(learned, RK4),
         energy=learned.energy,
         integrator=RK4,
         dt=system.dt,

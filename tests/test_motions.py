@@ -18,6 +18,8 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import ahnn
+from ahnn.clock import Clock
+from ahnn.data import Given
 from ahnn.data.generate import generate
 from ahnn.dynamics.bound import at, wrapped
 from ahnn.dynamics.forces import FORCES
@@ -25,6 +27,7 @@ from ahnn.errors import UserError
 from ahnn.estimation import initial_belief
 from ahnn.evaluation import load_results
 from ahnn.measurements import reading
+from ahnn.rollouts import rollout
 from ahnn.systems import exact_flow
 from ahnn_plugins.ekf import ExtendedKalmanFilter
 from ahnn_plugins.ukf import UnscentedKalmanFilter
@@ -82,6 +85,16 @@ def test_a_training_learns_time_and_friction(tmp_path):
     friction = run.dynamics.field.forces["friction"].coefficients()
     assert float(friction) == pytest.approx(0.4, rel=0.2)
     scores = load_results(tmp_path / "run").rows[0].scores
+    start = torch.tensor([[0.5, 0.0]], dtype=torch.float64)
+    late = run.rollout(start, 20, start_time=1.0)
+    states = rollout(
+        run.dynamics, start, 0.05, 21, clock=Clock.of(1.0 + 0.05 * torch.arange(21.0).double(), None)
+    )
+    close(late, states, 1e-12)
+    assert float((late - run.rollout(start, 20)).abs().max()) > 0.1
+    for refused in (run.flow, lambda x: run.predict(x, [0.0, 0.1])):
+        with pytest.raises(UserError, match="expected time beside the states"):
+            refused(start)
     still = trained(tmp_path / "still", *options)
     assert scores.position < 0.2 * load_results(tmp_path / "still").rows[0].scores.position
     assert still.dynamics.clock == 0
@@ -154,6 +167,12 @@ def test_a_training_learns_how_controls_push(tmp_path, capsys):
     assert run.space.controls == ("u",)
     matrix = run.dynamics.field.forces["controls"].matrix(torch.zeros(1, 1, dtype=torch.float64))
     assert float(matrix) == pytest.approx(2.0, rel=0.25)  # it begins at 0
+    start, pushes = torch.zeros(1, 2, dtype=torch.float64), torch.tensor([[1.0], [-1.0], [0.0]]).double()
+    away = run.rollout(start, 3, controls=pushes)
+    assert away[0, 1, 1] > 0 > away[0, 2, 1] - away[0, 1, 1]
+    close(run.rollout(start, 3, controls=pushes[None]), away, 1e-15)
+    with pytest.raises(UserError, match=r"controls: expected shape \(3, 1\), or one .*; received None"):
+        run.rollout(start, 3)
     (floor,) = [r for r in load_results(tmp_path / "run").rows if r.who.floor and r.who.start == "true"]
     assert floor.scores.position < 1e-4  # it knows the pushes
 
@@ -167,3 +186,12 @@ def test_pushes_that_are_held_are_those_of_the_exact_solution():
     middle = torch.cat((0.4 * data.controls[:, :-1], torch.zeros(4, 100, 1, dtype=torch.float64)), dim=-1)
     turn = torch.tensor([[c, s / w], [-s * w, c]], dtype=torch.float64)
     close(data.states[:, 1:], middle + (data.states[:, :-1] - middle) @ turn.T, 1e-11)
+
+
+def test_controls_are_never_dropped():
+    states, times = torch.randn(4, 9, 2, dtype=torch.float64), torch.arange(9.0).double()
+    with pytest.raises(UserError, match="trajectories: expected states and times; received controls"):
+        Given(ahnn.Trajectories(states, times, torch.zeros(4, 9, 1)), ahnn.Space("s", ("q", "p")))
+    run = ahnn.load("molniya_mechanical")
+    with pytest.raises(UserError, match="controls: expected None"):
+        run.rollout(torch.ones(6), 2, controls=[[1.0], [1.0]])

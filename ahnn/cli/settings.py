@@ -73,12 +73,13 @@ def check_settings(cfg: DictConfig) -> None:
     Raises:
         UserError: a wrong type, an impossible value, or one that contradicts the chosen model.
     """
-    for name, key in signature(Settings).parameters.items():  # others refer to them: nothing resolves without
-        if key.default is key.empty and name not in cfg:
-            message = f"expected key {name!r}; received a configuration without it"
-            raise UserError(message)
+    schemas = {"": Settings, "data": Splits, "evaluation": Evaluation, "trainer": Training}
+    own = [name for name, key in signature(Settings).parameters.items() if key.default is key.empty]
+    if missing := [name for name in (*own, *schemas) if name and name not in cfg]:  # others may refer to them
+        message = f"configuration: expected key {missing[0]!r}; received none"
+        raise UserError(message)
     values = plain_config(cfg)
-    check_keys(values, {"": Settings, "data": Splits, "evaluation": Evaluation, "trainer": Training})
+    check_keys(values, schemas)
     seeds = values.get("seeds") or []
     if len({*seeds}) < len(seeds):
         message = f"seeds: expected different ones; received {seeds}"

@@ -101,7 +101,7 @@ def build_sensors(
         with blaming(who):
             model = reading(named, run.space) if isinstance(named, str) else build(named, f"{who}.model")
             if (mass := getattr(model, "mass", run.space.inertia)) != run.space.inertia:
-                message = f"expected mass={run.space.inertia}, that of the run; received mass={mass:g}"
+                message = f"expected mass={run.space.mass:g}, that of the run; received mass={mass:g}"
                 raise ValueError(message)
             sd: Any = list(node.sd) if isinstance(node.get("sd"), ListConfig) else node.get("sd")
             known = truth() if sd is None and named == "position" else None

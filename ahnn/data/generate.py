@@ -50,11 +50,11 @@ def generated(system: System, count: int, seed: int) -> Iterator[Trajectories]:
             now, ends = x[begin : begin + many], steps[begin : begin + many]
             own = None if controls is None else controls[begin : begin + many]
             part = Trajectories(now, times.expand(len(now), -1), own, system.linear)
-            clock = part.clock.first(system.clock)
+            clock = part.clock(system.clock)
             states = torch.empty(len(now), longest + 1, now.shape[1], dtype=torch.float64)
             states[:, 0] = now
             for k in range(1, longest + 1):
-                now = stepped(flow, now, system.dt, clock.at(k - 1))
+                now = stepped(flow, now, system.dt, clock and clock.at(k - 1))
                 states[:, k] = now
                 bar.advance(task)
             require_finite(system, states, ends, begin)

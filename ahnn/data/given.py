@@ -96,6 +96,12 @@ def content_of(given: Trajectories, space: Space) -> Content:
     Raises:
         UserError: what `check_trajectories` refuses.
     """
+    if given.controls is not None or space.controls:
+        message = (
+            "trajectories: expected states and times; received controls, which only simulated systems bring "
+            "to a training"
+        )
+        raise UserError(message)
     states, times, *_ = check_trajectories(given, space)
     q, p = space.components[: space.dof], space.components[space.dof :]
     alone = bool(states[..., len(q) :].isnan().all())

@@ -39,6 +39,6 @@ def measured_statistics(local: Local, instrument: Instrument, measured: Trajecto
         positions=states[true].chunk(2, dim=-1)[0],
         velocities=rates[true].chunk(2, dim=-1)[0],
         forces=rates[true].chunk(2, dim=-1)[1],
-        clock=measured.clock.values[row, column],
+        clock=measured.times[row, column].unsqueeze(-1),
         dt=dt,
     )

@@ -96,13 +96,12 @@ def on_clock(trajectories: Trajectories, count: int) -> Trajectories:
     Raises:
         UserError: dynamics with controls, and trajectories without.
     """
-    if count == 0:
+    if (clock := trajectories.clock(count)) is None:
         return trajectories
-    clock = trajectories.clock
     if clock.values.shape[-1] < count:
-        message = "forces: expected trajectories with controls; received none. Name them in the data"
+        message = "forces: expected trajectories with controls; received none"
         raise UserError(message)
-    return trajectories._replace(states=extended(trajectories.states, clock.first(count)))
+    return trajectories._replace(states=extended(trajectories.states, clock))
 
 
 def require_span(steps: int, longest: int) -> None:

@@ -15,7 +15,7 @@ from ahnn.rollouts import clock_of, stepped
 from ahnn.types import Flow, TimeStep
 
 
-def at(flow: Flow, time: float) -> Flow:
+def at(flow: Flow, time: float | Tensor) -> Flow:
     """Return a flow from an instant on; one that does not depend on time comes back as it is.
 
     Raises:
@@ -24,7 +24,7 @@ def at(flow: Flow, time: float) -> Flow:
     if not clock_of(flow):
         return flow
     own = getattr(flow, "at", None)
-    return own(time) if own is not None else Bound(flow, time)
+    return own(time) if own is not None else Bound(flow, float(time))
 
 
 class Bound(NamedTuple):
@@ -75,7 +75,7 @@ class Wrapped(NamedTuple):
         """Clock coordinates of the flow inside."""
         return clock_of(self.flow)
 
-    def at(self, time: float) -> Flow:
+    def at(self, time: float | Tensor) -> Flow:
         """Return the flow from an instant on."""
         return self.wrap(at(self.flow, time))
 

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from ahnn.clock import split
 from ahnn.dynamics.forces import Force, Instant, make_force
+from ahnn.errors import UserError
 from ahnn.statistics import Statistics
 
 
@@ -99,5 +100,16 @@ class Forced(nn.Module):
         return cast(Tensor, sum((part for part in potentials if part is not None), value))
 
     def forward(self, z: Tensor) -> Tensor:
-        """Return dz/dt, shape (..., 2 (n + k)), at extended states z."""
+        """Return dz/dt, shape (..., 2 (n + k)), at extended states z.
+
+        Raises:
+            UserError: states without a clock, of dynamics that depend on it.
+        """
+        if z.shape[-1] != 2 * (self.dof + self.clock):
+            needed = "time and controls" if self.clock > 1 else "time"
+            message = (
+                f"dynamics: expected {needed} beside the states, on which forces depend; received none. "
+                "`run.rollout` takes start_time and controls"
+            )
+            raise UserError(message)
         return forced(self.hamiltonian, self.parts, z, self.clock)

@@ -15,7 +15,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ahnn.clock import Clock
 from ahnn.estimation.consistency import correlation_time
 from ahnn.estimation.force_error import ForceError
 from ahnn.estimation.process_noise import crossing, mean_nees
@@ -79,9 +78,9 @@ def force_errors(
     """Return the errors e (B, T - 1, n) of a flow on each step, over growth; NaN where there is none."""
     before, after = trajectories.states[:, :-1], trajectories.states[:, 1:]
     dof = before.shape[-1] // 2
-    clock = trajectories.clock.first(clock_of(flow))
-    clock = Clock(*(part[:, :-1].flatten(0, 1) for part in clock))
-    predicted = stepped(flow, before.flatten(0, 1), dt, clock).unflatten(0, before.shape[:2])
+    clock = trajectories.clock(clock_of(flow))
+    predicted = stepped(flow, before.flatten(0, 1), dt, clock and clock.of_steps())
+    predicted = predicted.unflatten(0, before.shape[:2])
     impulse = (predicted - before)[..., dof:].norm(dim=-1, keepdim=True)
     errors = (after - predicted)[..., dof:] / impulse
     if growth is not None:

@@ -16,7 +16,6 @@ from ahnn.estimation.rounding import Rounding, lost_in_prediction, lost_in_updat
 from ahnn.estimation.state import FilterState, add_repairs, fail, frozen
 from ahnn.measurements import Measurement
 from ahnn.numbers import described
-from ahnn.rollouts import clock_of
 from ahnn.types import Flow
 
 
@@ -31,8 +30,7 @@ def predict(
     smoothing: bool = False,
 ) -> tuple[FilterState, Backward | None]:
     """Return the state after a step of the flow that ends at `time`, and the law back, if asked for."""
-    here = at(flow, float(state.time)) if clock_of(flow) else flow
-    predicted = kernel.predict(state.belief, here, dt, chol_q, smoothing=smoothing)
+    predicted = kernel.predict(state.belief, at(flow, state.time), dt, chol_q, smoothing=smoothing)
     after = FilterState(predicted.belief, time, state.steps + 1, *state[3:])
     after = add_repairs(after, predicted.repaired)
     if not predicted.sound:

@@ -22,7 +22,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ahnn.clock import Clock
 from ahnn.estimation.consistency import nees
 from ahnn.estimation.scenario import Problem, Setting
 from ahnn.estimation.trial import Filter, assimilate, shown
@@ -56,9 +55,8 @@ def one_step_covariance(flow: Flow, trajectories: Trajectories) -> Tensor:
     before = trajectories.states[:, :-1].reshape(-1, size)
     after = trajectories.states[:, 1:].reshape(-1, size)
     chosen = torch.linspace(0, len(before) - 1, min(PAIRS, len(before)), dtype=torch.float64).long()
-    clock, dt = trajectories.clock.first(clock_of(flow)), Statistics.of(trajectories).dt
-    clock = Clock(*(part[:, :-1].reshape(len(before), -1)[chosen] for part in clock))
-    residual = stepped(flow, before[chosen], dt, clock) - after[chosen]
+    clock, dt = trajectories.clock(clock_of(flow)), Statistics.of(trajectories).dt
+    residual = stepped(flow, before[chosen], dt, clock and clock.of_steps().rows(chosen)) - after[chosen]
     residual = residual[residual.isfinite().all(-1)]
     return residual.mT @ residual / max(len(residual), 1)
 

@@ -95,7 +95,7 @@ def _try(measurement: Any, system: System, time: float) -> None:
     mass = getattr(measurement, "mass", system.inertia)
     if mass != system.inertia:
         message = (
-            f"measurement: expected {type(measurement).__name__} with mass={system.inertia}, "
+            f"measurement: expected {type(measurement).__name__} with mass={system.space.mass:g}, "
             f"that of the system, whose momenta it reads; received mass={mass:g}"
         )
         raise UserError(message)

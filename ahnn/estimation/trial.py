@@ -128,7 +128,7 @@ class _Shown(NamedTuple):
         """Clock coordinates of its states."""
         return clock_of(self.flow)
 
-    def at(self, time: float) -> Flow:
+    def at(self, time: float | Tensor) -> Flow:
         """Return the flow from an instant on."""
         return _Shown(at(self.flow, time), self.advance)
 

@@ -111,7 +111,8 @@ def in_time(times: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
 def energy(case: Case, curves: list[Curve]) -> Figure:
     """Draw how far the energy strays along the first trajectory: the true one, or else the learned one.
 
-    The upper panel shows the change, the lower one its size, so that a small one is seen beside a large one.
+    The upper panel shows the change, the lower one how far it is from that of the data, which is none where
+    energy is conserved.
     """
     figure = style.canvas(8, 6)
     upper, lower = figure.subplots(2, 1, sharex=True)
@@ -125,13 +126,14 @@ def energy(case: Case, curves: list[Curve]) -> Figure:
         change = hamiltonian(curve.states[0]) - data[0]
         change = change.where(change.isfinite(), torch.nan)
         upper.plot(axis.time, change, **curve.look, label=curve.name)
-        lower.plot(axis.time[1:], change[1:].abs(), **(curve.look | {"lw": 1.2}))
+        error = (change - (data - data[0]))[1:].abs()
+        lower.plot(axis.time[1:], error, **(curve.look | {"lw": 1.2}))
     style.logarithmic(lower, 0)
     upper.grid(alpha=0.3)
     upper.ticklabel_format(axis="y", scilimits=(-3, 4))
     which = "true" if case.truth is not None else "learned"
     upper.set_ylabel(f"change of {which} energy [{unit}]")
-    lower.set_ylabel(f"size of the change [{unit}]")
+    lower.set_ylabel(f"error of the energy [{unit}]")
     style.label_time(lower, axis)
     style.legend_below(figure, upper)
     start = f"{float(data[0]):.6g}" + (f" {unit}" if unit != "1" else "")

@@ -11,7 +11,7 @@ from torch import Tensor
 from ahnn.evaluation.case import Case, Findings, Row, Start, Who
 from ahnn.evaluation.titles import MODEL, described
 from ahnn.integrators import INTEGRATORS, Integrator
-from ahnn.rollouts import rollout
+from ahnn.rollouts import clock_of, rollout
 from ahnn.systems import System, exact_flow
 from ahnn.types import Flow, TimeStep
 
@@ -44,11 +44,6 @@ class Integrated(NamedTuple):
         return self.integrator.step(self.system, x, dt)
 
 
-def integrated(system: System, integrator: Integrator) -> Flow:
-    """Return the flow of the true field through an integrator."""
-    return Integrated(system, integrator)
-
-
 def floors(case: Case) -> dict[Start, Floor]:
     """Return the floor of each start of a case; there is none where the equations are not known.
 
@@ -61,7 +56,7 @@ def floors(case: Case) -> dict[Start, Floor]:
     own = case.integrator or INTEGRATORS["rk4"]
     field = Floor(
         Who(f"exact field, {own.name}", "true", floor=True),
-        integrated(case.truth, own),
+        Integrated(case.truth, own),
     )
     flow = Floor(Who("exact flow", "perturbed", floor=True), exact_flow(case.truth))
     found: dict[Start, Floor] = {"true": field, "perturbed": flow}
@@ -76,9 +71,9 @@ def open_loop(case: Case) -> Findings:
     together = torch.cat(list(starts.values()))
     text = described(Who(MODEL, case.start), case.label)
     dt = case.dt.repeat(len(starts), 1) if isinstance(case.dt, Tensor) else case.dt
-    clock = case.test.clock
-    both = clock.rows(torch.arange(len(case.test.times)).repeat(len(starts)))
-    predictions = rollout(case.flow, together, dt, samples, text, case.longest, clock=both)
+    clock = case.test.clock(clock_of(case.flow))
+    clock = clock and clock.rows(torch.arange(len(case.test.times)).repeat(len(starts)))
+    predictions = rollout(case.flow, together, dt, samples, text, case.longest, clock=clock)
     predictions = predictions.chunk(len(starts))
     for start, prediction in zip(starts, predictions, strict=True):
         who = Who(MODEL, start)
@@ -88,6 +83,7 @@ def open_loop(case: Case) -> Findings:
         extra = _drift(case.energy, prediction) | {"lost": lost / len(prediction)}
         findings.rows.append(Row(who, case.score(prediction), note, extra))
     for start, floor in there.items():
+        clock = case.test.clock(clock_of(floor.flow))
         prediction = rollout(floor.flow, starts[start], case.dt, samples, clock=clock)
         findings.arrays[f"floor_{start}_start"] = prediction
         findings.rows.append(Row(floor.who, case.score(prediction)))

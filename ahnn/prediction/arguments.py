@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from ahnn.clock import Clock
 from ahnn.dynamics import Dynamics
 from ahnn.errors import UserError
 from ahnn.memory import require_memory
@@ -49,6 +50,37 @@ def paths_of(
     x, count = starts_of(start, dynamics, space), as_count(steps, "steps")
     require_memory("steps", "predicted states", 8.0 * (count + 1) * x.numel())
     return x, count, lengths_of(dt, x.new_empty(len(x), count))
+
+
+def clock_along(
+    dynamics: Dynamics, lengths: TimeStep, count: int, start_time: float, controls: Numbers | None
+) -> Clock | None:
+    """Return the clock where each of `count` steps begins; None for dynamics of the state alone.
+
+    Args:
+        dynamics: say what they depend on.
+        lengths: of the steps, one or (B, count).
+        count: of steps.
+        start_time: of the first.
+        controls: held in each step, (count, m) or (B, count, m); None where nothing is controlled.
+
+    Raises:
+        UserError: controls that are missing, are of another shape, or have no effect.
+    """
+    size = max(0, dynamics.clock - 1)
+    given = None if controls is None else as_float64(controls, "controls")
+    if (given is None) != (size == 0) or (given is not None and given.shape[-2:] != (count, size)):
+        expected = f"shape ({count}, {size}), or one for each start before it" if size else "None"
+        received = "None" if given is None else f"shape {tuple(given.shape)}"
+        message = f"controls: expected {expected}; received {received}"
+        raise UserError(message)
+    if not dynamics.clock:
+        return None
+    steps = lengths if isinstance(lengths, Tensor) else torch.full((count,), lengths, dtype=torch.float64)
+    times = start_time + steps.cumsum(-1) - steps
+    if given is not None and given.ndim > times.ndim + 1:
+        times = times.expand(given.shape[:-1])
+    return Clock.of(times, None if given is None else given.expand(*times.shape, size))
 
 
 def lengths_of(dt: Numbers, like: Tensor) -> TimeStep:

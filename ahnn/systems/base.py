@@ -125,7 +125,7 @@ class System(ABC):
     def mechanical(self) -> bool:
         """Whether p = m dq/dt; a system whose H has other kinetic terms says so by what it overrides."""
         kinetic = type(self).velocity is System.velocity
-        return kinetic and type(self).hamiltonian is System.hamiltonian
+        return kinetic and (self.separable or type(self).hamiltonian is System.hamiltonian)
 
     @property
     def space(self) -> Space:

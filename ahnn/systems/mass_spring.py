@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import final
 
 import torch
 from torch import Generator, Tensor
@@ -12,7 +11,6 @@ from ahnn.arguments import Positive, Range
 from ahnn.systems.base import FilterNoise, System, Units, uniform
 
 
-@final
 @dataclass(frozen=True, kw_only=True)
 class MassSpring(System):
     """A mass on a spring (paper, section IV.A); SI units.

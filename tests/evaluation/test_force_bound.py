@@ -22,7 +22,7 @@ from ahnn.evaluation.force_bound import (
     information_of,
     unknown_constants,
 )
-from ahnn.evaluation.open_loop import integrated
+from ahnn.evaluation.open_loop import Integrated
 from ahnn.integrators import INTEGRATORS
 from ahnn.measurements import Segment
 from ahnn.rollouts import rollout
@@ -100,7 +100,7 @@ def test_two_constants_of_orbits_are_those_of_differences_of_exact_flows():
     found = information_of(MOLNIYA, ["mu", "j2"], data.states[:, 0], segment)
     assert found.shape == (2, 2)
     stiff = dataclasses.replace(MOLNIYA, mu=MOLNIYA.mu * (1 + 1e-5))
-    moved = rollout(integrated(stiff, INTEGRATORS["kahan_li8"]), data.states[:, 0], 60.0, 121)
+    moved = rollout(Integrated(stiff, INTEGRATORS["kahan_li8"]), data.states[:, 0], 60.0, 121)
     change = ((moved - data.states)[:, ::5, :3] / 1e-5 / 0.1).square().sum()
     alone = information_of(MOLNIYA, ["mu"], data.states[:, 0], segment)
     close(found[:1, :1], alone, 1e-6)

@@ -10,7 +10,7 @@ import torch
 from cases import MODEL, ORBITS, RK4, SPRING, STIFFER, drop, make_case
 
 from ahnn.evaluation import Findings, Row, Who, evaluate
-from ahnn.evaluation.open_loop import floors, integrated, open_loop
+from ahnn.evaluation.open_loop import Integrated, floors, open_loop
 from ahnn.metrics import moving_average, score
 
 FIELDS = ("position", "velocity", "position_pooled", "velocity_pooled", "energy")
@@ -32,7 +32,7 @@ def test_the_rows_of_a_case_and_their_scores_by_hand(tmp_path):
     rows = by_who(open_loop(case))
     exact = Who("exact field, rk4", "true", floor=True), Who("exact flow", "perturbed", floor=True)
     assert set(rows) == {MODEL, MODEL._replace(start="perturbed"), *exact}
-    prediction = steps_by_hand(integrated(STIFFER, RK4), case.test.states[:, 0], SPRING.steps)
+    prediction = steps_by_hand(Integrated(STIFFER, RK4), case.test.states[:, 0], SPRING.steps)
     off = (prediction - case.test.states).numpy()
     scores = rows[MODEL].scores
     position = np.mean(np.sqrt(np.mean(off[:, :, 0] ** 2, axis=1)))

@@ -39,7 +39,6 @@ class Friction(Force):
     """
 
     unit: Tensor
-    basis: Tensor
 
     def __init__(
         self,
@@ -60,10 +59,6 @@ class Friction(Force):
             size = dof * (dof + 1) // 2
             self.network = make_network(dof, size, network or {"width": 16, "depth": 1, "activation": "tanh"})
             self.register_buffer("unit", torch.ones(()))
-            rows, columns = torch.tril_indices(dof, dof)
-            basis = torch.zeros(size, dof, dof)
-            basis[torch.arange(size), rows, columns] = 1.0
-            self.register_buffer("basis", basis, persistent=False)
         elif coefficient is None:
             self.log_coefficient = nn.Parameter(torch.zeros(dof))
         else:
@@ -94,7 +89,10 @@ class Friction(Force):
         if self.of == "constant":
             return self.coefficients().to(q).diag().expand(*q.shape, -1)
         entries = self.unit * self.network(self.positions(q))
-        lower = torch.einsum("...k,kij->...ij", entries, self.basis)
+        rows, columns = torch.tril_indices(self.dof, self.dof, device=q.device)
+        places = (rows * self.dof + columns).expand(entries.shape)
+        lower = entries.new_zeros(*q.shape[:-1], self.dof**2).scatter(-1, places, entries)
+        lower = lower.unflatten(-1, (self.dof, self.dof))
         return lower @ lower.mT
 
     def forward(self, at: Instant) -> Tensor:

@@ -38,7 +38,7 @@ from ahnn.evaluation.estimators.probe import require_possible
 from ahnn.evaluation.estimators.series import moving_averages
 from ahnn.evaluation.titles import MODEL, described, estimator_title
 from ahnn.measurements import Measurement
-from ahnn.rollouts import rollout
+from ahnn.rollouts import clock_of, rollout
 from ahnn.systems import System, exact_flow
 from ahnn.types import Flow, Space
 from ahnn.uncertainty import Uncertainty
@@ -127,6 +127,10 @@ class EstimatorEvaluation:
         Raises:
             UserError: says which option.
         """
+        if space.controls:
+            received = f"{space.name} with {', '.join(space.controls)}"
+            message = f"expected a motion without controls, which no filter is told; received {received}"
+            raise UserError(message)
         system = near_system(truth, self.beside, space)
         setting = self._setting(system, steps)
         option = self.process_noise
@@ -156,9 +160,10 @@ class EstimatorEvaluation:
         for who, chosen in self._filters(case, setting, findings):
             for start, problem in problems.items():
                 outcomes += self._outcomes(who._replace(start=start), chosen, case, setting, problem)
-        samples = case.test.states.shape[1]
+        samples, clock = case.test.states.shape[1], case.test.clock(clock_of(case.flow))
         without: dict[Start, Tensor] = {
-            start: rollout(case.flow, problem.starts, case.dt, samples) for start, problem in problems.items()
+            start: rollout(case.flow, problem.starts, case.dt, samples, clock=clock)
+            for start, problem in problems.items()
         }
         scores = {start: case.score(prediction) for start, prediction in without.items()}
         findings.numbers["filters"] = {}
@@ -252,6 +257,9 @@ class EstimatorEvaluation:
 
     def arcs(self, case: Case, setting: Setting, count: int, steps: int | None, seed: int) -> Problem:
         """Return arcs of at most so many validation trajectories; no row of the results is of them."""
+        if steps is not None and clock_of(case.flow):  # arcs begin anywhere, and a filter at time zero
+            message = f"tuning.steps: expected null with forces that depend on time; received {steps}"
+            raise UserError(message)
         count = min(count, len(case.validation.states))
         return perturbed_arcs(setting, case.validation.states, _interval(case), count, steps, seed)
 

@@ -11,7 +11,7 @@ from lightning import Callback, LightningModule, Trainer
 from ahnn.arguments import Count, Within, checked
 from ahnn.data.datamodule import WindowDataModule
 from ahnn.metrics import errors, rmse_pooled, typical_error
-from ahnn.rollouts import rollout
+from ahnn.rollouts import clock_of, rollout
 from ahnn.statistics import Statistics, sampling_interval
 
 LOST = 100.0
@@ -54,9 +54,10 @@ class ValidationRollout(Callback):
         if self._measured is None:
             flow, whole = _flow(module), data.trajectories("val").part(slice(self.count))
             dt, start = Statistics.of(whole).dt, whole.states[:, 0]
-            rollout(flow, start, dt, 2, clock=whole.clock)  # the first of all may compile its library
+            clock = whole.clock(clock_of(flow))
+            rollout(flow, start, dt, 2, clock=clock)  # the first of all may compile its library
             begin = time.perf_counter()
-            rollout(flow, start, dt, TRIED + 1, clock=whole.clock)
+            rollout(flow, start, dt, TRIED + 1, clock=clock)
             self._measured = (time.perf_counter() - begin) / TRIED * whole.states.shape[1]
         return self._measured
 
@@ -89,7 +90,8 @@ class ValidationRollout(Callback):
         dof = data.source.space.dof
         whole = data.trajectories("val").part(slice(self.count))
         flow, dt = _flow(pl_module), sampling_interval(whole)
-        prediction = rollout(flow, whole.states[:, 0], dt, whole.states.shape[1], clock=whole.clock)
+        clock = whole.clock(clock_of(flow))
+        prediction = rollout(flow, whole.states[:, 0], dt, whole.states.shape[1], clock=clock)
         position = errors(prediction, whole.states)[:, 1:, :dof]
         size = float(rmse_pooled(whole.states[..., :dof]))
         return float(typical_error(position, ceiling=LOST * size))

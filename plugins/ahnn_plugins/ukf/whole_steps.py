@@ -20,7 +20,6 @@ from ahnn.estimation.loop import StepModel, stepper
 from ahnn.estimation.records import Step
 from ahnn.estimation.state import FilterState
 from ahnn.measurements import periods
-from ahnn.rollouts import clock_of
 from ahnn_plugins.ukf import members
 from ahnn_plugins.ukf.kernel import READINGS, SigmaPoints
 from ahnn_plugins.ukf.sigma_points import draw
@@ -51,8 +50,7 @@ class WholeSteps:
         self, k: int, state: FilterState, row: Tensor | None, model: StepModel, length: float, time: Tensor
     ) -> tuple[FilterState, Step]:
         """Return the state after step k, whole or not, and its record."""
-        flow = at(model.flow, float(state.time)) if clock_of(model.flow) else model.flow
-        points = propagate(flow, self.points(state), length)
+        points = propagate(at(model.flow, state.time), self.points(state), length)
         done = self.step(k, state, points, time, model.chol_q, model.sensor)
         if done is None:
             single = stepper(self.kernel._replace(points=points), smoothing=self.smoothing)

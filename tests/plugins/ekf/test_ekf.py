@@ -18,7 +18,7 @@ from ahnn.estimation.force_error import ForceError
 from ahnn.estimation.parameter_error import ParameterError
 from ahnn.estimation.smoother import smoother
 from ahnn.estimation.trial import Filter, assimilate
-from ahnn.evaluation.open_loop import integrated
+from ahnn.evaluation.open_loop import Integrated
 from ahnn.integrators import INTEGRATORS
 from ahnn.jacobians import pointwise_jacobian
 from ahnn.measurements import GroundStation, Position, State
@@ -126,7 +126,7 @@ ORBITS = Molniya(name="orbits", dt=60.0, steps=60)
 
 def accurate(system):
     """The flow of a spring without iterations, in one explicit step of order 8."""
-    return exact_flow(system) if system is ORBITS else integrated(system, INTEGRATORS["kahan_li8"])
+    return exact_flow(system) if system is ORBITS else Integrated(system, INTEGRATORS["kahan_li8"])
 
 
 SEEN = {

@@ -44,7 +44,7 @@ def results(space: Space, model: str, seed: int, *, truth: bool = True) -> Resul
 
 def arrays(system: System, model: str, seed: int) -> dict[str, Tensor]:
     """What an evaluation with a filter keeps of three trajectories."""
-    truth, times = generate(system, 3, seed=1)
+    truth, times, *_ = generate(system, 3, seed=1)
     generator = torch.Generator().manual_seed(seed)
     size = truth.abs().amax((0, 1))
 

@@ -11,7 +11,7 @@ from ahnn.estimation.consistency import band, nees
 from ahnn.estimation.process_noise import crossing
 from ahnn.estimation.trial import Filter, assimilate
 from ahnn.evaluation.case import perturbations
-from ahnn.evaluation.open_loop import integrated
+from ahnn.evaluation.open_loop import Integrated
 from ahnn.integrators import INTEGRATORS
 from ahnn.measurements import Position
 from ahnn.metrics import errors, rmse_pooled
@@ -27,7 +27,7 @@ def test_exact_dynamics_on_125_orbits(start: str, whole: tuple[float, float]) ->
     setting = Setting(Position(), torch.ones(3).double(), system.deviations(), hourly)
     begin = truth[:, 0] + (perturbations(system, 125, seed=0) if start == "perturbed" else 0.0)
     problem = Problem(truth, begin, simulated(setting, truth, 60.0, seed=0), 60.0)
-    flow = integrated(system, INTEGRATORS[system.integrator])
+    flow = Integrated(system, INTEGRATORS[system.integrator])
     nothing = torch.zeros(6, 6, dtype=torch.float64)
     exact = Filter("exact", flow, nothing, setting.measurement_noise, UnscentedKalmanFilter())
     result = assimilate(exact, setting, problem)

@@ -18,7 +18,7 @@ from ahnn.errors import UserError
 from ahnn.estimation import Setting, simulated
 from ahnn.evaluation import Case, Who
 from ahnn.evaluation.case import perturbations
-from ahnn.evaluation.open_loop import integrated
+from ahnn.evaluation.open_loop import Integrated
 from ahnn.evaluation.results import plain
 from ahnn.integrators import INTEGRATORS
 from ahnn.measurements import Position
@@ -58,7 +58,7 @@ def make_case(tmp_path: Path) -> Callable[..., Case]:
 
 @pytest.fixture
 def spring(make_case: Callable[..., Case]) -> Case:
-    return make_case(SPRING, integrated(STIFFER, RK4))
+    return make_case(SPRING, Integrated(STIFFER, RK4))
 
 
 def test_rows_numbers_arrays_and_figures(spring: Case) -> None:
@@ -87,7 +87,7 @@ def test_rows_numbers_arrays_and_figures(spring: Case) -> None:
 
 def test_fitted_process_noise_makes_the_filter_consistent_and_better_than_none(make_case: Callable) -> None:
     system = MassSpring(name="spring", dt=0.01, steps=600)
-    case = make_case(system, integrated(MassSpring(name="s", dt=0.01, steps=600, stiffness=5.05), RK4))
+    case = make_case(system, Integrated(MassSpring(name="s", dt=0.01, steps=600, stiffness=5.05), RK4))
     findings = run(case)
     told = findings.numbers["filters"]["ukf"]["model"]["perturbed"]
     # Errors that repeat themselves need a Q tens of times that of independent ones.
@@ -124,7 +124,7 @@ def test_parameters_without_covariance_have_a_force_error_in_their_place(
 
 
 def test_same_measurements_for_every_model(spring: Case, make_case: Callable) -> None:
-    other = make_case(SPRING, integrated(SPRING, RK4))
+    other = make_case(SPRING, Integrated(SPRING, RK4))
     floor = Who("exact flow", "perturbed", "ukf", "settled", floor=True)
     rows = [next(row for row in run(case).rows if row.who == floor) for case in (spring, other)]
     assert rows[0].scores == rows[1].scores
@@ -151,7 +151,7 @@ def test_smoother_has_its_own_rows_and_is_better(spring: Case) -> None:
 
 
 def test_estimators_of_whole_arcs_have_their_own_rows(make_case: Callable) -> None:
-    short = make_case(dataclasses.replace(SPRING, steps=80), integrated(STIFFER, RK4))
+    short = make_case(dataclasses.replace(SPRING, steps=80), Integrated(STIFFER, RK4))
     findings = run(short, "least_squares=true", group="ukf_iterated")
     assert {row.who.estimator for row in findings.rows} == {
         "ukf",
@@ -177,7 +177,7 @@ def test_estimators_of_whole_arcs_have_their_own_rows(make_case: Callable) -> No
 
 
 def test_ground_station_from_yaml(make_case: Callable) -> None:
-    case = make_case(ORBITS, integrated(ORBITS, RK4))
+    case = make_case(ORBITS, Integrated(ORBITS, RK4))
     findings = run(case, "cadence=10", measurement="ground_station")
     assert findings.numbers["measured"] == ["range", "azimuth", "elevation", "range_rate"]
     assert findings.rows[3].scores.position < 3.0  # km; without measurements tens of km
@@ -185,7 +185,7 @@ def test_ground_station_from_yaml(make_case: Callable) -> None:
 
 def test_a_filter_that_measured_nothing_says_so(make_case: Callable) -> None:
     # Nothing of these orbits stands in the zenith of the pole.
-    case = make_case(ORBITS, integrated(ORBITS, RK4))
+    case = make_case(ORBITS, Integrated(ORBITS, RK4))
     station = "{_target_:ahnn.measurements.GroundStation,latitude:-90,longitude:0,min_elevation:89}"
     findings = run(case, "cadence=10", f"measurement={station}", "measurement_sd=1e-3")
     for row in findings.rows:
@@ -250,7 +250,7 @@ def test_measurements_at_given_times(spring: Case) -> None:
 
 
 def test_satellites_and_whole_states_are_measured_from_yaml(make_case: Callable[..., Case]) -> None:
-    case = make_case(ORBITS, integrated(ORBITS, RK4))
+    case = make_case(ORBITS, Integrated(ORBITS, RK4))
     ranges = run(case, "cadence=10", measurement="gnss_range")
     states = run(case, "cadence=10", "measurement_sd=[1,1,1,1e-3,1e-3,1e-3]", measurement="state")
     assert len(ranges.numbers["measured"]) == 4
@@ -267,7 +267,7 @@ def test_measurement_noise_is_not_the_initial_error(spring: Case) -> None:
 
 
 def test_a_filter_that_spoils_the_velocity_alone_says_so(make_case: Callable[..., Case]) -> None:
-    case = make_case(SPRING, integrated(SPRING, RK4))
+    case = make_case(SPRING, Integrated(SPRING, RK4))
     findings = run(case, "process_noise=[0.0,5e-5]")
     row = next(row for row in findings.rows if row.who.start == "perturbed")
     assert row.note == "worse than no filter in velocity: measurement noise"
@@ -276,7 +276,7 @@ def test_a_filter_that_spoils_the_velocity_alone_says_so(make_case: Callable[...
 def test_a_station_that_would_read_momenta_as_velocities_is_refused(make_case: Callable[..., Case]) -> None:
     heavy = Molniya(name="heavy", dt=60.0, steps=130, mass=2.0)
     with pytest.raises(UserError, match=r"GroundStation with mass=2, .* received mass=1"):
-        run(make_case(heavy, integrated(heavy, RK4)), "cadence=10", measurement="ground_station")
+        run(make_case(heavy, Integrated(heavy, RK4)), "cadence=10", measurement="ground_station")
 
 
 def test_a_measurement_of_another_system_is_refused(spring: Case) -> None:

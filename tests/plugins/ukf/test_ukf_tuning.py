@@ -13,7 +13,7 @@ from ahnn.data.generate import generate
 from ahnn.errors import UserError
 from ahnn.estimation import Problem, Setting, perturbed_arcs, trial
 from ahnn.estimation.trial import Filter
-from ahnn.evaluation.open_loop import integrated
+from ahnn.evaluation.open_loop import Integrated
 from ahnn.integrators import INTEGRATORS
 from ahnn.measurements import Position
 from ahnn.systems import MassSpring
@@ -39,7 +39,7 @@ def search() -> tuple[Filter, Setting, Problem]:
     setting = Setting(Position(1, "m"), sd, SYSTEM.deviations(), updates)
     arcs = perturbed_arcs(setting, generate(SYSTEM, 4, seed=0).states, SYSTEM.dt, 4, 100, seed=0)
     q = 1e-9 * torch.eye(2, dtype=torch.float64)  # far too little for a wrong spring
-    flow = integrated(WRONG, INTEGRATORS["rk4"])
+    flow = Integrated(WRONG, INTEGRATORS["rk4"])
     return Filter("wrong", flow, q, setting.measurement_noise, UnscentedKalmanFilter()), setting, arcs
 
 
