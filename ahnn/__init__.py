@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from ahnn.assimilation import Assimilation
     from ahnn.errors import TrainingError, UserError
     from ahnn.fitting import fit
-    from ahnn.runs import Run, load
+    from ahnn.loading import load
+    from ahnn.runs import Run
     from ahnn.types import Space, Trajectories, Units
 
 __version__ = "0.2.0"
@@ -47,7 +48,7 @@ HOMES = {
     "Units": "types",
     "UserError": "errors",
     "fit": "fitting",
-    "load": "runs",
+    "load": "loading",
 }
 """The module of each public name: none is imported before it is used."""
 

@@ -46,7 +46,7 @@ def fit(
     from ahnn.cli.settings import check_settings
     from ahnn.cli.training import train_once
     from ahnn.data import Given
-    from ahnn.runs import load
+    from ahnn.loading import load
     from ahnn.stored import about_space
 
     texts = check_given(overrides, folder)

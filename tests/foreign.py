@@ -10,7 +10,7 @@ import yaml
 from entry import SMALL, call
 
 from ahnn.checkpoints import read_weights, write_weights
-from ahnn.runs import weights_path
+from ahnn.loading import weights_path
 
 FIRST = [*SMALL, "recipe=first_order", "evaluation=scores", "trainer.max_epochs=1"]
 

@@ -66,7 +66,7 @@ GADGETS = {
         "command": str(trace),
     },
     "our plugin's import": lambda _: {"_target_": "ahnn_plugins.ukf.tuning.hashlib.sha256"},
-    "a source of other data": lambda _: {"_target_": "ahnn.runs.load", "run": "/"},
+    "a source of other data": lambda _: {"_target_": "ahnn.loading.load", "run": "/"},
     "a partial": lambda trace: {"_target_": "functools.partial", "_args_": ["os.system", touch(trace)]},
     "no text": lambda _: {"_target_": ["os.system"]},
 }

@@ -9,7 +9,7 @@ from ahnn.cli.parts import build_plugins, build_sensor, build_source, report_opt
 from ahnn.cli.unread import refuse, unread_of_data, unread_of_plugins
 from ahnn.data import SplitData
 from ahnn.jobs.evaluating import Reevaluation
-from ahnn.runs import load
+from ahnn.loading import load
 
 
 def read_evaluation(arguments: list[str], usage: str) -> Reevaluation:

@@ -28,8 +28,9 @@ from ahnn.errors import UserError
 from ahnn.evaluation import Case, EvaluationPlugin
 from ahnn.evaluation.prepare import make_case
 from ahnn.jobs.assimilating import Asked, Stream, require_places
+from ahnn.loading import load
 from ahnn.measurements import reading
-from ahnn.runs import Run, load
+from ahnn.runs import Run
 from ahnn.systems import System
 
 FILTER, OF_MEASUREMENTS = "plugins=ukf", "plugins=ukf_parameter_error"

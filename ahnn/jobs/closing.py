@@ -18,7 +18,7 @@ from ahnn.evaluation.prepare import make_case
 from ahnn.evaluation.results import FILE, load_results
 from ahnn.evaluation.sinks import TensorBoardSink
 from ahnn.jobs.prepared import Prepared
-from ahnn.runs import load, made, weights_path
+from ahnn.loading import load, made, weights_path
 from ahnn.training import Shooting
 from ahnn.training.laplace import conclude
 from ahnn.training.visited import visited

@@ -16,7 +16,8 @@ from ahnn.evaluation import EvaluationPlugin, evaluation_folder, load_results, r
 from ahnn.evaluation.prepare import make_case
 from ahnn.evaluation.sinks import TensorBoardSink
 from ahnn.evaluation.sinks.board import Board
-from ahnn.runs import Run, weights_path
+from ahnn.loading import weights_path
+from ahnn.runs import Run
 from ahnn.shooting.robust import ROBUST, RobustName
 
 log = logging.getLogger("ahnn")

@@ -10,8 +10,8 @@ from ahnn.checkpoints import read_checkpoint, require_same
 from ahnn.dynamics.scaling import remark_on_scale
 from ahnn.files import write_atomically
 from ahnn.jobs.prepared import Prepared
+from ahnn.loading import load
 from ahnn.models import AbstractModel
-from ahnn.runs import load
 from ahnn.statistics import Statistics
 from ahnn.training.cuda_graph import Recorded, can_record
 from ahnn.training.outlook import expected_seconds

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from ahnn.errors import UserError
+from ahnn.loading import load
 from ahnn.pretrained import shipped
-from ahnn.runs import Run, load
+from ahnn.runs import Run
 
 
 def named_runs(run: str | list[str] | None, pretrained: str | None, ckpt: str) -> list[Run]:

@@ -25,8 +25,8 @@ from ahnn.errors import UserError
 from ahnn.graphs import write_export
 from ahnn.graphs.modules import modules, normal
 from ahnn.graphs.programs import as_onnx, program
+from ahnn.loading import made
 from ahnn.pretrained import names
-from ahnn.runs import made
 from ahnn.stored import about_space
 from ahnn.systems import Kepler
 

@@ -13,8 +13,8 @@ from ahnn.checkpoints import read_weights
 from ahnn.cli.before import quiet
 from ahnn.dynamics import Dynamics
 from ahnn.errors import UserError
+from ahnn.loading import made
 from ahnn.models import AHNN, MLP, NODE, AbstractModel
-from ahnn.runs import made
 
 NAMES = [
     "mlp",

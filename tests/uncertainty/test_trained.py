@@ -11,7 +11,7 @@ from ahnn.checkpoints import read_weights, replace_weights
 from ahnn.errors import UserError
 from ahnn.evaluation import load_results
 from ahnn.files import write_atomically
-from ahnn.runs import made, weights_path
+from ahnn.loading import made, weights_path
 from ahnn.uncertainty import load_uncertainty
 from ahnn.uncertainty.posterior import FILE
 

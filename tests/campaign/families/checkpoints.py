@@ -8,7 +8,7 @@ import torch
 
 from ahnn.checkpoints import FORMAT, Weights, read_weights, write_weights
 from ahnn.dynamics import make_dynamics
-from ahnn.runs import made
+from ahnn.loading import made
 from ahnn.stored import about_space
 from ahnn.types import Space
 

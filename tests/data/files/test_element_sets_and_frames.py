@@ -17,7 +17,7 @@ from ahnn.data.files import Ephemeris, frames, instant, write_oem
 from ahnn.data.files.reading import Reading
 from ahnn.errors import UserError
 from ahnn.evaluation import load_results
-from ahnn.runs import load
+from ahnn.loading import load
 
 VANGUARD = """VANGUARD 1
 1 00005U 58002B   00179.78495062  .00000023  00000-0  28098-4 0  4753

@@ -94,7 +94,7 @@ def test_times_that_do_not_increase_are_named_with_the_last_that_did():
 
 
 def test_shorter_trajectories_end_with_nothing():
-    states, times = stacked([track([0, 1, 2]), track([5])])
+    states, times, *_ = stacked([track([0, 1, 2]), track([5])])
     assert states.shape == (2, 3, 2)
     assert times[1, 0] == 5
     assert bool(times[1, 1:].isnan().all())

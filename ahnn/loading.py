@@ -1,0 +1,113 @@
+"""Load a trained model: a run folder, or one that comes with the package, as a `Run`."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ahnn.arguments import checked, flatten
+from ahnn.checkpoints import Weights, read_weights
+from ahnn.dynamics import make_dynamics
+from ahnn.dynamics.sizes import fillable
+from ahnn.errors import UserError
+from ahnn.pretrained import names, shipped
+from ahnn.runs import Run
+from ahnn.stored import read_about
+from ahnn.uncertainty import domain_of, load_uncertainty
+from ahnn.uncertainty.posterior import FILE
+
+log = logging.getLogger(__name__)
+
+
+@checked
+def load(run: str | Path, ckpt: str = "best") -> Run:
+    """Return a trained model.
+
+    Args:
+        run: a run folder, or the name of a model that comes with the package.
+        ckpt: `best`, `last`, or the path of a checkpoint.
+
+    Raises:
+        UserError: there is no such run, or its weights or their covariance are damaged.
+    """
+    folder = Path(run)
+    if not folder.exists() and str(run) in names():
+        folder = shipped(str(run))
+    if not folder.is_dir():
+        message = f"run: expected a run folder or one of {', '.join(names())}; received {str(run)!r}"
+        raise UserError(message)
+    path = weights_path(folder, ckpt)
+    weights = read_weights(path)
+    if ckpt == "best" and path.stem == "last":
+        require_last(folder, weights.about)
+    trained = made(weights, folder)
+    known = load_uncertainty(folder, trained.dynamics.state_dict())
+    if known is None:
+        return trained
+    count, received = sum(p.numel() for p in trained.dynamics.parameters()), len(known.offset)
+    if count != received:
+        message = f"{folder / FILE}: expected a covariance of {count} parameters; received {received}"
+        raise UserError(message)
+    dynamics, uncertainty = known.taken(trained.dynamics)
+    return replace(trained, dynamics=dynamics.eval().requires_grad_(False), uncertainty=uncertainty)
+
+
+def weights_path(folder: Path, ckpt: str = "best") -> Path:
+    """Return the file of a run's weights.
+
+    Args:
+        folder: of the run.
+        ckpt: `best` (the last ones where nothing chose the best), `last`, or a path.
+    """
+    if ckpt not in ("best", "last"):
+        return Path(ckpt)
+    here = folder / "checkpoints"
+    candidates = [here / f"{ckpt}.ckpt", folder / "weights.safetensors"]
+    if ckpt == "best":
+        candidates.append(here / "last.ckpt")
+    return next((path for path in candidates if path.exists()), candidates[0])
+
+
+def require_last(folder: Path, about: dict[str, Any]) -> None:
+    """Say that the last weights are taken for the best, where no validation has chosen any.
+
+    Raises:
+        UserError: some were chosen, and are missing.
+    """
+    monitor = flatten(about).get("settings.callbacks.best.monitor")
+    if monitor is not None and about.get("val_loss") is not None:
+        message = (
+            f"run {folder}: expected checkpoints/best.ckpt, the weights of the smallest {monitor}; received "
+            "none. ckpt=last takes the last weights"
+        )
+        raise UserError(message)
+    log.warning("run %s: no validation chose the best weights; the last ones are taken", folder)
+
+
+def made(weights: Weights, folder: Path) -> Run:
+    """Return the run of some weights.
+
+    Raises:
+        UserError: they do not say what they are, or are of other dynamics.
+    """
+    about, space = read_about(f"run {folder}: weights", weights.about)
+    try:
+        with fillable(weights.state):
+            dynamics = make_dynamics(**about.dynamics)
+        domain = domain_of(weights.about, len(space.components))
+    except Exception as error:  # whatever the class of a package says of arguments that are none
+        reason = error if isinstance(error, UserError) else repr(error)
+        message = f"run {folder}: expected weights that say what they are; received: {reason}"
+        raise UserError(message) from error
+    try:
+        dynamics.double().load_state_dict(weights.state)
+    except RuntimeError as error:
+        reason = " ".join(str(error).split())
+        message = f"run {folder}: expected the weights of its model; received others ({reason})"
+        raise UserError(message) from error
+    if not all(bool(tensor.isfinite().all()) for tensor in weights.state.values()):
+        message = f"run {folder}: expected finite weights; received nan or inf. Take another checkpoint"
+        raise UserError(message)
+    return Run(dynamics.eval().requires_grad_(False), space, about.dt, weights.about, folder, domain)
