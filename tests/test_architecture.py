@@ -77,10 +77,11 @@ MAY_IMPORT = {
     "prediction": GROUND | {"dynamics", "data", "evaluation", "shooting", "uncertainty"},
     "assimilation": GROUND | {"data", "estimation", "evaluation"},
     "pretrained": OPEN | {"checkpoints"},
-    "runs": GROUND | {"dynamics", "pretrained", "evaluation", "prediction", "uncertainty"},
+    "runs": GROUND | {"dynamics", "evaluation", "prediction", "uncertainty"},
+    "loading": GROUND | {"dynamics", "pretrained", "runs", "uncertainty"},
     "jobs": GROUND
     | {"assimilation", "data", "dynamics", "evaluation", "graphs", "models", "prediction", "pretrained"}
-    | {"runs", "shooting", "training", "uncertainty"},
+    | {"loading", "runs", "shooting", "training", "uncertainty"},
 }
 ENTRIES = {
     "train",
@@ -179,7 +180,7 @@ def reached(*rooms):
 
 def test_who_loads_predicts_evaluates_or_estimates_builds_no_optimiser_loader_or_trainer():
     jobs = ("jobs.predicting", "jobs.exporting", "jobs.evaluating", "jobs.assimilating")
-    there = reached("runs", "prediction", "estimation", "assimilation", "evaluation", *jobs)
+    there = reached("loading", "prediction", "estimation", "assimilation", "evaluation", *jobs)
     trained = ("training", "models", "data.datamodule", "data.loader", "jobs.prepared")
     assert not {m for m in there if m.removeprefix("ahnn.").startswith(trained)}
     assert {"ahnn.dynamics.base", "ahnn.measurements.base"} <= there
