@@ -11,15 +11,22 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor, nn
 
-from ahnn.dynamics.inputs import InputMap
+from ahnn.dynamics.gradients import recorded_gradient
+from ahnn.dynamics.hessians import is_closed, network_derivatives, point_mass_derivatives
+from ahnn.dynamics.inputs import InputMap, slopes
 from ahnn.dynamics.networks import make_network
+from ahnn.dynamics.rows import layers_at, reversed_rows, with_value, write_rows
 from ahnn.errors import UserError
 from ahnn.statistics import Statistics
 from ahnn.types import as_factor
 
 
 class Energy(Protocol):
-    """A function of the positions or of the momenta with its gradient."""
+    """A function of the positions or of the momenta with its derivatives.
+
+    `derivatives` is called of an energy that says `has_hessian`, `write_rows` of one that says `has_rows`;
+    reverse mode takes their place otherwise.
+    """
 
     def fit(self, statistics: Statistics) -> None:
         """Set constants from the training split."""
@@ -31,6 +38,14 @@ class Energy(Protocol):
 
     def gradient(self, q: Tensor) -> Tensor:
         """Return the gradient of the energy with respect to q, shape (..., n)."""
+        ...
+
+    def derivatives(self, q: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the gradient, shape (B, n), and the Hessian, shape (B, n, n), at q, shape (B, n)."""
+        ...
+
+    def write_rows(self, theta: Tensor, q: Tensor, factors: Tensor, out: Tensor) -> None:
+        """Write factors (B, n) times d(dE/dq)/dtheta to `out`, (B, n, P), theta (P,) its parameters."""
         ...
 
     def seen(self, q: Tensor) -> Tensor:
@@ -99,6 +114,54 @@ class NetworkEnergy(nn.Module):
             slope = weight * (slope + fall * self.network(z))
         return self.unit * slope
 
+    @property
+    def has_hessian(self) -> bool:
+        """Whether the derivatives of the network are known in closed form."""
+        return is_closed(self.network)
+
+    @property
+    def has_rows(self) -> bool:
+        """Whether those by its parameters are, too: of inputs none is learned."""
+        return is_closed(self.network) and not list(self.inputs.parameters())
+
+    def derivatives(self, q: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the gradient, shape (B, n), and the Hessian, shape (B, n, n), at q, shape (B, n)."""
+        gradient, hessian = network_derivatives(self.network, self.inputs, q)
+        if self.falloff:  # of w N, w = (R / r)^k, from those of N
+            value = self.network(self.inputs(q))
+            weight, fall = self.envelope(q)  # w and f = grad log w = -k q / r^2
+            square = q.square().sum(-1)[:, None, None]
+            bent = -self.falloff / square * torch.eye(q.shape[1]).to(q)  # df/dq, but for the change of r
+            bent = bent + (2 / self.falloff + 1) * fall.unsqueeze(-1) * fall.unsqueeze(-2)  # and f f^T
+            cross = fall.unsqueeze(-1) * gradient.unsqueeze(-2)
+            hessian = weight.unsqueeze(-1) * (hessian + cross + cross.mT + value.unsqueeze(-1) * bent)
+            gradient = weight * (gradient + fall * value)
+        return self.unit * gradient, self.unit * hessian
+
+    def write_rows(self, theta: Tensor, q: Tensor, factors: Tensor, out: Tensor) -> None:
+        """Write factors (B, n) times d(dE/dq)/dtheta to `out`, (B, n, P), theta (P,) its parameters."""
+        network = self.network
+        assert is_closed(network)
+        z, pullback = self.inputs.linearised(q)
+        # dE/dq is linear in the gradient of the network: row i of each sample is a cotangent of it.
+        linear = slopes(z, pullback).mT
+        factors, on_value = factors * self.unit, None
+        if self.falloff:
+            weight, fall = self.envelope(q)
+            factors = factors * weight
+            on_value = (factors * fall).to(theta)
+        cotangents = factors.unsqueeze(-1) * linear
+        layers, kernels = layers_at(network, theta), network.activation.kernels
+        assert kernels is not None
+        _, records = recorded_gradient(z.to(theta).T.contiguous().T, layers, kernels)
+        stage, _ = reversed_rows(cotangents.to(theta), records, layers.weights)
+        if on_value is None:
+            write_rows([stage], out)
+            return
+        last = torch.addmm(layers.biases[-1], records[-1].entered, layers.weights[-1].T)
+        write_rows([with_value(stage, on_value, kernels.value(last))], out)
+        out[..., -1] = on_value
+
     def seen(self, q: Tensor) -> Tensor:
         """Return the inputs of the network, shape (..., F)."""
         return self.inputs(q)
@@ -106,6 +169,8 @@ class NetworkEnergy(nn.Module):
 
 class Quadratic(nn.Module):
     """The kinetic energy p^2 / 2m of a known mass, or of one for each coordinate."""
+
+    has_hessian = has_rows = True
 
     def __init__(self, mass: float | Sequence[float]) -> None:
         super().__init__()
@@ -127,6 +192,13 @@ class Quadratic(nn.Module):
     def gradient(self, p: Tensor) -> Tensor:
         """Return p / m, shape (..., n)."""
         return p / self.mass(p)
+
+    def derivatives(self, p: Tensor) -> tuple[Tensor, Tensor]:
+        """Return p / m, shape (B, n), and the matrix 1 / m, shape (B, n, n)."""
+        return self.gradient(p), (torch.eye(p.shape[1]).to(p) / self.mass(p)).expand(len(p), -1, -1)
+
+    def write_rows(self, theta: Tensor, q: Tensor, factors: Tensor, out: Tensor) -> None:
+        """Nothing to write: no parameter moves it."""
 
     def seen(self, p: Tensor) -> Tensor:
         """Return nothing, shape (..., 0)."""
@@ -186,6 +258,30 @@ class CentralBody(nn.Module):
         """Return the gradient with respect to q, shape (..., n)."""
         r = q.norm(dim=-1, keepdim=True)
         return self.remainder.gradient(q) + (self.mass * self.mu / r**3) * q
+
+    @property
+    def has_hessian(self) -> bool:
+        """Whether the derivatives of the remainder are known in closed form."""
+        return self.remainder.has_hessian
+
+    @property
+    def has_rows(self) -> bool:
+        """Whether those by its parameters are, too."""
+        return self.remainder.has_rows
+
+    def derivatives(self, q: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the gradient, shape (B, n), and the Hessian, shape (B, n, n), at q, shape (B, n)."""
+        gradient, hessian = self.remainder.derivatives(q)
+        of_point = point_mass_derivatives(self.mass * self.mu, q)
+        return gradient + of_point[0], hessian + of_point[1]
+
+    def write_rows(self, theta: Tensor, q: Tensor, factors: Tensor, out: Tensor) -> None:
+        """Write factors (B, n) times d(dE/dq)/dtheta to `out`, (B, n, P), theta (P,) its parameters."""
+        if self.known_mu is None:
+            attraction = self.mass * theta[0].exp() * q / q.norm(dim=-1, keepdim=True) ** 3
+            out[..., 0] = factors * attraction
+            theta, out = theta[1:], out[..., 1:]
+        self.remainder.write_rows(theta, q, factors, out)
 
     def seen(self, q: Tensor) -> Tensor:
         """Return what the remainder sees, shape (..., F)."""

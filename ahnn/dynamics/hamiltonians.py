@@ -16,6 +16,7 @@ from ahnn.arguments import NonNegative, Positive, checked
 from ahnn.dynamics import written_out
 from ahnn.dynamics.energies import CentralBody, Energy, NetworkEnergy, Quadratic, energy_units
 from ahnn.dynamics.gradients import Layers
+from ahnn.dynamics.hessians import BothInputs, is_closed, network_derivatives
 from ahnn.dynamics.inputs import Cartesian, InputName, position_inputs
 from ahnn.dynamics.networks import Perceptron, make_network
 from ahnn.dynamics.scaling import Kind
@@ -65,6 +66,17 @@ class GenericHamiltonian(nn.Module):
         q, p = x.chunk(2, dim=-1)
         return torch.cat((self.positions(q), self.momenta(p)), dim=-1)
 
+    @property
+    def has_hessian(self) -> bool:
+        """Whether the derivatives of the network are known in closed form."""
+        return is_closed(self.network)
+
+    def derivatives(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Return dH/dx, shape (B, D), and d2H/dx2, shape (B, D, D), at the states x, shape (B, D)."""
+        inputs = BothInputs(self.positions, self.momenta)
+        gradient, hessian = network_derivatives(self.network, inputs, x)
+        return self.unit * gradient, self.unit * hessian
+
     def energy(self, x: Tensor) -> Tensor:
         """Return H, shape (...), at the states x, shape (..., D)."""
         return self.unit * self.network(self.seen(x)).squeeze(-1)
@@ -109,10 +121,25 @@ class SeparableHamiltonian(nn.Module):
         super().__init__()
         self.kinetic, self.potential = kinetic, potential
 
+    @property
+    def energies(self) -> tuple[Energy, Energy]:
+        """T and V."""
+        return cast(Energy, self.kinetic), cast(Energy, self.potential)
+
+    @property
+    def has_hessian(self) -> bool:
+        """Whether the Hessians of T and V are known in closed form."""
+        return all(getattr(energy, "has_hessian", False) for energy in self.energies)
+
+    @property
+    def has_rows(self) -> bool:
+        """Whether the derivatives of the field by its parameters are known in closed form."""
+        return all(getattr(energy, "has_rows", False) for energy in self.energies)
+
     def fit(self, statistics: Statistics) -> None:
         """Set all constants from the training split."""
-        cast(Energy, self.kinetic).fit(statistics)
-        cast(Energy, self.potential).fit(statistics)
+        for energy in self.energies:
+            energy.fit(statistics)
 
     def energy(self, x: Tensor) -> Tensor:
         """Return H, shape (...), at the states x, shape (..., D)."""
@@ -122,16 +149,16 @@ class SeparableHamiltonian(nn.Module):
     def seen(self, x: Tensor) -> Tensor:
         """Return what the learned parts see, shape (..., F)."""
         q, p = x.chunk(2, dim=-1)
-        potential, kinetic = cast(Energy, self.potential), cast(Energy, self.kinetic)
+        kinetic, potential = self.energies
         return torch.cat((potential.seen(q), kinetic.seen(p)), dim=-1)
 
     def velocity(self, p: Tensor) -> Tensor:
         """Return dq/dt = dT/dp, shape (..., n)."""
-        return cast(Energy, self.kinetic).gradient(p)
+        return self.energies[0].gradient(p)
 
     def force(self, q: Tensor) -> Tensor:
         """Return dp/dt = -dV/dq, shape (..., n)."""
-        return -cast(Energy, self.potential).gradient(q)
+        return -self.energies[1].gradient(q)
 
     def forward(self, x: Tensor) -> Tensor:
         """Return (dH/dp, -dH/dq), shape (..., D), at the states x, shape (..., D)."""

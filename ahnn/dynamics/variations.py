@@ -10,21 +10,21 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from functools import partial
+from typing import cast
 
 import torch
 from torch import Tensor, nn
-from torch.func import jacrev, vmap
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from ahnn.clock import split
 from ahnn.cores import each, slices
 from ahnn.dynamics.base import Dynamics
 from ahnn.dynamics.derivatives import parametrised
+from ahnn.dynamics.energies import Energy
 from ahnn.dynamics.fields import HamiltonianDynamics
 from ahnn.dynamics.forced import Forced, total
 from ahnn.dynamics.forces import Instant
 from ahnn.dynamics.hamiltonians import GenericHamiltonian, SeparableHamiltonian
-from ahnn.dynamics.hessians import gradient_and_hessian, has_hessian
 from ahnn.integrators import ExplicitRungeKutta, SymmetricComposition
 from ahnn.jacobians import step_jacobians
 from ahnn.types import VectorField
@@ -88,12 +88,9 @@ def varied(field: nn.Module) -> VectorField | None:
     if isinstance(field, Forced):
         inner = varied(field.hamiltonian)
         return None if inner is None else ForcedVariations(field, inner)
-    if isinstance(field, GenericHamiltonian):
-        return GenericVariations(field) if has_hessian(field) else None
-    if not isinstance(field, SeparableHamiltonian):
+    if not (isinstance(field, GenericHamiltonian | SeparableHamiltonian) and field.has_hessian):
         return None
-    known = has_hessian(field.kinetic) and has_hessian(field.potential)
-    return SeparableVariations(field) if known else None
+    return GenericVariations(field) if isinstance(field, GenericHamiltonian) else SeparableVariations(field)
 
 
 class GenericVariations:
@@ -112,7 +109,7 @@ class SeparableVariations:
     """The same for H = T(p) + V(q)."""
 
     def __init__(self, field: SeparableHamiltonian) -> None:
-        self.kinetic, self.potential = field.kinetic, field.potential
+        self.kinetic, self.potential = field.energies
 
     def velocity(self, p: Tensor) -> Tensor:
         """Return the rates of the positions, shape (B, 1 + D, n), from the momenta."""
@@ -129,29 +126,24 @@ class SeparableVariations:
 
 
 class ForcedVariations:
-    """The same for Hamilton's equations with forces, whose derivatives come from reverse mode."""
+    """The same for Hamilton's equations with forces beside them."""
 
     def __init__(self, field: Forced, inner: VectorField) -> None:
         self.field, self.inner = field, inner
 
     def __call__(self, x: Tensor) -> Tensor:
         """Return the rates, shape (B, 1 + D, D), of extended states and variations."""
-        dof = self.field.dof
         q, c, p, rates = split(x, self.field.clock)
         v, pull = self.inner(torch.cat((q, p), dim=-1)).chunk(2, dim=-1)
-        seen = torch.cat((c, q, v), dim=-1)
-
-        def pushed(row: Tensor) -> Tensor:
-            t, u, q, v = row.split((min(1, self.field.clock), max(0, self.field.clock - 1), dof, dof), dim=-1)
-            return total(self.field.parts, Instant(t, u, q, v))
-
-        here = seen[:, 0]
-        moved = seen[:, 1:] @ vmap(jacrev(pushed))(here).mT
-        force = torch.cat((pushed(here).unsqueeze(1), moved), dim=1)
+        seen = Instant(c[..., :1], c[..., 1:], q, v)
+        here, by = Instant(*(part[:, 0] for part in seen)), Instant(*(part[:, 1:] for part in seen))
+        moved = sum(force.variation(here, by) for force in self.field.parts)
+        force = torch.cat((total(self.field.parts, here).unsqueeze(1), cast(Tensor, moved)), dim=1)
         return torch.cat((v, rates, pull + force, torch.zeros_like(rates)), dim=-1)
 
 
-def _slope(energy: nn.Module, x: Tensor) -> Tensor:
+@torch.no_grad()
+def _slope(energy: Energy | GenericHamiltonian, x: Tensor) -> Tensor:
     """Return dE/dx of the first row and how it moves with the others, in the shape of x, (B, 1 + D, n)."""
-    gradient, hessian = gradient_and_hessian(energy, x[:, 0])
+    gradient, hessian = energy.derivatives(x[:, 0])
     return torch.cat((gradient.unsqueeze(1), x[:, 1:] @ hessian), dim=1)

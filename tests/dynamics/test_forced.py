@@ -188,3 +188,32 @@ def test_jacobians_of_steps_in_closed_form_are_those_of_reverse_mode(hamiltonian
     z, lengths = states(3, 2 * 8 * 4).view(3, 8, 8), 0.1 + 0.01 * torch.rand(3, 8, **DOUBLE)
     own = jacobians_of_steps(model, torch.float64)(theta, z, lengths)
     close(own, mapped_jacobians_of_steps(model, torch.float64)(theta, z, lengths), 1e-11)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"kind": "friction"},
+        {"kind": "friction", "of": "positions"},
+        {"kind": "actuation"},
+        {"kind": "actuation", "of": "positions"},
+        {"kind": "actuation", "matrix": [[1.0, 0.0, -2.0]] * 3},
+        {"kind": "forcing", "frequency": 2.0, "cosine": [1.0, 2.0, -1.0], "sine": [0.5, 0.0, 1.0]},
+        {"kind": "spring", "stiffness": [[2.0, 1.0, 0.0], [1.0, 3.0, 0.5], [0.0, 0.5, 1.0]]},
+        {"kind": "central_attraction", "mu": 1.7},
+        {"kind": "oblateness", "mu": 1.7, "radius": 0.5, "j2": 0.1},
+        {"kind": "network", "sees": ["q", "v", "t", "u"]},
+    ],
+    ids=lambda options: "-".join(map(str, options.values()))[:24],
+)
+def test_a_force_changes_with_its_arguments_as_central_differences_say(options):
+    force = make_force("own", 3, 3, options).double()
+    for parameter in force.parameters():
+        parameter.data += 0.5 * torch.randn(parameter.shape, generator=generator(5), **DOUBLE)
+    at = Instant(*(states(6, size, size + k) for k, size in enumerate((1, 3, 3, 3))))
+    by = Instant(*(torch.randn(6, 4, p.shape[1], generator=generator(k), **DOUBLE) for k, p in enumerate(at)))
+
+    def moved(step):
+        return force(Instant(*(a.unsqueeze(1) + step * b for a, b in zip(at, by, strict=True))))
+
+    close(force.variation(at, by).detach(), (moved(1e-5) - moved(-1e-5)).detach() / 2e-5, 1e-7)

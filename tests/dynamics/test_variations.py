@@ -16,7 +16,6 @@ from torch.nn.utils import parameters_to_vector
 from ahnn.dynamics import variations
 from ahnn.dynamics.activations import ACTIVATIONS
 from ahnn.dynamics.derivatives import parametrised
-from ahnn.dynamics.hessians import gradient_and_hessian
 from ahnn.dynamics.variations import jacobians_of_steps, own_jacobians
 from ahnn.jacobians import step_jacobians
 
@@ -104,6 +103,6 @@ def test_methods_that_iterate_take_reverse_mode():
 def test_hessians_are_those_of_automatic_derivatives(seed, inputs, falloff):
     energy = planar("central_body", mu=1.3, falloff=falloff, inputs=inputs).field.potential
     q = far_from_the_centre(6, 2, seed=seed)
-    gradient, found = gradient_and_hessian(energy, q)
+    gradient, found = energy.derivatives(q)
     close(gradient, energy.gradient(q), 1e-12)
     close(found, vmap(jacrev(jacrev(energy)))(q), 1e-11)

@@ -81,3 +81,7 @@ class Actuation(Force):
     def forward(self, at: Instant) -> Tensor:
         """Return G u, shape (..., n)."""
         return (self.matrix(at.q) @ at.u.unsqueeze(-1)).squeeze(-1)
+
+    def variation(self, at: Instant, by: Instant) -> Tensor:
+        """Return the change G du of a constant G, shape (B, R, n), and of G(q) by reverse mode."""
+        return super().variation(at, by) if hasattr(self, "network") else self(by)

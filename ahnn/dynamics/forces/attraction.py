@@ -9,6 +9,7 @@ from torch import Tensor
 
 from ahnn.arguments import Finite, Positive, checked
 from ahnn.dynamics.forces.base import Force, Instant
+from ahnn.dynamics.hessians import point_mass_derivatives
 from ahnn.errors import UserError
 
 POLAR = (0.0, 0.0, 2.0)
@@ -37,6 +38,10 @@ class CentralAttraction(Force):
     def forward(self, at: Instant) -> Tensor:
         """Return the attraction, shape (..., n)."""
         return -self.strength * at.q / at.q.norm(dim=-1, keepdim=True) ** 3
+
+    def variation(self, at: Instant, by: Instant) -> Tensor:
+        """Return the change with q, shape (B, R, n)."""
+        return -by.q @ point_mass_derivatives(self.strength, at.q)[1]
 
     def potential(self, at: Instant) -> Tensor:
         """Return -m mu / r, shape (...)."""

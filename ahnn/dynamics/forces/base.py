@@ -5,7 +5,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import ClassVar, NamedTuple
 
+import torch
 from torch import Tensor, nn
+from torch.func import jacrev, vmap
 
 from ahnn.statistics import Statistics
 
@@ -45,6 +47,20 @@ class Force(nn.Module, ABC):
     @abstractmethod
     def forward(self, at: Instant) -> Tensor:
         """Return the force, shape (..., n)."""
+
+    def variation(self, at: Instant, by: Instant) -> Tensor:
+        """Return how the force changes to first order with its arguments, shape (B, R, n).
+
+        Args:
+            at: what it depends on, B of each.
+            by: changes of that, (B, R, ...). By default reverse mode gives the derivatives.
+        """
+        sizes = [part.shape[-1] for part in at]
+
+        def of_row(row: Tensor) -> Tensor:
+            return self(Instant(*row.split(sizes, dim=-1)))
+
+        return torch.cat(by, dim=-1) @ vmap(jacrev(of_row))(torch.cat(at, dim=-1)).mT
 
     def potential(self, at: Instant) -> Tensor | None:
         """Return the potential energy of a force that has one, shape (...); by default it has none."""

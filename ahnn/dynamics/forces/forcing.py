@@ -60,12 +60,19 @@ class Forcing(Force):
         if self.known is None:
             self.unit.copy_(statistics.rate.chunk(2)[1])
 
+    def amplitude(self, like: Tensor) -> Tensor:
+        """Return a and b, shape (2, n)."""
+        if self.known is not None:
+            return torch.tensor(self.known, dtype=torch.float64).to(like)
+        return self.unit * self.amplitudes
+
     def forward(self, at: Instant) -> Tensor:
         """Return the force, shape (..., n)."""
-        phase = self.frequency * at.t
-        both = (
-            torch.tensor(self.known, dtype=torch.float64).to(at.q)
-            if self.known is not None
-            else self.unit * self.amplitudes
-        )
-        return both[0] * phase.cos() + both[1] * phase.sin()
+        phase, (a, b) = self.frequency * at.t, self.amplitude(at.q)
+        return a * phase.cos() + b * phase.sin()
+
+    def variation(self, at: Instant, by: Instant) -> Tensor:
+        """Return the change w (b cos(w t) - a sin(w t)) dt, shape (B, R, n)."""
+        phase, (a, b) = self.frequency * at.t, self.amplitude(at.q)
+        rate = self.frequency * (b * phase.cos() - a * phase.sin())
+        return by.t * rate.unsqueeze(1)

@@ -100,3 +100,7 @@ class Friction(Force):
         if self.of == "constant":
             return -self.coefficients().to(at.v) * at.v
         return -(self.matrix(at.q) @ at.v.unsqueeze(-1)).squeeze(-1)
+
+    def variation(self, at: Instant, by: Instant) -> Tensor:
+        """Return the change -R dv of a constant R, shape (B, R, n), and of R(q) by reverse mode."""
+        return self(by) if self.of == "constant" else super().variation(at, by)

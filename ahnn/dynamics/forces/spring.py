@@ -42,6 +42,11 @@ class Spring(Force):
         """Return -K q, shape (..., n)."""
         return -at.q @ torch.tensor(self.stiffness, dtype=torch.float64).to(at.q)
 
+    def variation(self, at: Instant, by: Instant) -> Tensor:
+        """Return the change -K dq, shape (B, R, n)."""
+        del at
+        return self(by)
+
     def potential(self, at: Instant) -> Tensor:
         """Return q^T K q / 2, shape (...)."""
         return -0.5 * (self(at) * at.q).sum(-1)
