@@ -19,7 +19,7 @@ from ahnn.data.sources import Source
 from ahnn.data.splits import Split, SplitData
 from ahnn.data.windows import Windows, on_clock, require_span
 from ahnn.errors import UserError
-from ahnn.measurements import Instrument, Segment
+from ahnn.measurements import Instrument, Observations, Segment
 from ahnn.measurements.smoothing import Local, as_states, smoothed
 from ahnn.memory import require_memory
 from ahnn.statistics import Statistics
@@ -102,14 +102,17 @@ class WindowDataModule(LightningDataModule):
             require_span(self.span, truth.steps)
 
     def trajectories(self, split: Split) -> Trajectories:
-        """Return the whole trajectories of a split, as training may see them."""
+        """Return the whole trajectories of a split, measured states in the place of true ones."""
+        return self.splits[split] if self.sensor is None else Trajectories(*self.measured(split))
+
+    def measured(self, split: Split) -> Observations:
+        """Return what the sensor saw of a split, for a training on measurements."""
         return self.splits.measured(split)
 
     @cached_property
     def smooth(self) -> Local:
         """Polynomials at some of the training measurements, which scalings and widths are read off."""
-        train = self.trajectories("train")
-        return smoothed(self.splits.instrument(), train.states, train.times, EXAMPLES)
+        return smoothed(self.splits.instrument(), *self.measured("train"), EXAMPLES)
 
     @cached_property
     def instrument(self) -> Instrument:
@@ -118,25 +121,25 @@ class WindowDataModule(LightningDataModule):
 
     def statistics(self) -> Statistics:
         """Return the statistics of the training split, float64, measurements smoothed."""
-        train = self.trajectories("train")
         if self.sensor is None:
-            return Statistics.of(train)
-        return measured_statistics(self.smooth, self.instrument, train)
+            return Statistics.of(self.trajectories("train"))
+        return measured_statistics(self.smooth, self.instrument, self.measured("train"))
 
     def examples(self) -> Tensor:
         """Return training states (M, D) float64, measurements smoothed."""
-        train = self.trajectories("train")
         if self.sensor is None:
-            some = train.spread()
+            some = self.trajectories("train").spread()
             states = some.states[some.present]
             return states[:: max(1, len(states) // EXACT)]
         return as_states(self.smooth.value, self.smooth.rate, self.instrument)
 
     def remark(self) -> str | None:
         """Return what the user should know of the noise of the training data, or None."""
-        names = self.source.space.components if self.sensor is None else self.sensor.measurement.names
-        stated = None if self.sensor is None or self.stages is None else self.sensor.deviations
-        return remark_on(self.trajectories("train").spread(), names, stated)
+        if self.sensor is None:
+            some = self.trajectories("train").spread()
+            return remark_on(some.states, some.times, self.source.space.components, None)
+        stated = None if self.stages is None else self.sensor.deviations
+        return remark_on(*self.measured("train"), self.sensor.measurement.names, stated)
 
     def feed(self, trainer: Trainer) -> None:
         """Gather batches where a trainer takes its steps, before it asks for any."""
@@ -170,20 +173,20 @@ class WindowDataModule(LightningDataModule):
         """Return the validation batches, the same in every epoch."""
         if self.stages is None:
             return self._loader("val", self.window, self.val_windows, None)
-        judged = self.trajectories("val").part(slice(self.val_windows))
+        judged = self.measured("val").part(slice(self.val_windows))
         segments = Segments(judged, None, self.instrument)
         return SegmentLoader(lambda _: (segments, len(segments)), 0, 0)
 
     def whole(self, split: Split) -> Segment:
         """Return all measurements of a split, a stretch for each trajectory."""
-        return whole(self.trajectories(split), self.instrument)
+        return whole(self.measured(split), self.instrument)
 
     def _stage(self, epoch: int) -> tuple[Segments, int]:
         """Return the stretches of an epoch, and how many a step takes."""
         assert self.stages is not None
         intervals = self.stages.intervals(epoch, self.epochs)
         if intervals not in self._cut:
-            self._cut = {intervals: Segments(self.trajectories("train"), intervals, self.instrument)}
+            self._cut = {intervals: Segments(self.measured("train"), intervals, self.instrument)}
         segments = self._cut[intervals]
         asked = self.stages.stretches(epoch, self.epochs) or self.batch_size
         return segments, asked if intervals is None else min(asked, segments.covering)

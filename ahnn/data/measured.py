@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import torch
 
-from ahnn.measurements import Instrument
+from ahnn.measurements import Instrument, Observations
 from ahnn.measurements.smoothing import Local, as_states, scale_of
 from ahnn.statistics import Statistics
-from ahnn.types import Trajectories
 
 EXAMPLES = 4_000
 """Samples whose neighbourhood is smoothed."""
@@ -15,7 +14,7 @@ UNTRUE = 5.0
 """Times the median error, in predicting the sample in its middle, of polynomials too stiff for the motion."""
 
 
-def measured_statistics(local: Local, instrument: Instrument, measured: Trajectories) -> Statistics:
+def measured_statistics(local: Local, instrument: Instrument, measured: Observations) -> Statistics:
     """Return the statistics of measurements, read off polynomials that are local in time.
 
     Rates come from the polynomials and not from differences, which noise inflates; single forces only where

@@ -8,8 +8,6 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from ahnn.types import Trajectories
-
 ORDERS = (8, 9, 10)
 """Of the differences: a smooth motion is gone from them, unless it is sampled too rarely."""
 PLATEAU = 0.2
@@ -30,7 +28,7 @@ TWICE = 2.0
 """Factor by which stated and found noise may differ without a word."""
 
 
-def noise_floor(trajectories: Trajectories) -> Tensor:
+def noise_floor(samples: Tensor, times: Tensor) -> Tensor:
     """Return the standard deviation of the noise of each component, (D,); NaN where it cannot be told.
 
     Divided differences of high order leave nothing of a smooth motion, whatever the times of its samples, and
@@ -38,15 +36,15 @@ def noise_floor(trajectories: Trajectories) -> Tensor:
     long as these are not more than about a tenth of the samples, are taken out before.
 
     Args:
-        trajectories: absent samples are NaN.
+        samples: (B, T, D) states or measurements; absent ones are NaN.
+        times: (B, T).
     """
-    plateau = differences_level(trajectories)
-    return torch.where(falls_as_noise(trajectories, plateau), plateau, torch.nan)
+    plateau = differences_level(samples, times)
+    return torch.where(falls_as_noise(samples, times, plateau), plateau, torch.nan)
 
 
-def differences_level(trajectories: Trajectories) -> Tensor:
+def differences_level(samples: Tensor, times: Tensor) -> Tensor:
     """Return what differences of all high orders leave of each component, (D,); NaN where they disagree."""
-    samples, times, *_ = trajectories
     if samples.shape[1] <= ORDERS[-1]:
         return samples.new_full(samples.shape[-1:], torch.nan)
     level = torch.stack(levels(samples, times, ORDERS))
@@ -61,13 +59,12 @@ def levels(samples: Tensor, times: Tensor, orders: Sequence[int]) -> list[Tensor
     return [size.nanmedian(0).values / NORMAL for size in sizes]
 
 
-def falls_as_noise(trajectories: Trajectories, level: Tensor) -> Tensor:
+def falls_as_noise(samples: Tensor, times: Tensor, level: Tensor) -> Tensor:
     """Return for which components (D,) means of m samples in a row show the level over the root of m.
 
     Those of independent noise do. A motion that is sampled a few times a period leaves differences of high
     order as large as it is itself, but not such means. A level of a small part of the motion needs no test.
     """
-    samples, times, *_ = trajectories
     if samples.shape[1] <= ORDERS[-1]:
         return torch.zeros_like(level, dtype=torch.bool)
     flat, samples = samples.flatten(0, 1), without_events(samples, times)
@@ -124,19 +121,20 @@ def without_events(samples: Tensor, times: Tensor) -> Tensor:
     return samples.masked_fill(hits > 0, torch.nan)
 
 
-def remark_on(samples: Trajectories, names: Sequence[str], stated: Tensor | None) -> str | None:
+def remark_on(samples: Tensor, times: Tensor, names: Sequence[str], stated: Tensor | None) -> str | None:
     """Return what the user should know of the noise of samples before a training, or None.
 
     Args:
-        samples: what training sees, of which some are looked at.
+        samples: (B, T, D) what training sees, of which some are looked at.
+        times: (B, T).
         names: of their D components.
         stated: (D,) standard deviations that the loss takes into account; None for a loss that takes samples
             as exact.
     """
-    samples = looked_at(samples)
-    floor = noise_floor(samples)
+    samples, times = looked_at(samples, times)
+    floor = noise_floor(samples, times)
     if stated is None:
-        typical = samples.states.diff(dim=1).abs().flatten(0, 1).nanmedian(0).values
+        typical = samples.diff(dim=1).abs().flatten(0, 1).nanmedian(0).values
         suspicious = (floor > SHARE * typical) & (typical > 0)
         advice = (
             "which this loss learns. Say so: sensor=... (of files sensor=recorded), or data.noise=... with "
@@ -153,8 +151,8 @@ def remark_on(samples: Trajectories, names: Sequence[str], stated: Tensor | None
     return f"the samples seem to have noise of {found} (standard deviations), {rare}; {advice}"
 
 
-def looked_at(trajectories: Trajectories) -> Trajectories:
+def looked_at(samples: Tensor, times: Tensor) -> tuple[Tensor, Tensor]:
     """Return the beginnings of some trajectories, evenly chosen, of `LOOKED_AT` samples in all."""
-    states, times, *_ = trajectories.part(slice(None, None, max(1, trajectories.times.numel() // LOOKED_AT)))
-    samples = max(LOOKED_AT // len(times), ORDERS[-1] + 1)
-    return Trajectories(states[:, :samples], times[:, :samples])
+    some = slice(None, None, max(1, times.numel() // LOOKED_AT))
+    count = max(LOOKED_AT // len(times[some]), ORDERS[-1] + 1)
+    return samples[some, :count], times[some, :count]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ahnn.data.sensor import Sensor
-from ahnn.measurements import continuous, periods
+from ahnn.measurements import Observations, continuous, periods
 from ahnn.types import Trajectories
 
 
@@ -13,8 +13,8 @@ class Recorded(Sensor):
     The truth is not known, of test trajectories neither.
     """
 
-    def measure(self, truth: Trajectories, part: int) -> Trajectories:
+    def measure(self, truth: Trajectories, part: int) -> Observations:
         """Return the recorded values (B, T, M), NaN where one is missing; angles go on over turns."""
         del part
         values = self.measurement(truth.states, truth.times)
-        return truth._replace(states=continuous(values, periods(self.measurement)))
+        return Observations(continuous(values, periods(self.measurement)), truth.times)

@@ -6,9 +6,8 @@ import torch
 from torch import Tensor
 
 from ahnn.errors import UserError
-from ahnn.measurements import Instrument, Segment
+from ahnn.measurements import Instrument, Observations, Segment
 from ahnn.measurements.smoothing import DEGREE, FIRST, located_at
-from ahnn.types import Trajectories
 
 
 class Segments:
@@ -28,12 +27,12 @@ class Segments:
         UserError: no trajectory is long enough.
     """
 
-    def __init__(self, measured: Trajectories, intervals: int | None, instrument: Instrument) -> None:
-        self.flat, times = measured.states, measured.times
+    def __init__(self, measured: Observations, intervals: int | None, instrument: Instrument) -> None:
+        self.values, times = measured
         rows, samples = times.shape
         self.instrument = instrument
         self.intervals = samples - 1 if intervals is None else intervals
-        there = located_at(instrument, self.flat, times).isfinite().all(-1)
+        there = located_at(instrument, self.values, times).isfinite().all(-1)
         good = there & (ahead(there, FIRST) > DEGREE)
         last = (times.isfinite() * torch.arange(samples)).amax(1, keepdim=True)
         if intervals is not None:
@@ -64,13 +63,13 @@ class Segments:
         """Return the stretches of `index`, shape (B,), as one batch."""
         row, column = self.begins[index].unsqueeze(1).unbind(-1)
         columns = column + self.offsets
-        inside = columns < self.flat.shape[1]
-        values = self.flat[row, columns.clamp(max=self.flat.shape[1] - 1)]
+        inside = columns < self.values.shape[1]
+        values = self.values[row, columns.clamp(max=self.values.shape[1] - 1)]
         values = values.masked_fill(~inside.unsqueeze(-1), torch.nan)
         return Segment(values, self.times[row, columns], self.instrument)
 
 
-def whole(measured: Trajectories, instrument: Instrument) -> Segment:
+def whole(measured: Observations, instrument: Instrument) -> Segment:
     """Return all of each trajectory, from its first good start on, as one batch; raises as `Segments`."""
     segments = Segments(measured, None, instrument)
     return segments.gather(torch.arange(len(segments)))

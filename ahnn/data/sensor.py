@@ -11,7 +11,16 @@ from torch import Tensor
 from ahnn.arguments import Count, Seed, Within, checked
 from ahnn.deviations import require_squares
 from ahnn.errors import UserError
-from ahnn.measurements import Instrument, Locating, Measurement, Several, State, observe, reading
+from ahnn.measurements import (
+    Instrument,
+    Locating,
+    Measurement,
+    Observations,
+    Several,
+    State,
+    observe,
+    reading,
+)
 from ahnn.memory import require_memory
 from ahnn.types import Space, Trajectories
 
@@ -80,7 +89,7 @@ class Sensor:
         longest, space = self.stride * spacing, self.space
         return Instrument(self.measurement, self.deviations, longest, space.dof, space.factor)
 
-    def measure(self, truth: Trajectories, part: int) -> Trajectories:
+    def measure(self, truth: Trajectories, part: int) -> Observations:
         """Return measurements (B, K, M) of true trajectories, with a seed for each part of the data."""
         states, times = truth.states[:, :: self.every], truth.times[:, :: self.every]
         size = COPIES * 8.0 * times.numel() * len(self.measurement.names)
@@ -93,7 +102,7 @@ class Sensor:
         sign = torch.where(torch.rand(values.shape, **draw) < 0.5, -1.0, 1.0)
         values = torch.where(off, values + OUTLIER * sign * self.deviations, values)
         missing = torch.rand(values.shape[:2], **draw) < self.gaps
-        return Trajectories(values.masked_fill(missing.unsqueeze(-1), torch.nan), times)
+        return Observations(values.masked_fill(missing.unsqueeze(-1), torch.nan), times)
 
 
 def deviations(measurement: Measurement, noise: float | Sequence[float], space: Space) -> Tensor:

@@ -11,7 +11,7 @@ from ahnn.data.seen import recognised, remembered
 from ahnn.data.sensor import Sensor
 from ahnn.data.sources import Source
 from ahnn.errors import UserError
-from ahnn.measurements import Instrument
+from ahnn.measurements import Instrument, Observations
 from ahnn.statistics import sampling_interval
 from ahnn.types import Trajectories
 
@@ -34,7 +34,7 @@ class SplitData:
         self.fractions = split
         check_fractions(split)
         self._parts: dict[Split, Trajectories] = {}
-        self._measured: dict[Split, Trajectories] = {}
+        self._measured: dict[Split, Observations] = {}
 
     def __getitem__(self, split: Split) -> Trajectories:
         """Return the whole trajectories of a split."""
@@ -97,10 +97,9 @@ class SplitData:
         what = "files that are others or changed since the training" if files else OTHERS
         return what + (", none of whose test trajectories it saw" if seen else "")
 
-    def measured(self, split: Split) -> Trajectories:
-        """Return what training may see of a split: measurements, or states where there is no sensor."""
-        if self.sensor is None:
-            return self[split]
+    def measured(self, split: Split) -> Observations:
+        """Return what the sensor sees of a split."""
+        assert self.sensor is not None
         if split not in self._measured:
             self._measured[split] = self.sensor.measure(self[split], SPLITS.index(split))
         return self._measured[split]

@@ -77,7 +77,7 @@ def make_case(
 def learned_from(data: SplitData) -> Segment:
     """Return the measurements of the training trajectories."""
     measured = data.measured("train")
-    return Segment(measured.states, measured.times, data.instrument())
+    return Segment(*measured, data.instrument())
 
 
 def as_test(measured: Segment) -> Trajectories:

@@ -64,7 +64,7 @@ def _on_measurements(model: Any, data: WindowDataModule, per_epoch: int, epochs:
     last = each * (1 + REFITTED * (closing + 1))  # one more is taken by functions
     if not isinstance(objective, Shooting):  # trained in the weak form, dynamics fit starts soon
         last = _shooting_seconds(model, data) * REFITTED * (closing + 2)
-    return last * data.trajectories("train").times.numel() + each * sum(amounts(data, per_epoch, epochs))
+    return last * data.measured("train").times.numel() + each * sum(amounts(data, per_epoch, epochs))
 
 
 def _shooting_seconds(model: Any, data: WindowDataModule) -> float:
@@ -73,7 +73,7 @@ def _shooting_seconds(model: Any, data: WindowDataModule) -> float:
     They are timed on the beginnings of trajectories: untrained dynamics do not follow them far.
     """
     dynamics = copy.deepcopy(model.dynamics).double()
-    whole = Segments(data.trajectories("train"), None, data.instrument)
+    whole = Segments(data.measured("train"), None, data.instrument)
     batch = whole.gather(torch.arange(min(len(whole), STRETCHES)))
     batch = batch._replace(values=batch.values[:, : STRETCH + 1], times=batch.times[:, : STRETCH + 1])
     parameters = list(dynamics.parameters())

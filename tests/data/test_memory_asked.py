@@ -46,7 +46,7 @@ def test_measurements_while_they_are_drawn(asked):
     truth = Trajectories(torch.zeros(5, 40, 6).double(), torch.arange(40.0).double().expand(5, -1))
     for measured, every in (("state", 1), ("position", 4)):
         seen = sensor.Sensor(MOLNIYA.space, measured=measured, noise=0.1, every=every).measure(truth, 0)
-        assert 3 <= asked["data.trajectories, system.steps"] / seen.states.nbytes <= 5
+        assert 3 <= asked["data.trajectories, system.steps"] / seen.values.nbytes <= 5
 
 
 def test_trajectories_on_the_disk(tmp_path, monkeypatch):

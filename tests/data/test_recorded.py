@@ -14,6 +14,7 @@ from ahnn.data import Files, Simulated
 from ahnn.data.datamodule import WindowDataModule
 from ahnn.data.recorded import Recorded
 from ahnn.data.sensor import Sensor
+from ahnn.types import Trajectories
 
 UNITS = {"mass_spring": "[m],[m/s]", "molniya": "[km],[km/s]"}
 
@@ -67,14 +68,14 @@ def test_missing_measurements_are_absent_in_both(tmp_path):
     system = dataclasses.replace(SPRING, steps=60)
     simulated = Simulated(system, trajectories=3, seed=0, cache=str(tmp_path))
     truth = simulated.read()
-    seen = Sensor(simulated.space, measured="state", noise=0.01, gaps=0.2).measure(truth, 0)
+    seen = Trajectories(*Sensor(simulated.space, measured="state", noise=0.01, gaps=0.2).measure(truth, 0))
     source = Files("mine", written(tmp_path / "data.csv", simulated.space, seen))
     got = Recorded(source.space, measured="state", noise=0.01).measure(source.read(), 0)
     for b in range(3):
         there = seen.present[b].nonzero().flatten()
         part = slice(int(there[0]), int(there[-1]) + 1)
         kept = slice(0, part.stop - part.start)
-        assert torch.equal(got.states[b, kept].nan_to_num(), seen.states[b, part].nan_to_num())
+        assert torch.equal(got.values[b, kept].nan_to_num(), seen.states[b, part].nan_to_num())
         assert torch.allclose(got.times[b, kept], seen.times[b, part], rtol=1e-14, atol=0)
 
 

@@ -8,8 +8,7 @@ import torch
 from ahnn.data.loader import SegmentLoader
 from ahnn.data.segments import Segments, ahead
 from ahnn.errors import UserError
-from ahnn.measurements import Instrument, Position
-from ahnn.types import Trajectories
+from ahnn.measurements import Instrument, Observations, Position
 
 SEEN = Instrument(Position(1), torch.ones(1), 1.0, 1, 1.0)
 NAN = float("nan")
@@ -17,7 +16,7 @@ NAN = float("nan")
 
 def measured(rows=3, samples=12):
     values = torch.arange(float(rows * samples)).reshape(rows, samples, 1).double()
-    return Trajectories(values, torch.arange(float(samples)).double().expand(rows, -1))
+    return Observations(values, torch.arange(float(samples)).double().expand(rows, -1))
 
 
 def test_all_stretches_of_a_length():
@@ -34,11 +33,11 @@ def test_all_stretches_of_a_length():
 
 def test_whole_trajectories_begin_where_a_start_can_be_guessed_and_end_unmeasured():
     data = measured()
-    data.states[1, :2] = NAN
-    data.states[2, 9:] = NAN
+    data.values[1, :2] = NAN
+    data.values[2, 9:] = NAN
     times = data.times.clone()
     times[2, 9:] = NAN
-    segments = Segments(Trajectories(data.states, times), None, SEEN)
+    segments = Segments(Observations(data.values, times), None, SEEN)
     assert segments.begins.tolist() == [[0, 0], [1, 2], [2, 0]]
     batch = segments.gather(torch.arange(3))
     assert batch.values.shape == (3, 12, 1)
@@ -51,8 +50,8 @@ def test_whole_trajectories_begin_where_a_start_can_be_guessed_and_end_unmeasure
 def test_beyond_its_end_a_trajectory_goes_on_in_its_mean_step():
     data = measured(rows=2, samples=8)
     times = torch.tensor([[0.0, 1, 2, 3, 5, 7, 9, 14], [10, 13, 14, 15, 16, NAN, NAN, NAN]]).double()
-    data.states[0, 0] = data.states[1, 5:] = NAN
-    batch = Segments(Trajectories(data.states, times), None, SEEN).gather(torch.tensor([0, 1]))
+    data.values[0, 0] = data.values[1, 5:] = NAN
+    batch = Segments(Observations(data.values, times), None, SEEN).gather(torch.tensor([0, 1]))
     assert batch.times[0].tolist() == [1, 2, 3, 5, 7, 9, 14, 16]
     assert batch.times[1].tolist() == [10, 13, 14, 15, 16, 17.5, 19, 20.5]
     assert batch.values[:, :, 0].isnan().tolist() == [[False] * 7 + [True], [False] * 5 + [True] * 3]
@@ -60,7 +59,7 @@ def test_beyond_its_end_a_trajectory_goes_on_in_its_mean_step():
 
 def test_gaps_lie_inside_but_not_where_a_start_is_guessed():
     data = measured(rows=1)
-    data.states[0, [2, 4, 5]] = NAN
+    data.values[0, [2, 4, 5]] = NAN
     segments = Segments(data, 5, SEEN)
     assert segments.begins[:, 1].tolist() == [3, 6]
 

@@ -21,23 +21,23 @@ def sensor(**options):
 
 def test_noise_has_its_standard_deviation_in_each_component():
     noisy = sensor(noise=[0.01, 0.5]).measure(TRUTH, 0)
-    error = noisy.states - TRUTH.states
+    error = noisy.values - TRUTH.states
     sizes = error.flatten(0, 1).std(0)
     close(sizes, torch.tensor([0.01, 0.5]), 0.02)  # of 40,000 numbers
     assert torch.equal(noisy.times, TRUTH.times)
 
 
 def test_draws_belong_to_seed_and_part():
-    first = sensor().measure(TRUTH, 0).states
-    assert torch.equal(first, sensor().measure(TRUTH, 0).states)
-    assert not torch.equal(first, sensor().measure(TRUTH, 1).states)
-    assert not torch.equal(first, sensor(seed=1).measure(TRUTH, 0).states)
+    first = sensor().measure(TRUTH, 0).values
+    assert torch.equal(first, sensor().measure(TRUTH, 0).values)
+    assert not torch.equal(first, sensor().measure(TRUTH, 1).values)
+    assert not torch.equal(first, sensor(seed=1).measure(TRUTH, 0).values)
 
 
 def test_positions_every_tenth_sample():
     seen = sensor(measured="position", every=10, noise=1e-9).measure(TRUTH, 0)
-    assert seen.states.shape == (40, 101, 1)
-    close(seen.states, TRUTH.states[:, ::10, :1], 1e-7)
+    assert seen.values.shape == (40, 101, 1)
+    close(seen.values, TRUTH.states[:, ::10, :1], 1e-7)
     assert torch.equal(seen.times, TRUTH.times[:, ::10])
 
 
@@ -47,10 +47,10 @@ def test_a_stride_counts_the_samples_of_a_step():
 
 def test_gaps_take_whole_measurements_and_outliers_single_numbers():
     seen = sensor(gaps=0.3, outliers=0.05).measure(TRUTH, 0)
-    missing = seen.states.isnan()
+    missing = seen.values.isnan()
     assert torch.equal(missing[..., 0], missing[..., 1])
     assert 0.28 < float(missing.double().mean()) < 0.32
-    off = (seen.states - TRUTH.states).abs() > 0.5 * OUTLIER * 0.01
+    off = (seen.values - TRUTH.states).abs() > 0.5 * OUTLIER * 0.01
     assert 0.045 < float(off[~missing].double().mean()) < 0.055
     assert float((off[..., 0] & off[..., 1]).double().mean()) < 0.005
 
@@ -61,8 +61,8 @@ def test_what_a_station_does_not_see_is_missing():
     seen = Sensor(MOLNIYA.space, measured=station, noise=[0.05, 1e-4, 1e-4]).measure(orbits, 0)
     visible = station.in_view(orbits.states, orbits.times)[..., 0]
     assert 0.1 < float(visible.double().mean()) < 0.9
-    assert torch.equal(seen.states.isfinite().all(-1), visible)
-    sightings = seen.states[visible]
+    assert torch.equal(seen.values.isfinite().all(-1), visible)
+    sightings = seen.values[visible]
     close(sightings[:, 0], station(orbits.states, orbits.times)[visible][:, 0], 1e-4)
 
 
@@ -88,7 +88,7 @@ def test_what_makes_no_sensor_is_refused(options, said):
 def test_an_outlier_is_off_by_fifty_deviations_of_its_own_component_to_either_side():
     sizes = torch.tensor([0.01, 0.5])
     seen = sensor(noise=[0.01, 0.5], outliers=0.1).measure(TRUTH, 0)
-    off = (seen.states - TRUTH.states) / sizes
+    off = (seen.values - TRUTH.states) / sizes
     far = off.abs() > 10
     assert far.double().mean((0, 1)).tolist() == pytest.approx([0.1, 0.1], abs=0.01)
     assert float((off[far].abs() - 50).abs().max()) < 6  # the noise is still there

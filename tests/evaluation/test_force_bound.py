@@ -35,8 +35,7 @@ SYSTEM = MassSpring(name="spring", dt=0.05, steps=40, mass=2.0, stiffness=3.0)
 
 def measured(system, data, every=1, **options):
     sensor = Sensor(system.space, **{"measured": "position", "noise": 0.01, "every": every, **options})
-    seen = sensor.measure(data, 0)
-    return Segment(seen.states, seen.times, sensor.instrument(system.dt))
+    return Segment(*sensor.measure(data, 0), sensor.instrument(system.dt))
 
 
 def swing(stiffness, start, times, mass=2.0):

@@ -184,4 +184,4 @@ def test_a_recorded_sensor_gives_angles_that_go_on():
     q = 3.0 + torch.linspace(0, 8, 50, dtype=F64)
     states = torch.stack((torch.remainder(q + math.pi, TURN) - math.pi, torch.full_like(q, torch.nan)), -1)
     seen = sensor.measure(Trajectories(states[None], torch.linspace(0, 8, 50, dtype=F64)[None]), 0)
-    assert torch.allclose(seen.states[0, :, 0], q, atol=1e-12)
+    assert torch.allclose(seen.values[0, :, 0], q, atol=1e-12)

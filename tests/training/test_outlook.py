@@ -8,11 +8,10 @@ import pytest
 import torch
 from oscillators import Swing
 
-from ahnn.measurements import Instrument, Position
+from ahnn.measurements import Instrument, Observations, Position
 from ahnn.training import outlook
 from ahnn.training.shooting import Shooting
 from ahnn.training.weak import Weak
-from ahnn.types import Trajectories
 
 
 class Batches:
@@ -38,7 +37,7 @@ class Data:
     def val_dataloader(self):
         return [SimpleNamespace(times=torch.zeros(200))]
 
-    def trajectories(self, split):
+    def measured(self, split):
         assert split == "train"
         return SimpleNamespace(times=torch.zeros(1000))
 
@@ -104,7 +103,7 @@ def test_last_steps_are_timed_on_the_beginnings_of_some_trajectories(rows, sampl
     monkeypatch.setattr(outlook, "WideProblem", lambda _, batch, *__: seen.append(batch) or equations)
     times = torch.arange(samples, dtype=torch.float64).expand(rows, -1)
     data = SimpleNamespace(
-        trajectories=lambda _: Trajectories(times.sin().unsqueeze(-1), times),
+        measured=lambda _: Observations(times.sin().unsqueeze(-1), times),
         instrument=Instrument(Position(1), torch.ones(1), 1.0, 1, 1.0),
     )
     model = SimpleNamespace(dynamics=Swing(2.5, 0.5))

@@ -132,14 +132,15 @@ def noise(content: Content, names: tuple[str, ...], gap: float) -> Iterator[Find
     """Yield the level of the noise of each column that has some."""
     every = max(1, len(content.tracks) // EXAMPLES)
     try:
-        samples = looked_at(stacked([filled(track, gap) for track in content.tracks[::every]]))
+        some = stacked([filled(track, gap) for track in content.tracks[::every]])
     except Fault:
         return
-    if samples.states.shape[1] <= ORDERS[-1]:
+    samples, times = looked_at(some.states, some.times)
+    if samples.shape[1] <= ORDERS[-1]:
         return
-    typical = samples.states.diff(dim=1).abs().flatten(0, 1).nanmedian(0).values
-    file, n, plateau = content.tracks[0].file, len(content.positions), differences_level(samples)
-    found = noise_floor(samples)
+    typical = samples.diff(dim=1).abs().flatten(0, 1).nanmedian(0).values
+    file, n, plateau = content.tracks[0].file, len(content.positions), differences_level(samples, times)
+    found = noise_floor(samples, times)
     rare = (plateau > SHARE * typical) & found.isnan()
     for c, (name, level, step) in enumerate(zip(names, found.tolist(), typical.tolist(), strict=True)):
         if level > SHARE * step > 0:

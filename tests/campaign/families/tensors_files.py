@@ -9,6 +9,7 @@ from __future__ import annotations
 import tempfile
 from functools import partial
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -193,9 +194,12 @@ def of_tensors(place: Path, words: list[str], data: Trajectories, space: Space) 
     raise AssertionError(message)
 
 
-def splits(data) -> list[Trajectories]:
-    """Return what training sees of each split."""
-    return [data.splits.measured(name) for name in ("train", "val", "test")]
+def splits(data) -> list[Any]:
+    """Return what training sees of each split, states or measurements."""
+    found = data.splits
+    return [
+        found[name] if found.sensor is None else found.measured(name) for name in ("train", "val", "test")
+    ]
 
 
 def counted(values: np.ndarray, whole: bool) -> np.ndarray:
@@ -203,9 +207,9 @@ def counted(values: np.ndarray, whole: bool) -> np.ndarray:
     return np.isfinite(values).all(1) if whole else np.isfinite(values).any(1)
 
 
-def seen(data: Trajectories, k: int, whole: bool) -> tuple[np.ndarray, np.ndarray]:
+def seen(data: Any, k: int, whole: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return times and values of the samples of a trajectory that count."""
-    values, times = data.states[k].numpy(), data.times[k].numpy()
+    values, times = (part[k].numpy() for part in data[:2])
     there = counted(values, whole) & np.isfinite(times)
     return times[there], values[there]
 

@@ -14,7 +14,7 @@ from ahnn.data.files.reading import Reading
 from ahnn.data.files.samples import Track
 from ahnn.data.files.turns import turns_of
 from ahnn.data.noise_floor import noise_floor
-from ahnn.types import Trajectories, Units
+from ahnn.types import Units
 
 TURN = 2 * np.pi
 
@@ -95,7 +95,7 @@ def tensors(values):
 def test_noise_is_told_from_a_ten_thousandth_of_the_usual_step_on(times, told):
     """A straight line has no differences of high order: its noise alone says how steep it may be."""
     draw = np.random.default_rng(0).standard_normal(2001)
-    level = float(noise_floor(Trajectories(*tensors(draw))))
+    level = float(noise_floor(*tensors(draw)))
     line = level / 1e-4 / times * np.arange(2001)
     found = list(noise(content(track(line + draw), units=("s", "m")), ("q",), 10.0))
     assert [(one.level, one.what) for one in found] == (
