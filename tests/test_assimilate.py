@@ -94,7 +94,7 @@ MISTAKES = {
     "measurements=fixes.csv output=fixes.csv": "output: expected a new file",
     "measurements=fixes.csv start=[1,2]": "start: expected one state or several of [x [km], y",
     "measurements=fixes.csv start_sd=[1,2,3]": "start_sd: expected 6 numbers > 0",
-    "measurements=fixes.csv measurement.sd=[1,2]": "measurement.sd: expected one number > 0 for each",
+    "measurements=fixes.csv measurement.sd=[1,2]": "measurement.sd: expected a standard deviation > 0",
     "measurements=fixes.csv measurement=ground_station": "expected a header with time and range, az",
     "measurements=fixes.csv measurement=ground_station measurement.model.mass=2": "expected mass=1",
     "measurements=fixes.csv system.dt=3 trainer.max_epochs=3": "unknown key 'trainer'",

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from ahnn.deviations import require_squares
-from ahnn.errors import UserError
 from ahnn.estimation import Factor
-from ahnn.measurements import Measurement, Position, State
+from ahnn.measurements import Measurement, Position, State, noise_deviations
 from ahnn.types import Space
 
 
@@ -34,22 +31,17 @@ class Sensor(NamedTuple):
 
         Args:
             measurement: the model.
-            deviations: one for all M numbers, one for each, or None.
+            deviations: as `noise_deviations` takes them, or None.
             space: what the numbers of a state mean.
 
         Raises:
-            UserError: another number of deviations, or one that is not positive.
+            UserError: what `noise_deviations` refuses.
         """
         reads = isinstance(measurement, Position | State)
         columns = space.components[: len(measurement.names)] if reads else measurement.names
         if deviations is None:
             return cls(measurement, None, columns)
-        given = deviations if isinstance(deviations, list | tuple) else [deviations] * len(columns)
-        if len(given) != len(columns) or not all(0.0 < sd < math.inf for sd in given):
-            message = f"sd: expected one number > 0 for each of {', '.join(columns)}; received {deviations}"
-            raise UserError(message)
-        require_squares(torch.tensor(given, dtype=torch.float64), "sd")
-        return cls(measurement, tuple(map(float, given)), columns)
+        return cls(measurement, tuple(noise_deviations(measurement, deviations, "sd").tolist()), columns)
 
     def factor(self, deviations: tuple[float, ...] | None) -> Factor:
         """Return the factor of R of a reading, whose own standard deviations come first."""

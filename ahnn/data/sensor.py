@@ -2,25 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import torch
-from torch import Tensor
 
 from ahnn.arguments import Count, Seed, Within, checked
-from ahnn.deviations import require_squares
 from ahnn.errors import UserError
-from ahnn.measurements import (
-    Instrument,
-    Locating,
-    Measurement,
-    Observations,
-    Several,
-    State,
-    observe,
-    reading,
-)
+from ahnn.measurements import Instrument, Locating, Observations, State, noise_deviations, observe, reading
 from ahnn.memory import require_memory
 from ahnn.types import Space, Trajectories
 
@@ -76,7 +64,7 @@ class Sensor:
             )
             raise UserError(message)
         measured_by: Any = self.measurement
-        self.deviations = deviations(measured_by, noise, space)
+        self.deviations = noise_deviations(measured_by, noise, "data.noise")
         self.every, self.stride, self.gaps, self.outliers, self.seed = every, stride, gaps, outliers, seed
 
     @property
@@ -103,25 +91,3 @@ class Sensor:
         values = torch.where(off, values + OUTLIER * sign * self.deviations, values)
         missing = torch.rand(values.shape[:2], **draw) < self.gaps
         return Observations(values.masked_fill(missing.unsqueeze(-1), torch.nan), times)
-
-
-def deviations(measurement: Measurement, noise: float | Sequence[float], space: Space) -> Tensor:
-    """Return standard deviations (M,) from one for all, one for each, or those of a block or an instrument.
-
-    A block is that of positions or of momenta, an instrument one of several of a kind.
-    """
-    size = len(measurement.names)
-    given = list(noise) if isinstance(noise, Sequence) else [noise]
-    if len(given) == 2 and isinstance(measurement, State):
-        given = [v for v in given for _ in range(space.dof)]
-    alike = isinstance(measurement, Several) and {*measurement.sizes} == {len(given)}
-    values = given * (size // len(given)) if alike or len(given) == 1 else given
-    if len(values) != size or not all(v > 0 and v < float("inf") for v in values):
-        names = ", ".join(f"{n} [{u}]" for n, u in zip(measurement.names, measurement.units, strict=True))
-        message = (
-            f"data.noise: expected a standard deviation > 0 for each of {names}"
-            f"{', or one for each block,' if isinstance(measurement, State) else ''} or one for all; "
-            f"received {noise}"
-        )
-        raise UserError(message)
-    return require_squares(torch.tensor(values, dtype=torch.float64), "data.noise")

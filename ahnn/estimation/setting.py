@@ -13,7 +13,7 @@ from ahnn.arguments import Count, Positive, checked
 from ahnn.deviations import require_squares
 from ahnn.errors import UserError
 from ahnn.estimation.scenario import Setting
-from ahnn.measurements import Measurement, reading
+from ahnn.measurements import Measurement, noise_deviations, reading
 from ahnn.systems import System
 from ahnn.types import Space
 
@@ -46,7 +46,8 @@ def make_setting(
     updates = _cadence(cadence, steps) if times is None else _samples(times, system.dt, steps)
     model = reading(measurement, system.space) if isinstance(measurement, str) else measurement
     default = system.noise.measurement if measurement == "position" else None
-    sd = _deviations(model, default if measurement_sd is None else measurement_sd)
+    given = default if measurement_sd is None else measurement_sd
+    sd = noise_deviations(model, given or None, "measurement_sd")
     _try(model, system, updates[0] * system.dt)
     return Setting(model, sd, _start(system, start_sd), updates)
 
@@ -69,16 +70,6 @@ def _samples(times: Sequence[float], dt: float, steps: int) -> tuple[int, ...]:
         )
         raise UserError(message)
     return tuple(samples)
-
-
-def _deviations(model: Measurement, given: float | Sequence[float] | None) -> Tensor:
-    """Return the standard deviations of the measurement noise, (M,)."""
-    names = [f"{n} [{u}]" for n, u in zip(model.names, model.units, strict=True)]
-    values = list(given) if isinstance(given, Sequence) else [given or 0.0] * len(names)
-    if len(values) != len(names) or 0.0 in values:
-        message = f"measurement_sd: expected one number > 0 for each of {', '.join(names)}; received {given}"
-        raise UserError(message)
-    return require_squares(torch.tensor(values, dtype=torch.float64), "measurement_sd")
 
 
 def _start(system: System, given: Sequence[float] | None) -> Tensor:

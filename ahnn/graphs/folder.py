@@ -19,6 +19,8 @@ from ahnn.progress import track
 from ahnn.runs import Run
 from ahnn.stored import about_space
 
+FORMAT = 1
+"""Of model.json; raise it when its meaning changes."""
 ABOUT, WEIGHTS = "model.json", "weights.safetensors"
 SHAPES = {"flow": ["batch", "components"], "energy": ["batch"]}
 
@@ -50,6 +52,7 @@ def about(run: Run, parts: dict[str, nn.Module]) -> dict[str, Any]:
     kept = {name: made[name] for name in ("ahnn", "commit", "torch", "date")}
     state = run.dynamics.state_dict()
     return {
+        "format": FORMAT,
         "space": about_space(run.space),
         "dt": run.dt,
         "dynamics": run.dynamics.spec,

@@ -10,6 +10,7 @@ from ahnn.measurements.angles import continuous, nearest, periods, residual, wra
 from ahnn.measurements.base import Locating, Measurement, Sighted, Time, observe
 from ahnn.measurements.gnss import GnssRange
 from ahnn.measurements.ground_station import GroundStation
+from ahnn.measurements.noise import noise_deviations
 from ahnn.measurements.observations import Observations
 from ahnn.measurements.readings import Position, State, reading
 from ahnn.measurements.schedule import Schedule, every, schedule
@@ -33,6 +34,7 @@ __all__ = [
     "continuous",
     "every",
     "nearest",
+    "noise_deviations",
     "observe",
     "periods",
     "reading",

@@ -7,9 +7,9 @@ import torch
 from helpers import MOLNIYA, SPRING, close
 
 from ahnn.data.generate import generate
-from ahnn.data.sensor import OUTLIER, Sensor, deviations
+from ahnn.data.sensor import OUTLIER, Sensor
 from ahnn.errors import UserError
-from ahnn.measurements import GnssRange, GroundStation, Position, Several, State
+from ahnn.measurements import GnssRange, GroundStation, Position, Several, State, noise_deviations
 
 TRUTH = generate(SPRING, 40, 0)
 SPACE = SPRING.space
@@ -103,13 +103,13 @@ def test_a_number_for_positions_and_one_for_momenta():
 
 
 def test_standard_deviations_of_one_of_several_of_a_kind_are_those_of_each():
-    station, space = GroundStation(60.0, 30.0), MOLNIYA.space
+    station = GroundStation(60.0, 30.0)
     two = Several([station, GroundStation(-30.0, 90.0)])
-    assert deviations(two, [0.05, 1e-4, 2e-4], space).tolist() == [0.05, 1e-4, 2e-4] * 2
-    assert deviations(two, 0.3, space).tolist() == [0.3] * 6
+    assert noise_deviations(two, [0.05, 1e-4, 2e-4], "data.noise").tolist() == [0.05, 1e-4, 2e-4] * 2
+    assert noise_deviations(two, 0.3, "data.noise").tolist() == [0.3] * 6
     six = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
-    assert deviations(two, six, space).tolist() == six
+    assert noise_deviations(two, six, "data.noise").tolist() == six
     other = Several([station, Position(3), State(3)])
     for measurement, noise in ((two, [0.05, 1e-4]), (other, [1.0, 2.0, 3.0]), (station, [1.0, 2.0])):
         with pytest.raises(UserError, match="a standard deviation > 0 for each of"):
-            deviations(measurement, noise, space)
+            noise_deviations(measurement, noise, "data.noise")

@@ -7,10 +7,9 @@ import torch
 from helpers import MOLNIYA, SPRING
 
 from ahnn.assimilation import Sensor
-from ahnn.data.sensor import deviations
 from ahnn.deviations import state_deviations
 from ahnn.errors import UserError
-from ahnn.measurements import Position
+from ahnn.measurements import Position, noise_deviations
 from ahnn_plugins.ukf.plugin import UKFEvaluation
 
 OPTIONS = {
@@ -57,7 +56,7 @@ def test_what_overflows_or_vanishes_is_refused_before_the_training(changes, mess
 def test_every_door_asks_for_squares_that_float64_holds(sd):
     space = SPRING.space
     for who, call in {
-        "data.noise": lambda: deviations(Position(1, "m"), sd, space),
+        "data.noise": lambda: noise_deviations(Position(1, "m"), sd, "data.noise"),
         "sd": lambda: Sensor.of(Position(1, "m"), sd, space),
         "start_sd": lambda: state_deviations([sd, 1.0], space, "start_sd"),
     }.items():

@@ -1,0 +1,44 @@
+"""Standard deviations of what a sensor measures, as people give them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from ahnn.deviations import require_squares
+from ahnn.errors import UserError
+from ahnn.measurements.base import Measurement
+from ahnn.measurements.readings import State
+from ahnn.measurements.several import Several
+
+
+def noise_deviations(measurement: Measurement, given: float | Sequence[float] | None, who: str) -> Tensor:
+    """Return the standard deviations (M,) of measurements.
+
+    Args:
+        measurement: the model, with M components.
+        given: one number for all components, or one for each; of states also one for positions and one for
+            momenta, of several instruments of a size those of one; None is refused.
+        who: the parameter, for messages.
+
+    Raises:
+        UserError: another count, or numbers that are not positive and finite.
+    """
+    size, states = len(measurement.names), isinstance(measurement, State)
+    values = [*given] if isinstance(given, Sequence) else [] if given is None else [given]
+    if states and len(values) == 2:
+        values = [v for v in values for _ in range(size // 2)]
+    alike = isinstance(measurement, Several) and {*measurement.sizes} == {len(values)}
+    if alike or len(values) == 1:
+        values = values * (size // len(values))
+    if len(values) == size and all(0.0 < v < math.inf for v in values):
+        return require_squares(torch.tensor(values, dtype=torch.float64), who)
+    names = ", ".join(f"{n} [{u}]" for n, u in zip(measurement.names, measurement.units, strict=True))
+    message = (
+        f"{who}: expected a standard deviation > 0 for each of {names}"
+        f"{', or one for each block,' if states else ''} or one for all; received {given}"
+    )
+    raise UserError(message)
