@@ -24,9 +24,9 @@ from __future__ import annotations
 import logging
 from contextlib import nullcontext
 
+from ahnn.cli.early_stops import ended
 from ahnn.cli.guard import run_command
 from ahnn.cli.importing import importing
-from ahnn.cli.stops import ended
 
 USAGE = "usage: python -m ahnn.assimilate run=DIR | pretrained=NAME measurements=FILE|- start=FILE|[..]"
 

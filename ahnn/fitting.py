@@ -40,9 +40,9 @@ def fit(
         UserError: trajectories or overrides that make no training, or a folder with another one.
     """
     from ahnn.arguments import check_arguments
-    from ahnn.cli.before import quiet, require_new
     from ahnn.cli.compose import compose_job
     from ahnn.cli.guard import in_words
+    from ahnn.cli.preflight import quiet, require_new
     from ahnn.cli.settings import check_settings
     from ahnn.cli.training import train_once
     from ahnn.data import Given

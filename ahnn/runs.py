@@ -19,7 +19,7 @@ from ahnn.dynamics import Dynamics, HasEnergy
 from ahnn.errors import UserError
 from ahnn.numbers import Numbers, as_float64
 from ahnn.prediction.arguments import clock_along, lengths_of, paths_of, starts_of, states_of
-from ahnn.prediction.kernel import Knowledge, Prediction, predicted
+from ahnn.prediction.propagation import Knowledge, Prediction, predicted
 from ahnn.rollouts import rollout
 from ahnn.types import Space
 from ahnn.uncertainty import Domain, Uncertainty, rollout_covariances

@@ -26,7 +26,7 @@ import torch
 import ahnn
 from ahnn.assimilation import Assimilation, Reading, Sensor
 from ahnn.assimilation.lines import Lines
-from ahnn.assimilation.rows import Rows
+from ahnn.assimilation.output_rows import Rows
 from ahnn.assimilation.session import Session
 from ahnn.estimation import initial_belief
 from ahnn.measurements import Position, schedule

@@ -25,8 +25,8 @@ from ahnn.cli.parts import build_sensor, build_source
 from ahnn.data import SplitData
 from ahnn.data.segments import whole
 from ahnn.evaluation.bands import banded
-from ahnn.evaluation.explained import explain
-from ahnn.evaluation.prepare import make_case
+from ahnn.evaluation.goodness_of_fit import explain
+from ahnn.evaluation.make_case import make_case
 from ahnn.jobs.evaluating import robust_of
 from ahnn.rollouts import rollout
 from ahnn.runs import Run

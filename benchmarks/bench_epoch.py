@@ -22,7 +22,7 @@ from timing import Row, settle, table
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, RandomSampler
 
-from ahnn.cli.before import quiet
+from ahnn.cli.preflight import quiet
 from ahnn.cli.prepare import prepare
 
 LENGTHS = (1, 5)

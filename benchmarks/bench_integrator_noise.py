@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from ahnn.cli.compose import composed
 from ahnn.cli.prepare import prepare
-from ahnn.evaluation.explained import explain
+from ahnn.evaluation.goodness_of_fit import explain
 from ahnn.integrators import INTEGRATORS
 from ahnn.types import TimeStep, VectorField
 

@@ -29,9 +29,9 @@ from hydra import compose, initialize_config_dir
 from lightning import Callback
 from omegaconf import DictConfig
 
-from ahnn.cli.before import quiet
 from ahnn.cli.build import OmegaConf  # registers the resolvers of conf/
 from ahnn.cli.parts import build_source
+from ahnn.cli.preflight import quiet
 from ahnn.cli.prepare import prepare
 from ahnn.data import store
 from ahnn.data.datamodule import WindowDataModule

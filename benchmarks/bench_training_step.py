@@ -23,8 +23,8 @@ from lightning import Callback, Trainer
 from omegaconf import DictConfig
 from timing import Row, settle, table
 
-from ahnn.cli.before import quiet
 from ahnn.cli.build import OmegaConf  # registers the resolvers of conf/
+from ahnn.cli.preflight import quiet
 from ahnn.cli.prepare import prepare
 from ahnn.paths import conf_dir
 

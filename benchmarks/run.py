@@ -24,7 +24,7 @@ import page
 import works
 from timing import left_out, settle, table
 
-from ahnn.cli.before import quiet
+from ahnn.cli.preflight import quiet
 
 CAP = 8.0
 """Times our time after which the plain way to an accuracy is stopped."""

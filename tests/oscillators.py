@@ -9,7 +9,7 @@ from torch import nn
 from ahnn.dynamics.base import Dynamics
 from ahnn.integrators import INTEGRATORS
 from ahnn.measurements import Instrument, Position, Segment
-from ahnn.shooting.paths import path, steps_between
+from ahnn.shooting.path_sensitivities import path, steps_between
 
 DOUBLE = {"dtype": torch.float64}
 

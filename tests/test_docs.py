@@ -17,11 +17,11 @@ from entry import call, untouched
 from helpers import close, generator
 
 from ahnn.cli import commandline
-from ahnn.cli.again import Request, run_config
 from ahnn.cli.build import stored
 from ahnn.cli.compose import compose_job
 from ahnn.cli.help import ABOUT
-from ahnn.cli.plan import plan
+from ahnn.cli.reevaluation import Request, run_config
+from ahnn.cli.reproduction_plan import plan
 from ahnn.rollouts import rollout
 from ahnn.systems.truth import exact_flow
 

@@ -12,23 +12,23 @@ import torch
 from cases import MODEL, SPACE, SPRING, make_results, scores
 
 from ahnn import labels
-from ahnn.assimilation.figures import deviations
-from ahnn.assimilation.record import write_ephemeris
+from ahnn.assimilation.assimilation_record import write_ephemeris
+from ahnn.assimilation.stream_figures import deviations
 from ahnn.data.files.source import Files
 from ahnn.data.reference import Reference
 from ahnn.data.starts import Starts, starts
 from ahnn.deviations import state_deviations
 from ahnn.errors import UserError
 from ahnn.evaluation import Row, style
-from ahnn.evaluation.over_seeds import seeds_table
 from ahnn.evaluation.results import decoded, encoded
-from ahnn.evaluation.table import results_table
+from ahnn.evaluation.score_table import results_table
+from ahnn.evaluation.seed_summary import seeds_table
 from ahnn.measurements import reading
+from ahnn.prediction.ephemeris_message import ephemerides
 from ahnn.prediction.figure import prediction_figure
-from ahnn.prediction.kernel import Prediction
-from ahnn.prediction.message import ephemerides
+from ahnn.prediction.prediction_table import columns
+from ahnn.prediction.propagation import Prediction
 from ahnn.prediction.summary import summary
-from ahnn.prediction.table import columns
 from ahnn.systems import MassSpring, MolniyaGravity
 from ahnn.types import Space, Units
 

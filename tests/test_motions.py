@@ -21,7 +21,7 @@ import ahnn
 from ahnn.clock import Clock
 from ahnn.data import Given
 from ahnn.data.generate import generate
-from ahnn.dynamics.bound import at, wrapped
+from ahnn.dynamics.flow_at_time import at, wrapped
 from ahnn.dynamics.forces import FORCES
 from ahnn.errors import UserError
 from ahnn.estimation import initial_belief

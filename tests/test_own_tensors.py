@@ -16,7 +16,7 @@ import ahnn
 from ahnn.cli.compose import compose_job
 from ahnn.cli.prepare import prepare
 from ahnn.data import SPLITS, Given
-from ahnn.data.recorded import Recorded
+from ahnn.data.recorded_sensor import Recorded
 
 SMALL = [
     *(text for text in FILES if not text.startswith("system=")),

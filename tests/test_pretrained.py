@@ -13,7 +13,7 @@ from safetensors.torch import save_file
 
 from ahnn import load
 from ahnn.checkpoints import checksum
-from ahnn.cli.again import Request, run_config
+from ahnn.cli.reevaluation import Request, run_config
 from ahnn.errors import UserError
 from ahnn.evaluation import Who
 from ahnn.pretrained import HERE, names

@@ -11,7 +11,7 @@ import torch
 from entry import CutAfter, call
 
 from ahnn.checkpoints import read_checkpoint
-from ahnn.cli.plan import plan
+from ahnn.cli.reproduction_plan import plan
 from ahnn.errors import UserError
 from ahnn.files import claimed
 from ahnn.jobs.fitting import fit

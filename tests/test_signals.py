@@ -11,7 +11,8 @@ import pytest
 from entry import SMALL, started
 
 from ahnn.checkpoints import read_checkpoint
-from ahnn.cli import stops
+from ahnn.cli import early_stops
+from ahnn.cli.early_stops import ended
 from ahnn.errors import Stopped
 
 FIRST = [*SMALL, "recipe=first_order", "evaluation=scores"]
@@ -36,7 +37,7 @@ def test_a_scheduler_that_ends_a_training_loses_nothing(tmp_path, number, code):
 TWICE = """
 import signal
 from ahnn.cli.guard import guard
-from ahnn.cli.stops import ended
+from ahnn.cli.early_stops import ended
 
 def told():
     signal.raise_signal(signal.SIGTERM)
@@ -77,8 +78,11 @@ def test_what_fails_after_a_signal_that_a_library_swallowed_is_the_stop():
 
 
 def test_work_that_keeps_its_state_does_not_begin_after_a_signal_that_a_library_swallowed(monkeypatch):
-    monkeypatch.setattr(stops, "_arrived", [signal.SIGINT])
-    with pytest.raises(Stopped, match=r"^stopped by Ctrl-C; go on so$"), stops.ended(lambda: "go on so"):
+    monkeypatch.setattr(early_stops, "_arrived", [signal.SIGINT])
+    with (
+        pytest.raises(Stopped, match=r"^stopped by Ctrl-C; go on so$"),
+        ended(lambda: "go on so"),
+    ):
         pytest.fail("it began")
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from ahnn.assimilation.line_parser import Reading
 from ahnn.assimilation.online import Assimilation, Estimate
-from ahnn.assimilation.reading import Reading
-from ahnn.assimilation.sensor import Sensor
-from ahnn.estimation.process import Process
+from ahnn.assimilation.stream_sensor import Sensor
+from ahnn.estimation.process_model import Process
 
 __all__ = ["Assimilation", "Estimate", "Process", "Reading", "Sensor"]

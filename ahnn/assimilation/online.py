@@ -14,12 +14,12 @@ from torch import Tensor
 
 from ahnn.arguments import Count, Finite, Positive, Within, checked
 from ahnn.assimilation.cells import BadLine
-from ahnn.assimilation.reading import Reading
-from ahnn.assimilation.sensor import Sensor, plain
-from ahnn.assimilation.window import Entry, Window
+from ahnn.assimilation.late_readings import Entry, Window
+from ahnn.assimilation.line_parser import Reading
+from ahnn.assimilation.stream_sensor import Sensor, plain
 from ahnn.errors import UserError
 from ahnn.estimation import Belief, Innovation, State, Status, load_notes, load_state, save_state
-from ahnn.estimation.process import Process
+from ahnn.estimation.process_model import Process
 
 HOPELESS = 1e16
 """NIS of a number, 1e8 standard deviations: what is added to the state has no digit of it left."""

@@ -16,11 +16,11 @@ from typing import Annotated, Any, NamedTuple
 
 from ahnn.arguments import NonNegative, Within, check_arguments
 from ahnn.assimilation.cells import BadLine
-from ahnn.assimilation.clock import Clock
+from ahnn.assimilation.line_parser import Layout, Reading
 from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.online import Assimilation, Diverged, Estimate
-from ahnn.assimilation.reading import Layout, Reading
-from ahnn.assimilation.rows import Output, Rows, digest, require_new
+from ahnn.assimilation.output_rows import Output, Rows, digest, require_new
+from ahnn.assimilation.stream_clock import Clock
 from ahnn.data.files import sidecar
 from ahnn.errors import TrainingError, UserError
 from ahnn.estimation.consistency import band

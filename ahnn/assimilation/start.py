@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ahnn.assimilation.clock import Clock
+from ahnn.assimilation.stream_clock import Clock
 from ahnn.data.files.epochs import spelled
 from ahnn.data.reference import Reference
 from ahnn.data.starts import Starts

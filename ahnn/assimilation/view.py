@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from ahnn.assimilation.line_parser import Reading
 from ahnn.assimilation.online import Estimate
-from ahnn.assimilation.reading import Reading
 from ahnn.estimation.consistency import band
 from ahnn.labels import momentum_unit
 from ahnn.types import Space

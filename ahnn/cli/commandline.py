@@ -27,11 +27,11 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import flatten, nearest
+from ahnn.cli.identical_jobs import warn_of_twins
 from ahnn.cli.importing import let_import
-from ahnn.cli.referenced import require_referenced
 from ahnn.cli.settings import Settings
 from ahnn.cli.trust import targets
-from ahnn.cli.twins import warn_of_twins
+from ahnn.cli.unreferenced_keys import require_referenced
 from ahnn.errors import UserError
 from ahnn.manifest import require_folder
 from ahnn.paths import conf_dir

@@ -10,7 +10,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 
 from ahnn.cli.commandline import alternatives, compose, config_loader, parse, worded
-from ahnn.cli.referenced import require_referenced
+from ahnn.cli.unreferenced_keys import require_referenced
 
 
 def composed(name: str, overrides: Sequence[str], *, partly: bool = False) -> DictConfig:

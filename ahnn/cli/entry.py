@@ -18,9 +18,9 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from ahnn.cli import commandline
+from ahnn.cli.early_stops import arrived
 from ahnn.cli.guard import guard, leave
 from ahnn.cli.help import show_completion, show_help
-from ahnn.cli.stops import arrived
 from ahnn.paths import conf_dir
 
 

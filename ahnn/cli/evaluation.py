@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import torch
 
-from ahnn.cli.again import Request, run_config
 from ahnn.cli.parts import build_plugins, build_sensor, build_source, report_options
-from ahnn.cli.unread import refuse, unread_of_data, unread_of_plugins
+from ahnn.cli.reevaluation import Request, run_config
+from ahnn.cli.unused_keys import refuse, unread_of_data, unread_of_plugins
 from ahnn.data import SplitData
 from ahnn.jobs.evaluating import Reevaluation
 from ahnn.loading import load

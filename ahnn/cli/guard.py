@@ -17,7 +17,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from typing import Any, NoReturn
 
-from ahnn.cli.stops import arrived, code_of, listen
+from ahnn.cli.early_stops import arrived, code_of, listen
 from ahnn.errors import Stopped, TrainingError, UserError
 from ahnn.memory import keep_freed
 

@@ -12,7 +12,7 @@ from importlib.machinery import PathFinder
 from importlib.util import find_spec
 from types import ModuleType
 
-from ahnn.cli.stops import held
+from ahnn.cli.early_stops import held
 
 
 @contextlib.contextmanager

@@ -12,7 +12,7 @@ from ahnn.arguments import check_arguments
 from ahnn.cli.build import build, build_all, plain_config
 from ahnn.data import Simulated, Source, SplitData
 from ahnn.data.files.recordings import Recordings
-from ahnn.data.recorded import Recorded
+from ahnn.data.recorded_sensor import Recorded
 from ahnn.data.sensor import Sensor
 from ahnn.errors import UserError
 from ahnn.systems import System

@@ -23,7 +23,7 @@ from ahnn.cli.parts import (
     is_multirun,
     report_options,
 )
-from ahnn.cli.unread import require_read
+from ahnn.cli.unused_keys import require_read
 from ahnn.data import Source
 from ahnn.data.datamodule import WindowDataModule
 from ahnn.errors import UserError

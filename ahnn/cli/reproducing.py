@@ -10,11 +10,11 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from ahnn.cli.before import begin, require_new
+from ahnn.cli.early_stops import ended
 from ahnn.cli.entry import start
 from ahnn.cli.importing import importing
-from ahnn.cli.plan import is_finished, plan, require_same_settings
-from ahnn.cli.stops import ended
+from ahnn.cli.preflight import begin, require_new
+from ahnn.cli.reproduction_plan import is_finished, plan, require_same_settings
 from ahnn.cli.training import train_once
 from ahnn.errors import Occupied
 from ahnn.files import claimed
@@ -32,7 +32,7 @@ def reproduce(arguments: list[str], usage: str) -> None:
     made = plan(arguments, usage)
     require_same_settings(made)
     with importing():
-        from ahnn.evaluation.over_seeds import summary
+        from ahnn.evaluation.seed_summary import summary
         from ahnn.evaluation.terminal import show
     log.info(made.announcement())
     sys.argv[1:] = ["--multirun", *made.overrides]

@@ -12,21 +12,21 @@ from torch import Tensor
 
 from ahnn.arguments import check_arguments, nearest
 from ahnn.assimilation import Assimilation, Process, Sensor
-from ahnn.assimilation.clock import Clock
-from ahnn.assimilation.record import require_orbit
+from ahnn.assimilation.assimilation_record import require_orbit
 from ahnn.assimilation.start import begin, belief_of
-from ahnn.cli.again import GROUPS, KEYS, NODES, OWN, Request, run_config
+from ahnn.assimilation.stream_clock import Clock
 from ahnn.cli.build import blaming, build, build_all, plain_config
 from ahnn.cli.compose import composed
 from ahnn.cli.parts import build_sensor, build_source
-from ahnn.cli.unread import refuse, unread_online
+from ahnn.cli.reevaluation import GROUPS, KEYS, NODES, OWN, Request, run_config
+from ahnn.cli.unused_keys import refuse, unread_online
 from ahnn.data import SplitData
 from ahnn.data.files.epochs import spelled
 from ahnn.data.reference import Reference
 from ahnn.data.starts import starts
 from ahnn.errors import UserError
 from ahnn.evaluation import Case, EvaluationPlugin
-from ahnn.evaluation.prepare import make_case
+from ahnn.evaluation.make_case import make_case
 from ahnn.jobs.assimilating import Asked, Stream, require_places
 from ahnn.loading import load
 from ahnn.measurements import reading
@@ -76,7 +76,7 @@ def with_filter(request: Request, run: Run) -> Request:
     """Return a request that names a filter where neither it nor the run does."""
     if run.config.get("plugins") or any(text.startswith("plugins=") for text in request.overrides):
         return request
-    told = run.uncertainty is not None and run.uncertainty.told_least is not None
+    told = run.uncertainty is not None and run.uncertainty.least_observable is not None
     given = any(text.startswith("plugins.ukf.process_noise=") for text in request.overrides)
     chosen = OF_MEASUREMENTS if told and not given else FILTER
     return request._replace(overrides=[chosen, *request.overrides])

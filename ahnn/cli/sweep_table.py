@@ -27,7 +27,7 @@ class SweepTable(Callback):
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Print the table, jobs in order, a job without results marked; folders with names have another."""
         del kwargs
-        from ahnn.evaluation.over_jobs import sweep_table
+        from ahnn.evaluation.sweep_summary import sweep_table
         from ahnn.evaluation.terminal import show
 
         folder = Path(config.hydra.sweep.dir)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from ahnn.cli.before import begin, require_new
-from ahnn.cli.stops import held, interruptible
+from ahnn.cli.early_stops import held, interruptible
+from ahnn.cli.preflight import begin, require_new
 from ahnn.files import claimed, require_writable
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ahnn.arguments import Count, Seed, Within, checked
 from ahnn.data.loader import SegmentLoader, WindowLoader
-from ahnn.data.measured import EXAMPLES, measured_statistics
+from ahnn.data.measured_statistics import EXAMPLES, measured_statistics
 from ahnn.data.noise_floor import remark_on
 from ahnn.data.segments import Segments, whole
 from ahnn.data.sensor import Sensor

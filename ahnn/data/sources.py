@@ -11,7 +11,7 @@ from ahnn.arguments import Count, Seed, Within, checked
 from ahnn.data import store
 from ahnn.data.files.recordings import Recordings
 from ahnn.data.generate import generate, generated
-from ahnn.data.given import content_of
+from ahnn.data.in_memory import content_of
 from ahnn.memory import require_disk
 from ahnn.systems import System
 from ahnn.types import Space, Trajectories

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from torch import Tensor
 
-from ahnn.data.seen import recognised, remembered
+from ahnn.data.fingerprints import recognised, remembered
 from ahnn.data.sensor import Sensor
 from ahnn.data.sources import Source
 from ahnn.errors import UserError

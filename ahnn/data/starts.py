@@ -14,13 +14,13 @@ import yaml
 from torch import Tensor
 
 from ahnn.contents import plain_yaml
+from ahnn.data.estimate_table import is_track, last_estimate
 from ahnn.data.files import Files, instant, units
 from ahnn.data.files.epochs import SECOND
 from ahnn.data.files.kinds import kind_of
 from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.reference import Reference
 from ahnn.data.start_covariances import covariances_of
-from ahnn.data.tracks import is_track, last_estimate
 from ahnn.deviations import require_finite, state_deviations
 from ahnn.errors import UserError
 from ahnn.labels import momentum_unit, require_velocities

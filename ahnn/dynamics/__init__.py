@@ -10,7 +10,7 @@ from typing import Any
 from ahnn.arguments import check_arguments
 from ahnn.dynamics.base import Dynamics, HasEnergy, HasField, has_field
 from ahnn.dynamics.fields import HamiltonianDynamics, NeuralODE
-from ahnn.dynamics.maps import NextState
+from ahnn.dynamics.next_state import NextState
 from ahnn.errors import UserError
 from ahnn.extensions import Table
 

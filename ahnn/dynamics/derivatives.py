@@ -15,7 +15,7 @@ from ahnn.dynamics.base import HasField
 from ahnn.dynamics.forced import Forced, total
 from ahnn.dynamics.forces import Instant
 from ahnn.dynamics.hamiltonians import SeparableHamiltonian
-from ahnn.dynamics.separable_rows import has_separable_rows, separable_rows
+from ahnn.dynamics.separable_jacobian import has_separable_rows, separable_rows
 from ahnn.types import TimeStep
 
 

@@ -15,7 +15,7 @@ from ahnn.dynamics.gradients import recorded_gradient
 from ahnn.dynamics.hessians import is_closed, network_derivatives, point_mass_derivatives
 from ahnn.dynamics.inputs import InputMap, slopes
 from ahnn.dynamics.networks import make_network
-from ahnn.dynamics.rows import layers_at, reversed_rows, with_value, write_rows
+from ahnn.dynamics.parameter_jacobians import layers_at, reversed_rows, with_value, write_rows
 from ahnn.errors import UserError
 from ahnn.statistics import Statistics
 from ahnn.types import as_factor

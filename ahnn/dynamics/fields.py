@@ -8,7 +8,7 @@ from typing import Any, cast, final
 import torch
 from torch import Tensor, nn
 
-from ahnn.dynamics import native, written_out
+from ahnn.dynamics import fused_steps, native
 from ahnn.dynamics.base import Dynamics
 from ahnn.dynamics.forced import Forced
 from ahnn.dynamics.gradients import Layers
@@ -154,7 +154,7 @@ class HamiltonianDynamics(_Integrated):
     def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the integrator's increment along the field, shape (B, D)."""
         found = self._as_one(x, dt) if x.ndim == 2 else None
-        return super().increment(x, dt) if found is None else written_out.step(x, *found)
+        return super().increment(x, dt) if found is None else fused_steps.step(x, *found)
 
     @torch.no_grad()
     def in_c(self) -> bool:

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from ahnn.arguments import NonNegative, Positive, checked
-from ahnn.dynamics import written_out
+from ahnn.dynamics import fused_steps
 from ahnn.dynamics.energies import CentralBody, Energy, NetworkEnergy, Quadratic, energy_units
 from ahnn.dynamics.gradients import Layers
 from ahnn.dynamics.hessians import BothInputs, is_closed, network_derivatives
@@ -90,7 +90,7 @@ class GenericHamiltonian(nn.Module):
         positions, network = self.positions, self.network
         if not (isinstance(positions, Cartesian) and isinstance(network, Perceptron)):
             return None
-        if not written_out.applies(network.activation, x):
+        if not fused_steps.applies(network.activation, x):
             return None
         maps, inner = (positions.affine, self.momenta.affine), network.layers()
         first = inner.weights[0] / torch.cat([m.scale for m in maps])
@@ -106,7 +106,7 @@ class GenericHamiltonian(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Return (dH/dp, -dH/dq), shape (..., D), at the states x, shape (..., D)."""
         if layers := self.layers(x):
-            return written_out.network_gradient(x, layers, self.network.activation)
+            return fused_steps.network_gradient(x, layers, self.network.activation)
         q, p = x.chunk(2, dim=-1)
         gradient = self.unit * self.network.gradient(self.seen(x))
         split = self.positions.size

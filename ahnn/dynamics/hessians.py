@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from ahnn.dynamics.gradients import recorded_gradient
 from ahnn.dynamics.inputs import Cartesian, InputMap, Pullback, slopes
 from ahnn.dynamics.networks import Perceptron
-from ahnn.dynamics.rows import curvature
+from ahnn.dynamics.parameter_jacobians import curvature
 
 
 class Inputs(Protocol):

@@ -14,12 +14,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.compiled_libraries import NUMBER as N
+from ahnn.compiled_libraries import POINTER as P
+from ahnn.compiled_libraries import compiled_library, followed, plain
 from ahnn.cores import each, slices
 from ahnn.dynamics.activations import ACTIVATIONS, Activation
 from ahnn.integrators.tableaus import ButcherTableau
-from ahnn.libraries import NUMBER as N
-from ahnn.libraries import POINTER as P
-from ahnn.libraries import compiled_library, followed, plain
 
 KNOWN = tuple(ACTIVATIONS[name].value for name in ("gelu", "tanh", "silu"))
 """Activations in the order of their numbers in the libraries."""

@@ -13,7 +13,7 @@ from typing import Any, cast
 from torch import Tensor, nn
 
 from ahnn.arguments import Count, check_arguments, checked
-from ahnn.dynamics import written_out
+from ahnn.dynamics import fused_steps
 from ahnn.dynamics.activations import ACTIVATIONS, ActivationName
 from ahnn.dynamics.gradients import Layers, plain_gradient
 from ahnn.memory import require_memory
@@ -59,8 +59,8 @@ class Perceptron(nn.Module):
 
     def gradient(self, z: Tensor) -> Tensor:
         """Return the gradient of the single output with respect to z, shape (..., inputs)."""
-        if written_out.applies(self.activation, z):
-            return written_out.network_gradient(z, self.layers(), self.activation)
+        if fused_steps.applies(self.activation, z):
+            return fused_steps.network_gradient(z, self.layers(), self.activation)
         return plain_gradient(z, self.layers(), self.activation)
 
 

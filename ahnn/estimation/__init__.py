@@ -7,7 +7,7 @@ from ahnn.estimation.consistency import band, coverage, independent_count, nees
 from ahnn.estimation.covariances import Covariance, Factor, initial_belief
 from ahnn.estimation.estimator import Estimator, Innovation, Recursive, State
 from ahnn.estimation.gate import Gate
-from ahnn.estimation.saving import load_notes, load_state, save_state
+from ahnn.estimation.saved_state import load_notes, load_state, save_state
 from ahnn.estimation.scenario import Problem, Setting, perturbed_arcs, simulated
 from ahnn.estimation.state import FilterState
 

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ahnn.dynamics.bound import wrapped
+from ahnn.dynamics.flow_at_time import wrapped
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.results import FilterResult, SmootherResult
 from ahnn.measurements import Measurement, Time, periods, residual

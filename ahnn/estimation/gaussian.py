@@ -16,8 +16,7 @@ import torch
 from torch import Tensor
 
 from ahnn.estimation import kernel as decisions
-from ahnn.estimation.belief import Belief
-from ahnn.estimation.checks import (
+from ahnn.estimation.argument_checks import (
     check_belief,
     check_state,
     checked_rows,
@@ -25,6 +24,7 @@ from ahnn.estimation.checks import (
     checked_step,
     checked_time,
 )
+from ahnn.estimation.belief import Belief
 from ahnn.estimation.covariances import Covariance
 from ahnn.estimation.estimator import Batch, Innovation, Kernel, Smoothed
 from ahnn.estimation.gate import Gate, check_gate
@@ -32,7 +32,7 @@ from ahnn.estimation.loop import StepModel, Stepper, run, stepper
 from ahnn.estimation.results import FilterResult, ProcessNoise, Updated
 from ahnn.estimation.smoother import smoother
 from ahnn.estimation.state import FilterState, initial_state
-from ahnn.estimation.steps import Grid, process_factor
+from ahnn.estimation.step_noise import Grid, process_factor
 from ahnn.measurements.base import Measurement
 from ahnn.numbers import Numbers
 from ahnn.types import Flow

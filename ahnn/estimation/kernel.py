@@ -8,7 +8,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ahnn.dynamics.bound import at
+from ahnn.dynamics.flow_at_time import at
 from ahnn.estimation.belief import Status, choose
 from ahnn.estimation.estimator import Kernel, Sensor
 from ahnn.estimation.results import Backward, Updated

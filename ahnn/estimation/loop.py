@@ -9,10 +9,10 @@ from torch import Tensor
 
 from ahnn.estimation import kernel as decisions
 from ahnn.estimation.estimator import Kernel, Sensor
-from ahnn.estimation.records import Step, collected
 from ahnn.estimation.results import FilterResult
 from ahnn.estimation.state import FilterState
-from ahnn.estimation.steps import Grid
+from ahnn.estimation.step_noise import Grid
+from ahnn.estimation.step_records import Step, collected
 from ahnn.types import Flow
 
 

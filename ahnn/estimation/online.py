@@ -15,12 +15,12 @@ import torch
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from ahnn.dynamics.recorded import recorded
+from ahnn.dynamics.recorded_flow import recorded
 from ahnn.estimation.covariances import Factor, covariance_factor
 from ahnn.estimation.estimator import Recursive
 from ahnn.estimation.force_error import ForceError
 from ahnn.estimation.parameter_error import ParameterError
-from ahnn.estimation.process import Process
+from ahnn.estimation.process_model import Process
 from ahnn.numbers import Numbers
 from ahnn.types import Flow
 

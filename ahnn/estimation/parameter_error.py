@@ -16,8 +16,8 @@ from torch import Tensor
 from torch.nn.utils import parameters_to_vector
 
 from ahnn.dynamics import Dynamics, HasField
-from ahnn.dynamics.bound import wrapped
 from ahnn.dynamics.derivatives import field_jacobian
+from ahnn.dynamics.flow_at_time import wrapped
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.force_error import OfStates
 from ahnn.measurements.base import Measurement

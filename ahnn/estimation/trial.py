@@ -9,9 +9,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ahnn.dynamics.bound import at
+from ahnn.dynamics.flow_at_time import at
 from ahnn.dynamics.transition import transition
-from ahnn.estimation.batch import BatchResult, batch_least_squares
+from ahnn.estimation.batch_least_squares import BatchResult, batch_least_squares
 from ahnn.estimation.covariances import initial_belief
 from ahnn.estimation.estimator import Batch, Estimator, Smoothed
 from ahnn.estimation.force_error import ForceError, of_states, smoothed_states

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from ahnn.evaluation.case import Case, EvaluationPlugin, Findings, Row, Who
 from ahnn.evaluation.folders import evaluation_folder
-from ahnn.evaluation.report import report
+from ahnn.evaluation.publish import report
 from ahnn.evaluation.results import Results, load_results
 from ahnn.evaluation.run import evaluate
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from ahnn.errors import UserError
 from ahnn.evaluation.results import FILE
-from ahnn.evaluation.sinks.figures import pictures_in
+from ahnn.evaluation.sinks.figure_files import pictures_in
 from ahnn.files import claimed
 from ahnn.manifest import own_folder, require_folder
 

@@ -14,13 +14,13 @@ from torch import Tensor
 
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.evaluation.bands import DRAWS, NORMAL, SIGMAS, held, imagined, middle, percent, right_bands
-from ahnn.evaluation.explained import OUTLYING, fit_to, trial_of, without_outliers
+from ahnn.evaluation.goodness_of_fit import OUTLYING, fit_to, trial_of, without_outliers
 from ahnn.measurements import Segment
 from ahnn.numbers import in_percent
-from ahnn.shooting.paths import path, steps_between
+from ahnn.shooting.initial_states import FOLLOWING, LOST, SURE, linearised, refine
+from ahnn.shooting.path_sensitivities import path, steps_between
 from ahnn.shooting.quadrature import coarse
 from ahnn.shooting.robust import RobustName
-from ahnn.shooting.starts import FOLLOWING, LOST, SURE, linearised, refine
 from ahnn.types import Trajectories
 from ahnn.uncertainty import forecast_columns
 

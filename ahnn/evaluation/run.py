@@ -7,12 +7,12 @@ from typing import Any, cast
 
 from ahnn.evaluation.bands import band_figure, banded
 from ahnn.evaluation.case import Case, EvaluationPlugin, Findings, Row
-from ahnn.evaluation.explained import explain
-from ahnn.evaluation.figures import open_loop_figures
 from ahnn.evaluation.force_bound import force_bound
 from ahnn.evaluation.forecast import forecast
+from ahnn.evaluation.goodness_of_fit import explain
 from ahnn.evaluation.open_loop import open_loop
-from ahnn.evaluation.remedy import remedy
+from ahnn.evaluation.residual_diagnosis import remedy
+from ahnn.evaluation.trajectory_figures import open_loop_figures
 from ahnn.measurements import Segment
 from ahnn.uncertainty import Uncertainty
 

@@ -12,18 +12,18 @@ from typing import Annotated, Any, BinaryIO, Literal, NamedTuple, cast
 
 from ahnn.arguments import Count, Finite, Positive, Within
 from ahnn.assimilation import Assimilation
-from ahnn.assimilation.clock import Clock
-from ahnn.assimilation.figures import NAMES, figures_of
+from ahnn.assimilation.assimilation_record import read_record, write_ephemeris
 from ahnn.assimilation.journal import Journal
 from ahnn.assimilation.lines import Lines
-from ahnn.assimilation.record import read_record, write_ephemeris
-from ahnn.assimilation.rows import Rows, require_new
+from ahnn.assimilation.output_rows import Rows, require_new
 from ahnn.assimilation.session import Session
+from ahnn.assimilation.stream_clock import Clock
+from ahnn.assimilation.stream_figures import NAMES, figures_of
 from ahnn.assimilation.view import View, said
+from ahnn.data.estimate_table import described
 from ahnn.data.reference import Reference
-from ahnn.data.tracks import described
 from ahnn.errors import UserError
-from ahnn.evaluation.sinks.figures import FORMATS, drawn
+from ahnn.evaluation.sinks.figure_files import FORMATS, drawn
 from ahnn.files import write_atomically
 from ahnn.manifest import require_own
 from ahnn.types import Space

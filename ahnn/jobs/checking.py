@@ -9,7 +9,7 @@ from typing import Any
 from ahnn.data.doctor import examine
 from ahnn.data.files.reading import Reading
 from ahnn.errors import UserError
-from ahnn.evaluation.checkup import checkup, draw
+from ahnn.evaluation.data_findings import checkup, draw
 from ahnn.evaluation.terminal import show
 from ahnn.files import require_writable
 

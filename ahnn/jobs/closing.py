@@ -14,14 +14,14 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from ahnn.checkpoints import read_weights, replace_weights
 from ahnn.errors import TrainingError
 from ahnn.evaluation import report
-from ahnn.evaluation.prepare import make_case
+from ahnn.evaluation.make_case import make_case
 from ahnn.evaluation.results import FILE, load_results
 from ahnn.evaluation.sinks import TensorBoardSink
 from ahnn.jobs.prepared import Prepared
 from ahnn.loading import load, made, weights_path
 from ahnn.training import Shooting
+from ahnn.training.fitted_paths import fitted_states
 from ahnn.training.laplace import conclude
-from ahnn.training.visited import visited
 from ahnn.uncertainty import find_domain, save_uncertainty
 
 log = logging.getLogger("ahnn")
@@ -41,7 +41,7 @@ def conclude_on_measurements(prepared: Prepared) -> float:
         learned, _ = found.taken(dynamics)
         loss = Shooting(None, robust).validation(learned, next(iter(data.val_dataloader())))["loss"]
         about: dict[str, Any] = {"val_loss": float(loss)}
-        if len(states := visited(dynamics, train, robust)) > 1:
+        if len(states := fitted_states(dynamics, train, robust)) > 1:
             about["domain"] = find_domain(dynamics, states).about()
         replace_weights(best, dynamics.state_dict(), about)
         save_uncertainty(folder, found, made(read_weights(best), folder).dynamics.state_dict())

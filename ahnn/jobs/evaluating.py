@@ -13,7 +13,7 @@ from ahnn.data import SplitData
 from ahnn.data.splits import SAME
 from ahnn.errors import UserError
 from ahnn.evaluation import EvaluationPlugin, evaluation_folder, load_results, report
-from ahnn.evaluation.prepare import make_case
+from ahnn.evaluation.make_case import make_case
 from ahnn.evaluation.sinks import TensorBoardSink
 from ahnn.evaluation.sinks.board import Board
 from ahnn.loading import weights_path
@@ -36,7 +36,7 @@ class Reevaluation:
         splits: the data.
         plugins: evaluations beside the open-loop one, by name.
         seed: of the perturbed starts.
-        report: options of `ahnn.evaluation.report`.
+        report: options of `ahnn.evaluation.publish`.
     """
 
     run: Run

@@ -14,7 +14,7 @@ from ahnn.loading import load
 from ahnn.models import AbstractModel
 from ahnn.statistics import Statistics
 from ahnn.training.cuda_graph import Recorded, can_record
-from ahnn.training.outlook import expected_seconds
+from ahnn.training.runtime_estimate import expected_seconds
 from ahnn.uncertainty import find_domain
 
 log = logging.getLogger("ahnn")

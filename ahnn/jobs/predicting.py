@@ -13,8 +13,8 @@ from ahnn.data.starts import referred, starts
 from ahnn.errors import UserError
 from ahnn.evaluation.terminal import show
 from ahnn.jobs.named import named_runs
-from ahnn.prediction import amounts, output, together
-from ahnn.prediction.kernel import require_finite_prediction
+from ahnn.prediction import durations, output, together
+from ahnn.prediction.propagation import require_finite_prediction
 from ahnn.prediction.summary import summary, warning
 
 log = logging.getLogger("ahnn")
@@ -53,9 +53,9 @@ def predict(asked: Asked) -> None:
         message = f"epoch: expected none, since the file of the start has its own; received {asked.epoch}"
         raise UserError(message)
     begin = referred(begin, ours)
-    total = amounts.duration(asked.duration, "duration", clock)
-    step = runs[0].dt if asked.step is None else amounts.duration(asked.step, "step", clock)
-    times = amounts.grid(total, step)
+    total = durations.duration(asked.duration, "duration", clock)
+    step = runs[0].dt if asked.step is None else durations.duration(asked.step, "step", clock)
+    times = durations.grid(total, step)
     if asked.output is not None:
         output.require_output(Path(asked.output), begin, space)
     if asked.figure is not None:

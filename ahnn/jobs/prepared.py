@@ -21,7 +21,7 @@ class Assessment(NamedTuple):
     Attributes:
         plugins: evaluations beside the open-loop one, by name.
         seed: of the perturbed starts.
-        report: options of `ahnn.evaluation.report`.
+        report: options of `ahnn.evaluation.publish`.
         searched: what a search varies, for TensorBoard's comparison of runs.
     """
 

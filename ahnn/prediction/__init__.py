@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from ahnn.prediction.kernel import Prediction, predicted, together
+from ahnn.prediction.propagation import Prediction, predicted, together
 
 __all__ = ["Prediction", "predicted", "together"]

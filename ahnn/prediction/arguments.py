@@ -10,7 +10,7 @@ from ahnn.dynamics import Dynamics
 from ahnn.errors import UserError
 from ahnn.memory import require_memory
 from ahnn.numbers import Numbers, as_count, as_float64, described
-from ahnn.prediction.kernel import require_finite
+from ahnn.prediction.propagation import require_finite
 from ahnn.types import Space, TimeStep
 
 

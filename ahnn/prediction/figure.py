@@ -5,8 +5,8 @@ from __future__ import annotations
 from matplotlib.figure import Figure
 
 from ahnn.evaluation import style
-from ahnn.prediction.kernel import Prediction
-from ahnn.prediction.table import labels
+from ahnn.prediction.prediction_table import labels
+from ahnn.prediction.propagation import Prediction
 from ahnn.types import Space
 
 SIGMAS = 3

@@ -11,9 +11,9 @@ from ahnn.data.starts import Starts
 from ahnn.errors import UserError
 from ahnn.files import write_atomically
 from ahnn.manifest import require_own
-from ahnn.prediction.kernel import Prediction
-from ahnn.prediction.message import ephemerides
-from ahnn.prediction.table import as_csv, as_parquet, columns, described
+from ahnn.prediction.ephemeris_message import ephemerides
+from ahnn.prediction.prediction_table import as_csv, as_parquet, columns, described
+from ahnn.prediction.propagation import Prediction
 from ahnn.types import Space
 
 SUFFIXES = (".csv", ".parquet", ".oem", ".xml")
@@ -69,7 +69,7 @@ def require_figure(path: Path) -> None:
 
 def draw(path: Path, prediction: Prediction, space: Space, title: str) -> None:
     """Draw a prediction."""
-    from ahnn.evaluation.sinks.figures import drawn
+    from ahnn.evaluation.sinks.figure_files import drawn
     from ahnn.prediction.figure import prediction_figure
 
     write_atomically(path, drawn(prediction_figure(prediction, space, title), path.suffix.lower()))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from ahnn.data.starts import Starts
 from ahnn.numbers import in_percent
-from ahnn.prediction.kernel import Prediction
-from ahnn.prediction.table import labels
+from ahnn.prediction.prediction_table import labels
+from ahnn.prediction.propagation import Prediction
 from ahnn.types import Space
 from ahnn.uncertainty import BEYOND
 

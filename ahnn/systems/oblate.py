@@ -10,12 +10,12 @@ from typing import Any, NamedTuple, cast
 import torch
 from torch import Tensor
 
+from ahnn.compiled_libraries import NUMBER as N
+from ahnn.compiled_libraries import PART, REAL, compiled_library, numbers_alone
+from ahnn.compiled_libraries import POINTER as P
 from ahnn.cores import each, slices
 from ahnn.integrators import SymmetricComposition
 from ahnn.jacobians import differenced
-from ahnn.libraries import NUMBER as N
-from ahnn.libraries import PART, REAL, compiled_library, numbers_alone
-from ahnn.libraries import POINTER as P
 from ahnn.substeps import substeps
 from ahnn.types import Flow, TimeStep
 

@@ -19,7 +19,7 @@ from torch.nn.utils import parameters_to_vector
 from ahnn.dynamics import Dynamics
 from ahnn.dynamics.linearised import linearised
 from ahnn.training.levenberg_marquardt import SUFFICIENT
-from ahnn.training.posterior import Place, WideProblem, after, of_functions
+from ahnn.training.maximum_posterior import Place, WideProblem, after, of_functions
 
 ARRIVED = 0.05
 """Squared length of the step that is left, or decrease by the last one, that is not worth another step.

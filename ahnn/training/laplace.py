@@ -29,11 +29,11 @@ from ahnn.shooting.robust import ROBUST, RobustName, variance
 from ahnn.training.acceleration import accelerated
 from ahnn.training.evidence import by_evidence, log_evidence
 from ahnn.training.functions import ARRIVED, whole_step
+from ahnn.training.least_observable import least_told
 from ahnn.training.levenberg_marquardt import ATTEMPTS, LARGEST, SUFFICIENT, adapted
+from ahnn.training.maximum_posterior import Place, WideProblem, after, whole_problem, with_prior
 from ahnn.training.normal_equations import Equations, damped_step, promised_decrease
-from ahnn.training.posterior import Place, WideProblem, after, whole_problem, with_prior
 from ahnn.training.shooting import freedom
-from ahnn.training.told import least_told
 from ahnn.uncertainty import Uncertainty
 
 DAMPING = 1e-6

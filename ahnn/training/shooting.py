@@ -20,15 +20,12 @@ from torch.nn.utils import parameters_to_vector
 from ahnn.cores import each
 from ahnn.dynamics import Dynamics, HasField, has_field
 from ahnn.dynamics.derivatives import field_jacobian, parametrised
-from ahnn.dynamics.recorded import Increments
+from ahnn.dynamics.recorded_flow import Increments
 from ahnn.dynamics.variations import jacobians_of_steps
 from ahnn.errors import UserError
 from ahnn.measurements import Segment
 from ahnn.measurements.smoothing import guess
-from ahnn.shooting.paths import adjoints, path, sensitivities, steps_between
-from ahnn.shooting.points import normal_points
-from ahnn.shooting.robust import ROBUST, Robust, RobustName
-from ahnn.shooting.starts import (
+from ahnn.shooting.initial_states import (
     FOLLOWING,
     HOPELESS,
     SURE,
@@ -41,6 +38,9 @@ from ahnn.shooting.starts import (
     refine,
     refit,
 )
+from ahnn.shooting.normal_points import normal_points
+from ahnn.shooting.path_sensitivities import adjoints, path, sensitivities, steps_between
+from ahnn.shooting.robust import ROBUST, Robust, RobustName
 from ahnn.training.normal_equations import Equations, Rows, accumulated
 
 CELLS = 2.5e7

@@ -30,9 +30,9 @@ from ahnn.measurements import Segment
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
 from ahnn.training.banded import Factor
 from ahnn.training.discrepancy import share
-from ahnn.training.motion import equation_of_motion
+from ahnn.training.equation_of_motion import equation_of_motion
 from ahnn.training.normal_equations import Equations, Rows, accumulated
-from ahnn.training.spans import bumps, integrated
+from ahnn.training.weak_test_functions import bumps, integrated
 
 Function = Callable[[Tensor], Tensor]
 WIDTHS = {1: 3, 2: 2}

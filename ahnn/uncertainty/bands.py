@@ -13,7 +13,7 @@ from torch.nn.utils import parameters_to_vector
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import field_jacobian, parametrised
 from ahnn.dynamics.variations import own_jacobians
-from ahnn.shooting.paths import Steps, in_quarters, path, sensitivities
+from ahnn.shooting.path_sensitivities import Steps, in_quarters, path, sensitivities
 from ahnn.shooting.quadrature import coarse
 
 CELLS = 4e7

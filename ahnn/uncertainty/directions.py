@@ -25,7 +25,7 @@ from ahnn.dynamics.variations import own_jacobians
 from ahnn.errors import UserError
 from ahnn.jacobians import pointwise_jacobian
 from ahnn.measurements import Segment
-from ahnn.shooting.paths import Steps, path, sensitivities, steps_between, transitions
+from ahnn.shooting.path_sensitivities import Steps, path, sensitivities, steps_between, transitions
 
 ARCS = 12
 """Training trajectories, about, along which directions are weighed."""

@@ -15,8 +15,8 @@ import torch
 from torch import Tensor
 
 from ahnn.dynamics import Dynamics
-from ahnn.shooting.paths import Steps, transitions
-from ahnn.shooting.starts import Linearised
+from ahnn.shooting.initial_states import Linearised
+from ahnn.shooting.path_sensitivities import Steps, transitions
 from ahnn.uncertainty.bands import path_sensitivities
 
 

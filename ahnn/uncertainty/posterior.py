@@ -56,7 +56,7 @@ class Uncertainty:
         return self.spread @ self.spread.mT
 
     @property
-    def told_least(self) -> Tensor | None:
+    def least_observable(self) -> Tensor | None:
         """The directions that the training kept, of the parameters before the step of their functions."""
         return (self if self.before is None else self.before[1]).directions
 

@@ -10,7 +10,7 @@ import torch
 
 from ahnn.assimilation import Assimilation, Reading, Sensor
 from ahnn.assimilation.lines import Lines
-from ahnn.assimilation.rows import Rows
+from ahnn.assimilation.output_rows import Rows
 from ahnn.assimilation.session import Session
 from ahnn.estimation import Gate, initial_belief
 from ahnn.measurements import Position, State

@@ -9,8 +9,8 @@ from following import SENSORS, SPACE, make, readings, session, written
 
 from ahnn.assimilation import Reading
 from ahnn.assimilation.cells import BadLine
+from ahnn.assimilation.line_parser import Layout
 from ahnn.assimilation.online import Diverged
-from ahnn.assimilation.reading import Layout
 from ahnn.errors import UserError
 from ahnn.estimation import Gate
 

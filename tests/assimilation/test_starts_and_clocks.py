@@ -8,9 +8,9 @@ from following import SENSORS, SPACE
 from test_stream_of_lines import ORBIT
 
 from ahnn.assimilation.cells import BadLine
-from ahnn.assimilation.clock import Clock
-from ahnn.assimilation.reading import Layout
+from ahnn.assimilation.line_parser import Layout
 from ahnn.assimilation.start import belief_of
+from ahnn.assimilation.stream_clock import Clock
 from ahnn.data.files import instant
 from ahnn.data.reference import Reference
 from ahnn.data.starts import starts

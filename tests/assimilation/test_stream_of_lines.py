@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from ahnn.assimilation import Reading
+from ahnn.assimilation.assimilation_record import read_record, write_ephemeris
 from ahnn.assimilation.cells import BadLine
-from ahnn.assimilation.figures import figures_of
 from ahnn.assimilation.journal import Journal
+from ahnn.assimilation.line_parser import Layout
 from ahnn.assimilation.lines import LONGEST
-from ahnn.assimilation.reading import Layout
-from ahnn.assimilation.record import read_record, write_ephemeris
+from ahnn.assimilation.stream_figures import figures_of
 from ahnn.assimilation.view import View
 from ahnn.data.files import read_oem
 from ahnn.data.reference import Reference

@@ -53,7 +53,7 @@ from families import (
     trajectories,
 )
 
-from ahnn.cli.before import quiet
+from ahnn.cli.preflight import quiet
 from ahnn.errors import TrainingError, UserError
 
 FAMILIES: dict[str, tuple[Callable, float]] = {

@@ -6,7 +6,7 @@ import pytest
 import torch
 from helpers import close, generator
 
-from ahnn.data.measured import measured_statistics
+from ahnn.data.measured_statistics import measured_statistics
 from ahnn.measurements import Instrument, Position
 from ahnn.measurements.smoothing import smoothed
 from ahnn.types import Trajectories

@@ -6,7 +6,7 @@ import pytest
 import torch
 from helpers import SPRING
 
-from ahnn.data.seen import NONE, fingerprints, remembered
+from ahnn.data.fingerprints import NONE, fingerprints, remembered
 from ahnn.data.sensor import Sensor
 from ahnn.data.splits import SplitData, check_fractions, split_sizes
 from ahnn.errors import UserError

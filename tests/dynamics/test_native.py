@@ -8,14 +8,14 @@ from contextlib import contextmanager, nullcontext
 import pytest
 import torch
 from helpers import generator
-from test_written_out import dynamics as narrow
-from test_written_out import inputs_of
+from test_fused_steps import dynamics as narrow
+from test_fused_steps import inputs_of
 from torch.func import functional_call, jvp
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from ahnn.dynamics import HamiltonianDynamics, native
 from ahnn.dynamics.activations import ACTIVATIONS
-from ahnn.dynamics.written_out import Scheme, network_gradient, step
+from ahnn.dynamics.fused_steps import Scheme, network_gradient, step
 from ahnn.integrators import INTEGRATORS
 from ahnn.integrators.base import column
 from ahnn.integrators.tableaus import EULER

@@ -8,8 +8,8 @@ from helpers import close
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from ahnn.dynamics import make_dynamics
-from ahnn.dynamics import recorded as module
-from ahnn.dynamics.recorded import Increments, recorded
+from ahnn.dynamics import recorded_flow as module
+from ahnn.dynamics.recorded_flow import Increments, recorded
 
 NETWORK = {"width": 8, "depth": 2, "activation": "tanh"}
 

@@ -12,7 +12,7 @@ from safetensors.torch import save_file
 
 from ahnn.checkpoints import Weights, write_weights
 from ahnn.estimation import Belief, FilterState, initial_belief, load_notes, load_state, save_state
-from ahnn.estimation.saving import FORMAT
+from ahnn.estimation.saved_state import FORMAT
 from ahnn.estimation.state import initial_state
 
 NOTES = {"stream": "line 3", "of": "a cart"}

@@ -7,8 +7,8 @@ import math
 import pytest
 
 from ahnn.evaluation.case import Row, Who
-from ahnn.evaluation.over_seeds import cell, scores, seeds_table
 from ahnn.evaluation.results import Results
+from ahnn.evaluation.seed_summary import cell, scores, seeds_table
 from ahnn.metrics import Scores
 from ahnn.types import Space, Units
 

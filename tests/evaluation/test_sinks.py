@@ -18,9 +18,9 @@ from matplotlib.image import imread
 from safetensors.torch import load_file
 
 from ahnn.evaluation import Findings, Row, evaluate, style
-from ahnn.evaluation.figures import Curve, energy, error, in_time, open_loop_figures
 from ahnn.evaluation.open_loop import open_loop
 from ahnn.evaluation.sinks import FigureSink, PredictionSink, TensorBoardSink
+from ahnn.evaluation.trajectory_figures import Curve, energy, error, in_time, open_loop_figures
 from ahnn.files import write_atomically
 
 RESULTS = make_results(Row(MODEL, scores()))

@@ -8,8 +8,8 @@ import pytest
 from cases import MODEL, make_results, scores
 
 from ahnn.evaluation import Findings, Row, Who
-from ahnn.evaluation.over_jobs import sweep_table
 from ahnn.evaluation.sinks import MetricsSink
+from ahnn.evaluation.sweep_summary import sweep_table
 from ahnn.evaluation.terminal import show
 
 

@@ -13,7 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from ahnn.evaluation import Row, Who
-from ahnn.evaluation.table import number, results_table, table_lines
+from ahnn.evaluation.score_table import number, results_table, table_lines
 from ahnn.evaluation.terminal import show, writable
 from ahnn.evaluation.titles import described, metric_name, title
 from ahnn.types import Units

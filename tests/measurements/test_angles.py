@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from ahnn.data.recorded import Recorded
+from ahnn.data.recorded_sensor import Recorded
 from ahnn.estimation import Gate, initial_belief
 from ahnn.measurements import (
     GroundStation,

@@ -10,7 +10,7 @@ import torch
 from helpers import MOLNIYA, SPRING, batch_of, close, data_module, defaults, ready_model
 
 from ahnn.checkpoints import read_weights
-from ahnn.cli.before import quiet
+from ahnn.cli.preflight import quiet
 from ahnn.dynamics import Dynamics
 from ahnn.errors import UserError
 from ahnn.loading import made

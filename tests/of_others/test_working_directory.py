@@ -13,8 +13,8 @@ import yaml
 from entry import call
 from foreign import configured
 
-from ahnn.cli.again import Request, run_config
 from ahnn.cli.compose import composed
+from ahnn.cli.reevaluation import Request, run_config
 
 LIBRARIES = ("signal", "typing", "logging", "yaml", "json", "hydra", "torch", "sitecustomize", "dataclasses")
 PLUGINS = ("hydra_plugins/mine", "ahnn_plugins/__init__", "hydra_plugins/ahnn_sweeper/__init__")

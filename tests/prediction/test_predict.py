@@ -15,8 +15,8 @@ import ahnn
 from ahnn.checkpoints import FORMAT, Weights, write_weights
 from ahnn.errors import UserError
 from ahnn.prediction import Prediction, predicted, together
-from ahnn.prediction.amounts import duration, grid
-from ahnn.prediction.kernel import Knowledge
+from ahnn.prediction.durations import duration, grid
+from ahnn.prediction.propagation import Knowledge
 from ahnn.systems import MassSpring
 from ahnn.uncertainty import Domain, Uncertainty, find_domain, rollout_covariances, save_uncertainty
 
@@ -35,7 +35,7 @@ def known_everywhere(**changes) -> Domain:
 @torch.no_grad()
 def test_on_the_grid_it_is_the_rollout_with_its_band(monkeypatch):
     times, lengths = 0.1 * torch.arange(41, **DOUBLE), torch.full((2, 40), 0.1, **DOUBLE)
-    monkeypatch.setattr("ahnn.prediction.kernel.TOGETHER", 14)  # stretches of seven steps
+    monkeypatch.setattr("ahnn.prediction.propagation.TOGETHER", 14)  # stretches of seven steps
     found = predicted(Swing(), START, times, 0.1, Knowledge(FACTOR, known_everywhere()))
     assert found.covariances is not None
     assert found.novelty is not None
@@ -67,7 +67,7 @@ def test_long_steps_are_the_same_in_any_stretches_and_one_alone(monkeypatch):
     times = 0.2 * torch.arange(31, **DOUBLE)
     whole = predicted(Swing(), START, times, 0.2, Knowledge(FACTOR)).covariances
     alone = predicted(Swing(), START, times[:2], 0.2, Knowledge(FACTOR)).covariances
-    monkeypatch.setattr("ahnn.prediction.kernel.CELLS", 1)  # stretches of a step
+    monkeypatch.setattr("ahnn.prediction.propagation.CELLS", 1)  # stretches of a step
     stretched = predicted(Swing(), START, times, 0.2, Knowledge(FACTOR)).covariances
     assert whole is not None
     assert alone is not None
@@ -94,7 +94,7 @@ def test_novelty_counts_between_long_steps():
 def test_the_covariance_of_a_start_is_carried_along_by_the_flow(monkeypatch):
     """Through derivatives of the whole path by autograd; the one of the parameters is added to it."""
     times, sd = 0.1 * torch.arange(21, **DOUBLE), torch.tensor([0.3, 0.05], **DOUBLE)
-    monkeypatch.setattr("ahnn.prediction.kernel.TOGETHER", 14)  # stretches of seven steps
+    monkeypatch.setattr("ahnn.prediction.propagation.TOGETHER", 14)  # stretches of seven steps
 
     def end(x):
         for _ in range(20):

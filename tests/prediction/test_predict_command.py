@@ -15,7 +15,7 @@ from test_predict import small
 
 import ahnn
 from ahnn.data.files import Ephemeris, Files, instant, read_oem, write_oem
-from ahnn.prediction.table import as_parquet
+from ahnn.prediction.prediction_table import as_parquet
 
 MOLNIYA = "pretrained=molniya_mechanical"
 STATE = [0.0, -3145.0, -6173.0, 10.0, 0.0, 0.0]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from helpers import close, generator
 
-from ahnn.shooting.paths import Steps, sensitivities, transitions
-from ahnn.shooting.points import POINTS, normal_points
-from ahnn.shooting.starts import Linearised
+from ahnn.shooting.initial_states import Linearised
+from ahnn.shooting.normal_points import POINTS, normal_points
+from ahnn.shooting.path_sensitivities import Steps, sensitivities, transitions
 
 SEGMENTS, ROWS, SIZE, PARAMETERS = 3, 9, 6, 4
 F64 = torch.float64

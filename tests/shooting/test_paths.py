@@ -9,7 +9,7 @@ import torch
 from helpers import close, generator
 
 from ahnn.jacobians import pointwise_jacobian, step_jacobians
-from ahnn.shooting.paths import (
+from ahnn.shooting.path_sensitivities import (
     Steps,
     adjoints,
     path,

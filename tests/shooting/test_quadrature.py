@@ -8,7 +8,7 @@ import pytest
 import torch
 from helpers import generator
 
-from ahnn.shooting.paths import Steps, in_quarters
+from ahnn.shooting.path_sensitivities import Steps, in_quarters
 from ahnn.shooting.quadrature import COARSE, coarse, rule_error
 
 DOUBLE = {"dtype": torch.float64}

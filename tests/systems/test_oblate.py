@@ -6,7 +6,7 @@ import pytest
 import torch
 from helpers import close, generator
 
-from ahnn.libraries import PART
+from ahnn.compiled_libraries import PART
 from ahnn.systems import Molniya, oblate
 from ahnn.systems.truth import SubstepsFlow, accurate_substeps, exact_flow
 

@@ -19,14 +19,14 @@ from ahnn.training import functions, laplace
 from ahnn.training.evidence import Prior
 from ahnn.training.functions import ARRIVED, mixed
 from ahnn.training.laplace import conclude
-from ahnn.training.normal_equations import Block
-from ahnn.training.posterior import (
+from ahnn.training.maximum_posterior import (
     Place,
     WideProblem,
     after,
     of_functions,
     whole_problem,
 )
+from ahnn.training.normal_equations import Block
 
 DOUBLE = {"dtype": torch.float64}
 

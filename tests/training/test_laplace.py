@@ -13,8 +13,8 @@ from ahnn.shooting.robust import ROBUST
 from ahnn.training import LevenbergMarquardt, laplace
 from ahnn.training.evidence import Prior, by_evidence
 from ahnn.training.laplace import Noise, conclude, held_out_scale, scatter, uncertainty
+from ahnn.training.maximum_posterior import Place, WideProblem, with_prior
 from ahnn.training.normal_equations import Block, Equations
-from ahnn.training.posterior import Place, WideProblem, with_prior
 from ahnn.training.shooting import ShootingProblem
 
 DOUBLE = {"dtype": torch.float64}

@@ -14,11 +14,11 @@ from torch.nn.utils import parameters_to_vector
 from ahnn.jacobians import step_jacobians
 from ahnn.measurements import GroundStation, Instrument, Position, Segment, State
 from ahnn.measurements.smoothing import guess
-from ahnn.shooting.paths import steps_between
+from ahnn.shooting.initial_states import HOPELESS, Trial, fit_starts, followed, growing, refine
+from ahnn.shooting.path_sensitivities import steps_between
 from ahnn.shooting.robust import ROBUST
-from ahnn.shooting.starts import HOPELESS, Trial, fit_starts, followed, growing, refine
 from ahnn.training import LevenbergMarquardt, Shooting
-from ahnn.training.posterior import WideProblem
+from ahnn.training.maximum_posterior import WideProblem
 from ahnn.training.shooting import UNMET, Limit, ShootingProblem, near
 
 

@@ -13,9 +13,9 @@ from ahnn.dynamics import make_dynamics
 from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.jacobians import step_jacobians
 from ahnn.measurements import Instrument, Position, Segment
-from ahnn.shooting.paths import path, sensitivities, steps_between, transitions
+from ahnn.shooting.path_sensitivities import path, sensitivities, steps_between, transitions
 from ahnn.shooting.robust import ROBUST
-from ahnn.training.posterior import WideProblem
+from ahnn.training.maximum_posterior import WideProblem
 
 NETWORK = {"width": 6, "depth": 2, "activation": "tanh"}
 SD = 0.1  # km

@@ -10,7 +10,7 @@ import torch
 from helpers import close, generator
 from numpy.polynomial import Polynomial
 
-from ahnn.training.spans import bumps, integrated, quadrature
+from ahnn.training.weak_test_functions import bumps, integrated, quadrature
 
 DOUBLE = {"dtype": torch.float64}
 STEP = 0.2

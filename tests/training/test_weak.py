@@ -15,15 +15,23 @@ from torch.nn.utils import parameters_to_vector
 from ahnn.errors import UserError
 from ahnn.measurements import Instrument, Segment, State
 from ahnn.rollouts import rollout
-from ahnn.shooting.paths import path
+from ahnn.shooting.path_sensitivities import path
 from ahnn.shooting.robust import ROBUST
 from ahnn.systems import Molniya
 from ahnn.systems.truth import exact_flow
-from ahnn.training import LevenbergMarquardt, Loss, LossOptions, Recursive, shooting, spans, weak
+from ahnn.training import (
+    LevenbergMarquardt,
+    Loss,
+    LossOptions,
+    Recursive,
+    shooting,
+    weak,
+    weak_test_functions,
+)
 from ahnn.training.banded import Factor
 from ahnn.training.curriculum import objective_of
-from ahnn.training.spans import bumps, integrated, quadrature
 from ahnn.training.weak import Weak, WeakProblem
+from ahnn.training.weak_test_functions import bumps, integrated, quadrature
 
 
 @torch.no_grad()
@@ -104,7 +112,7 @@ def test_the_noise_of_the_integrals_is_white():
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("width", [3, 6, 20])
 def test_sums_are_exact_for_polynomials_however_few_and_uneven_the_samples(monkeypatch, order, width):
-    monkeypatch.setitem(spans.NARROWEST, order, width)
+    monkeypatch.setitem(weak_test_functions.NARROWEST, order, width)
     gaps = 0.8 + 0.4 * torch.rand(2, 60, generator=generator(5), **DOUBLE)
     times = torch.nn.functional.pad(gaps.cumsum(1), (1, 0)) / 60
     tests = bumps(times, torch.ones(2, 61, dtype=torch.bool), width, order)

@@ -14,13 +14,13 @@ from ahnn.dynamics.hamiltonians import SeparableHamiltonian
 from ahnn.errors import UserError
 from ahnn.measurements import Instrument, Position, Segment, State
 from ahnn.rollouts import rollout
-from ahnn.shooting.paths import path
+from ahnn.shooting.path_sensitivities import path
 from ahnn.systems import Molniya
 from ahnn.systems.truth import exact_flow
 from ahnn.training import LevenbergMarquardt
 from ahnn.training.banded import Factor
-from ahnn.training.spans import bumps, integrated
 from ahnn.training.weak import Weak
+from ahnn.training.weak_test_functions import bumps, integrated
 
 
 class Potential(nn.Module):

@@ -14,7 +14,7 @@ from ahnn.data.segments import Segments
 from ahnn.data.sensor import Sensor
 from ahnn.dynamics import make_dynamics
 from ahnn.rollouts import rollout
-from ahnn.shooting.paths import path
+from ahnn.shooting.path_sensitivities import path
 from ahnn.statistics import Statistics
 from ahnn.systems import Pendulum
 from ahnn.systems.truth import exact_flow

@@ -10,7 +10,7 @@ from torch.func import functional_call, jacrev, vmap
 
 from ahnn.errors import UserError
 from ahnn.measurements import Instrument, Segment
-from ahnn.shooting.paths import path, steps_between
+from ahnn.shooting.path_sensitivities import path, steps_between
 from ahnn.uncertainty import directions
 from ahnn.uncertainty.directions import Watched, filtered_directions
 

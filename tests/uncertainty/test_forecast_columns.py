@@ -10,11 +10,11 @@ from helpers import close
 from ahnn.data.segments import whole
 from ahnn.data.sensor import Sensor
 from ahnn.evaluation.bands import NORMAL
-from ahnn.evaluation.explained import trial_of
 from ahnn.evaluation.forecast import Variances
+from ahnn.evaluation.goodness_of_fit import trial_of
 from ahnn.rollouts import rollout
-from ahnn.shooting.paths import path, steps_between
-from ahnn.shooting.starts import linearised
+from ahnn.shooting.initial_states import linearised
+from ahnn.shooting.path_sensitivities import path, steps_between
 from ahnn.uncertainty import bands, forecast_columns
 
 EVERY, NOISE = 4, 0.05

@@ -13,7 +13,6 @@ from ahnn.data.files.content import Column, Content
 from ahnn.data.files.frame_names import canonical
 from ahnn.data.files.frames import TO_TT
 from ahnn.data.files.samples import Array, Track, by_id, ordered
-from ahnn.data.files.scales import scales
 from ahnn.data.files.sidecar import Sidecar, with_units
 from ahnn.data.files.table import (
     FINITE,
@@ -28,7 +27,8 @@ from ahnn.data.files.table import (
     number,
     refuse,
 )
-from ahnn.data.files.turns import unwrapped
+from ahnn.data.files.unit_factors import scales
+from ahnn.data.files.unwrapped_angles import unwrapped
 
 NOTATION = "Write dates as year-month-day, which nobody takes for another day"
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from ahnn.estimation.batch import BatchResult
+from ahnn.estimation.batch_least_squares import BatchResult
 from ahnn.estimation.belief import Status
 from ahnn.estimation.consistency import (
     GAUSSIAN,
@@ -18,8 +18,8 @@ from ahnn.estimation.consistency import (
     nees,
     share_within,
 )
+from ahnn.estimation.consistency_bands import Judged, judged_nees, judged_nis
 from ahnn.estimation.estimator import Smoothed
-from ahnn.estimation.judged import Judged, judged_nees, judged_nis
 from ahnn.estimation.results import FilterResult
 from ahnn.estimation.scenario import Problem, Setting
 from ahnn.estimation.state import initial_state

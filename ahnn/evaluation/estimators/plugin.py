@@ -14,12 +14,12 @@ from ahnn.errors import UserError
 from ahnn.estimation.estimator import Estimator
 from ahnn.estimation.gate import Gate
 from ahnn.estimation.online import online_process, weights_hash
-from ahnn.estimation.process import Process
+from ahnn.estimation.process_model import Process
 from ahnn.estimation.scenario import Problem, Setting, perturbed_arcs, simulated
 from ahnn.estimation.setting import make_setting, near_system, require_measurement
 from ahnn.estimation.trial import Filter, assimilate, assimilate_all, shown
 from ahnn.evaluation.case import Case, Findings, Start, Who
-from ahnn.evaluation.estimators.figures import filter_figures
+from ahnn.evaluation.estimators.filter_figures import filter_figures
 from ahnn.evaluation.estimators.noise_options import (
     ForceOptions,
     GivenNoise,

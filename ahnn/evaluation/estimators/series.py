@@ -10,7 +10,7 @@ from torch import Tensor
 from ahnn.estimation.consistency import deviations
 from ahnn.evaluation import Case
 from ahnn.evaluation.estimators.outcome import Outcome
-from ahnn.evaluation.figures import SMOOTHING
+from ahnn.evaluation.trajectory_figures import SMOOTHING
 from ahnn.metrics import moving_average
 
 

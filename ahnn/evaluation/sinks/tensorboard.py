@@ -10,9 +10,9 @@ from typing import Any, final
 from ahnn.arguments import flatten
 from ahnn.evaluation.case import Findings
 from ahnn.evaluation.results import Results
+from ahnn.evaluation.score_table import QUANTITIES
 from ahnn.evaluation.sinks.base import TensorBoardLike
-from ahnn.evaluation.sinks.figures import drawn
-from ahnn.evaluation.table import QUANTITIES
+from ahnn.evaluation.sinks.figure_files import drawn
 from ahnn.evaluation.titles import metric_name
 
 

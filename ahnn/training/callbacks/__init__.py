@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ahnn.training.callbacks.points import BestPoint, ResumePoint, require_monitored
+from ahnn.training.callbacks.checkpointing import BestPoint, ResumePoint, require_monitored
 from ahnn.training.callbacks.progress import TrainingProgress
 from ahnn.training.callbacks.rollout import ValidationRollout
 from ahnn.training.callbacks.telemetry import Telemetry

@@ -11,7 +11,7 @@ from lightning.pytorch.callbacks import ProgressBar
 from rich.progress import Progress, TaskID, TextColumn
 
 from ahnn.progress import progress_bar
-from ahnn.training.outlook import amounts
+from ahnn.training.runtime_estimate import amounts
 
 REFRESH_SECONDS = 0.5
 log = logging.getLogger(__name__)

@@ -16,9 +16,9 @@ from ahnn.jacobians import step_jacobians
 from ahnn.measurements import Instrument, Position, Segment
 from ahnn.measurements.smoothing import guess
 from ahnn.rollouts import rollout
-from ahnn.shooting.paths import steps_between
+from ahnn.shooting.initial_states import Trial, fit_starts
+from ahnn.shooting.path_sensitivities import steps_between
 from ahnn.shooting.robust import ROBUST
-from ahnn.shooting.starts import Trial, fit_starts
 from ahnn.systems import Molniya, System, exact_flow
 from ahnn.types import Flow, Space
 from ahnn_plugins.demonstrations.two_body import kepler

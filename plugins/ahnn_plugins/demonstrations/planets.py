@@ -14,7 +14,7 @@ from ahnn.errors import UserError
 from ahnn.systems import System
 from ahnn.types import Space, Trajectories, Units
 from ahnn_plugins.demonstrations.extras import require
-from ahnn_plugins.demonstrations.stretches import stretches
+from ahnn_plugins.demonstrations.segmented_series import stretches
 
 
 @final

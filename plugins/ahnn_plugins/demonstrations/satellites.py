@@ -17,7 +17,7 @@ from ahnn.systems import System
 from ahnn.training.objectives import difference_weights
 from ahnn.types import Space, Trajectories, Units
 from ahnn_plugins.demonstrations.extras import require
-from ahnn_plugins.demonstrations.stretches import stretches
+from ahnn_plugins.demonstrations.segmented_series import stretches
 
 APART, ORDER = 10.0, 8
 """Seconds between the positions that a velocity is read off, and order of that difference."""

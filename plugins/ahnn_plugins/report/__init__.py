@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from ahnn_plugins.report.report import Report
+from ahnn_plugins.report.write_report import Report
 
 __all__ = ["Report"]

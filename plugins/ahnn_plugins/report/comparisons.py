@@ -12,7 +12,7 @@ from ahnn.labels import headed
 from ahnn_plugins.report.collection import Entry
 from ahnn_plugins.report.grid import NONE, Cell, Grid, Head, Line, interval, mean_and_spread
 from ahnn_plugins.report.paper import MODELS
-from ahnn_plugins.report.samples import Sample, ratio
+from ahnn_plugins.report.score_samples import Sample, ratio
 from ahnn_plugins.report.scores import QUANTITIES, Board, Measure
 
 STARTS: tuple[Start, ...] = ("true", "perturbed", "fitted")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Literal, NamedTuple
 
-from ahnn_plugins.report.samples import Ratio, Sample
+from ahnn_plugins.report.score_samples import Ratio, Sample
 
 Tone = Literal["", "best", "quiet", "words"]
 NONE = "–"

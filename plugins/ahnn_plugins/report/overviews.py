@@ -10,7 +10,7 @@ from ahnn.evaluation.titles import MODEL, title
 from ahnn.labels import headed
 from ahnn_plugins.report.collection import Entry
 from ahnn_plugins.report.grid import NONE, Cell, Grid, Head, Line, mean_and_spread, shown
-from ahnn_plugins.report.samples import Sample
+from ahnn_plugins.report.score_samples import Sample
 from ahnn_plugins.report.scores import QUANTITIES, Board, floor_of, measured, sample
 from ahnn_plugins.report.settings import loss_of, noise_of, values_of
 

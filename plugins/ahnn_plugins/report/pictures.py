@@ -6,7 +6,7 @@ from importlib.util import find_spec
 from typing import NamedTuple
 
 from ahnn.errors import UserError
-from ahnn.evaluation.sinks.figures import FORMATS, drawn
+from ahnn.evaluation.sinks.figure_files import FORMATS, drawn
 from ahnn.progress import track
 from ahnn_plugins.report.collection import Collection
 from ahnn_plugins.report.drawing import Drawing

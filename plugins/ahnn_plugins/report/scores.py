@@ -11,7 +11,7 @@ from ahnn.evaluation.titles import MODEL
 from ahnn.labels import quantity
 from ahnn_plugins.report.collection import Collection, Entry
 from ahnn_plugins.report.paper import MODELS, Place, Printed, printed
-from ahnn_plugins.report.samples import Sample
+from ahnn_plugins.report.score_samples import Sample
 
 QUANTITIES = ("position", "velocity", "energy")
 FILTERS = ("ukf_tuned", "ukf")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from ahnn.evaluation.titles import described
 from ahnn.labels import quantity
 from ahnn_plugins.report.collection import Collection, Entry
-from ahnn_plugins.report.consistency import as_text, consistency_table
 from ahnn_plugins.report.document import Section
 from ahnn_plugins.report.grid import Grid, shown
 from ahnn_plugins.report.layout import grid_html
@@ -13,6 +12,7 @@ from ahnn_plugins.report.many import definitions, remarks_html
 from ahnn_plugins.report.markup import Markup, escaped, tag
 from ahnn_plugins.report.overviews import number, score_table
 from ahnn_plugins.report.pictures import Picture, figures_html
+from ahnn_plugins.report.plugin_numbers import as_text, consistency_table
 from ahnn_plugins.report.remarks import remarks
 from ahnn_plugins.report.scores import QUANTITIES, board
 from ahnn_plugins.report.settings import text_of

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Literal, NamedTuple
 
-from ahnn_plugins.report.samples import Ratio, Sample, ratio
+from ahnn_plugins.report.score_samples import Ratio, Sample, ratio
 from ahnn_plugins.report.scores import Measure
 
 Answer = Literal["holds", "does not hold", "undecided", "not tested"]

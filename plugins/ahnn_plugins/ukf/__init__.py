@@ -8,18 +8,18 @@ through one prediction or measurement at a time (`UnscentedKalmanFilter`), or ru
 
 from __future__ import annotations
 
-from ahnn.estimation.batch import BatchResult, batch_least_squares
+from ahnn.estimation.batch_least_squares import BatchResult, batch_least_squares
 from ahnn.estimation.force_error import ForceError
 from ahnn.estimation.likelihood import Learned, learned_noise
 from ahnn.estimation.online import online_process
 from ahnn.estimation.parameter_error import ParameterError
 from ahnn.estimation.results import FilterResult, SmootherResult
-from ahnn_plugins.ukf.estimator import UnscentedKalmanFilter, unscented_filter
 from ahnn_plugins.ukf.iterated import Iterated, iterated_smoother
-from ahnn_plugins.ukf.smoother import unscented_smoother
+from ahnn_plugins.ukf.parameters import Form, UnscentedParameters
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
 from ahnn_plugins.ukf.standard import STANDARD
-from ahnn_plugins.ukf.types import Form, UnscentedParameters
+from ahnn_plugins.ukf.unscented_filter import UnscentedKalmanFilter, unscented_filter
+from ahnn_plugins.ukf.unscented_smoother import unscented_smoother
 
 __all__ = [
     "SQUARE_ROOT",

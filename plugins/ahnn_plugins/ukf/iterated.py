@@ -15,22 +15,22 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ahnn.dynamics.bound import at
+from ahnn.dynamics.flow_at_time import at
+from ahnn.estimation.argument_checks import checked_rows, checked_sensor
 from ahnn.estimation.belief import Belief, Status, choose
-from ahnn.estimation.checks import checked_rows, checked_sensor
 from ahnn.estimation.consistency import deviations
 from ahnn.estimation.loop import StepModel, run, stepper
 from ahnn.estimation.results import FilterResult, ProcessNoise, SmootherResult
 from ahnn.estimation.state import initial_state
-from ahnn.estimation.steps import Grid, process_factor
+from ahnn.estimation.step_noise import Grid, process_factor
 from ahnn.measurements.base import Measurement
 from ahnn.numbers import Numbers
 from ahnn.types import Flow
-from ahnn_plugins.ukf.kernel import SigmaPoints
+from ahnn_plugins.ukf.parameters import UnscentedParameters
 from ahnn_plugins.ukf.regression import linear_flow, linear_sensor, regression_weights
-from ahnn_plugins.ukf.smoother import unscented_smoother
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
-from ahnn_plugins.ukf.types import UnscentedParameters
+from ahnn_plugins.ukf.unscented_kernel import SigmaPoints
+from ahnn_plugins.ukf.unscented_smoother import unscented_smoother
 
 SETTLED = 1e-2
 """Largest change of a mean, in its standard deviations, that is none."""

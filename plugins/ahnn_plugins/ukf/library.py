@@ -6,10 +6,10 @@ import ctypes
 from functools import cache
 from pathlib import Path
 
-from ahnn.libraries import NUMBER as N
-from ahnn.libraries import POINTER as P
-from ahnn.libraries import REAL as R
-from ahnn.libraries import compiled_library
+from ahnn.compiled_libraries import NUMBER as N
+from ahnn.compiled_libraries import POINTER as P
+from ahnn.compiled_libraries import REAL as R
+from ahnn.compiled_libraries import compiled_library
 
 SIGNATURES = {
     "ahnn_draw": (N, N, P, P, N, P, N, P),

@@ -9,11 +9,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from ahnn.compiled_libraries import followed, plain
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.results import Predicted, Updated
-from ahnn.libraries import followed, plain
 from ahnn_plugins.ukf.library import library
-from ahnn_plugins.ukf.types import Residual, Weights
+from ahnn_plugins.ukf.parameters import Residual, Weights
 
 SOUND, NO_MEMORY = 0, 2
 """What the functions of the library return."""

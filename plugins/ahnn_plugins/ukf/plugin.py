@@ -14,13 +14,13 @@ from ahnn.evaluation.estimators.noise_options import GivenNoise
 from ahnn.evaluation.titles import MODEL
 from ahnn.measurements import Measurement
 from ahnn.systems import System
-from ahnn_plugins.ukf.estimator import UnscentedKalmanFilter
+from ahnn_plugins.ukf.parameters import UnscentedParameters
 from ahnn_plugins.ukf.regression import regression_weights
 from ahnn_plugins.ukf.sigma_points import unscented_weights
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
 from ahnn_plugins.ukf.standard import STANDARD
 from ahnn_plugins.ukf.tuning import Tuning, tuned_once
-from ahnn_plugins.ukf.types import UnscentedParameters
+from ahnn_plugins.ukf.unscented_filter import UnscentedKalmanFilter
 
 
 @final

@@ -19,8 +19,8 @@ from ahnn.estimation.estimator import Sensor
 from ahnn.estimation.linalg import tria
 from ahnn.measurements import Measurement, Time, periods, residual
 from ahnn.types import Flow, TimeStep
+from ahnn_plugins.ukf.parameters import UnscentedParameters, Weights
 from ahnn_plugins.ukf.sigma_points import draw, unscented_weights
-from ahnn_plugins.ukf.types import UnscentedParameters, Weights
 
 
 class Affine(NamedTuple):

@@ -9,7 +9,7 @@ from ahnn.errors import UserError
 from ahnn.estimation.belief import Belief
 from ahnn.numbers import as_float64
 from ahnn_plugins.ukf import members
-from ahnn_plugins.ukf.types import UnscentedParameters, Weights
+from ahnn_plugins.ukf.parameters import UnscentedParameters, Weights
 
 CROWDED = 100.0
 """Amplification of rounding, D / (D + lambda), beyond which it is watched: alpha < 0.1 for kappa = 0."""

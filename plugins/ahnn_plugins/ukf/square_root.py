@@ -16,7 +16,7 @@ from ahnn.estimation.conditioning import conditioned, present_noise
 from ahnn.estimation.linalg import downdate, tria
 from ahnn.estimation.results import Predicted, Updated
 from ahnn_plugins.ukf import members
-from ahnn_plugins.ukf.types import Form, Residual, Weights
+from ahnn_plugins.ukf.parameters import Form, Residual, Weights
 
 
 def predict(propagated: Tensor, weights: Weights, chol_q: Tensor) -> Predicted:

@@ -15,7 +15,7 @@ from torch import Tensor
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.linalg import cholesky_repaired
 from ahnn.estimation.results import Predicted, Updated
-from ahnn_plugins.ukf.types import Form, Residual, Weights
+from ahnn_plugins.ukf.parameters import Form, Residual, Weights
 
 
 def predict(propagated: Tensor, weights: Weights, chol_q: Tensor) -> Predicted:

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from ahnn.arguments import Count, Interval, Range, Seed, Within, check_arguments, checked
 from ahnn.contents import read_whole
-from ahnn.dynamics.bound import at
+from ahnn.dynamics.flow_at_time import at
 from ahnn.errors import UserError
 from ahnn.estimation.belief import Status
 from ahnn.estimation.scenario import Problem, Setting
@@ -26,8 +26,8 @@ from ahnn.estimation.trial import Filter, assimilate, shown
 from ahnn.files import write_atomically
 from ahnn.manifest import is_own
 from ahnn.metrics import errors, rmse_norm
-from ahnn_plugins.ukf.estimator import UnscentedKalmanFilter
-from ahnn_plugins.ukf.types import UnscentedParameters
+from ahnn_plugins.ukf.parameters import UnscentedParameters
+from ahnn_plugins.ukf.unscented_filter import UnscentedKalmanFilter
 
 if TYPE_CHECKING:
     from optuna import Study

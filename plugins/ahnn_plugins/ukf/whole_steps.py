@@ -12,17 +12,17 @@ import math
 import torch
 from torch import Tensor
 
-from ahnn.dynamics.bound import at
+from ahnn.dynamics.flow_at_time import at
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.estimator import Sensor
 from ahnn.estimation.kernel import propagate, taken
 from ahnn.estimation.loop import StepModel, stepper
-from ahnn.estimation.records import Step
 from ahnn.estimation.state import FilterState
+from ahnn.estimation.step_records import Step
 from ahnn.measurements import periods
 from ahnn_plugins.ukf import members
-from ahnn_plugins.ukf.kernel import READINGS, SigmaPoints
 from ahnn_plugins.ukf.sigma_points import draw
+from ahnn_plugins.ukf.unscented_kernel import READINGS, SigmaPoints
 
 
 class WholeSteps:

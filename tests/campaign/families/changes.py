@@ -7,9 +7,9 @@ import dataclasses
 import os
 from functools import partial
 
-from ahnn.cli.again import Request, run_config
 from ahnn.cli.compose import compose_job
 from ahnn.cli.prepare import prepare
+from ahnn.cli.reevaluation import Request, run_config
 from ahnn.data import store
 from ahnn.errors import UserError
 from ahnn.systems import HenonHeiles, Kepler, MassSpring, Molniya, Pendulum

@@ -33,8 +33,8 @@ DOORS = ("train", "evaluate", "predict", "assimilate", "report", "reproduce", "e
 def warm() -> None:
     """Import what the doors import, once for all forked processes."""
     for name in (*(f"ahnn.{door}" for door in DOORS), "ahnn.graphs", "ahnn.prediction.output", "ahnn.loading",
-                 "ahnn.assimilation.session", "ahnn.cli.stream", "ahnn.cli.again", "ahnn.cli.parts",
-                 "ahnn.data.doctor", "ahnn.evaluation.prepare", "ahnn.data.starts", "ahnn_plugins.ukf"):  # fmt: skip
+                 "ahnn.assimilation.session", "ahnn.cli.stream", "ahnn.cli.reevaluation", "ahnn.cli.parts",
+                 "ahnn.data.doctor", "ahnn.evaluation.make_case", "ahnn.data.starts", "ahnn_plugins.ukf"):  # fmt: skip
         importlib.import_module(name)
 
 

@@ -18,8 +18,8 @@ import yaml
 
 import ahnn
 from ahnn.checkpoints import Weights, read_weights, write_weights
-from ahnn.cli.again import Request, run_config
 from ahnn.cli.parts import build_source
+from ahnn.cli.reevaluation import Request, run_config
 from ahnn.evaluation import load_results
 
 from .children import trained

@@ -7,7 +7,7 @@ from functools import partial
 
 import yaml
 
-from ahnn.cli.again import KEYS, NODES, Request, run_config
+from ahnn.cli.reevaluation import KEYS, NODES, Request, run_config
 
 from .damage import damaged
 

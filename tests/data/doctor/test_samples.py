@@ -12,7 +12,7 @@ from ahnn.data.doctor.samples import gaps, missing, noise, sample_findings, too_
 from ahnn.data.files.content import Content
 from ahnn.data.files.reading import Reading
 from ahnn.data.files.samples import Track
-from ahnn.data.files.turns import turns_of
+from ahnn.data.files.unwrapped_angles import turns_of
 from ahnn.data.noise_floor import noise_floor
 from ahnn.types import Units
 

@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 from ahnn.errors import UserError
 from ahnn_plugins.demonstrations import Planets, Satellites, extras
 from ahnn_plugins.demonstrations.satellites import element_sets
-from ahnn_plugins.demonstrations.stretches import stretches
+from ahnn_plugins.demonstrations.segmented_series import stretches
 from ahnn_plugins.demonstrations.two_body import kepler
 
 INNER = ["mercury", "venus", "earthmoon", "mars"]

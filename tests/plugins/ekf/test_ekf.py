@@ -11,7 +11,7 @@ from filterpy.kalman import ExtendedKalmanFilter as Reference
 from scipy.stats import chi2
 
 from ahnn.dynamics import make_dynamics
-from ahnn.dynamics.recorded import recorded
+from ahnn.dynamics.recorded_flow import recorded
 from ahnn.dynamics.transition import transition
 from ahnn.estimation import Gate, Setting, Status, initial_belief, nees, perturbed_arcs
 from ahnn.estimation.force_error import ForceError

@@ -8,7 +8,7 @@ import pytest
 
 from ahnn_plugins.report.claims import CLAIMS
 from ahnn_plugins.report.paper import COLUMNS, MODELS, Place, filtered, printed, read_numbers
-from ahnn_plugins.report.samples import Sample
+from ahnn_plugins.report.score_samples import Sample
 from ahnn_plugins.report.scores import Measure
 from ahnn_plugins.report.verdicts import Claim, Demand, judged
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from ahnn_plugins.report.grid import as_printed, interval, mean_and_spread, shown
-from ahnn_plugins.report.samples import Ratio, Sample, ratio
+from ahnn_plugins.report.score_samples import Ratio, Sample, ratio
 
 VALUES = st.lists(st.floats(1e-9, 1e9), min_size=2, max_size=6).filter(lambda v: max(v) > 1.001 * min(v))
 INF, NAN = math.inf, math.nan

@@ -13,14 +13,14 @@ from ahnn.errors import UserError
 from ahnn.evaluation import Row, Who
 from ahnn_plugins.report.collection import collect
 from ahnn_plugins.report.comparisons import ablation_table, agreement, order_table, ordered
-from ahnn_plugins.report.consistency import consistency_table
 from ahnn_plugins.report.grid import Cell, Line
 from ahnn_plugins.report.layout import grid_latex, latex, letter
 from ahnn_plugins.report.markdown import grid_markdown
 from ahnn_plugins.report.overviews import cost_table, ladder_table, score_table
 from ahnn_plugins.report.paper_tables import energy_table, is_of_paper, rmse_table
+from ahnn_plugins.report.plugin_numbers import consistency_table
 from ahnn_plugins.report.remarks import remarks, unfinished
-from ahnn_plugins.report.samples import Sample
+from ahnn_plugins.report.score_samples import Sample
 from ahnn_plugins.report.scores import Measure, board
 from ahnn_plugins.report.spreadsheet import COLUMNS, scores_csv
 

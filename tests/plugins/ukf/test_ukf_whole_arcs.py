@@ -10,11 +10,11 @@ from scipy.stats import chi2
 
 from ahnn.errors import UserError
 from ahnn.estimation import Gate, initial_belief
-from ahnn.estimation.arc import Arc, followed
-from ahnn.estimation.batch import batch_least_squares
-from ahnn.estimation.checks import checked_sensor
+from ahnn.estimation.arc_least_squares import Arc, followed
+from ahnn.estimation.argument_checks import checked_sensor
+from ahnn.estimation.batch_least_squares import batch_least_squares
 from ahnn.estimation.consistency import nees
-from ahnn.estimation.steps import Grid
+from ahnn.estimation.step_noise import Grid
 from ahnn.measurements import Position
 from ahnn_plugins.ukf import UnscentedParameters, unscented_filter, unscented_smoother
 from ahnn_plugins.ukf.iterated import iterated_smoother

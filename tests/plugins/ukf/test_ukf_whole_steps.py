@@ -8,8 +8,8 @@ import torch
 from ahnn.estimation import Gate, Status, initial_belief
 from ahnn.measurements import Position, State
 from ahnn_plugins.ukf import SQUARE_ROOT, UnscentedParameters, unscented_filter
-from ahnn_plugins.ukf.kernel import SigmaPoints
 from ahnn_plugins.ukf.library import library
+from ahnn_plugins.ukf.unscented_kernel import SigmaPoints
 from ahnn_plugins.ukf.whole_steps import WholeSteps
 
 F64, NAN = torch.float64, float("nan")

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from torch import Tensor
 
-from ahnn.evaluation.figures import SMOOTHING
+from ahnn.evaluation.trajectory_figures import SMOOTHING
 from ahnn.labels import quantity
 from ahnn.metrics import moving_average
 from ahnn_plugins.report.drawing import Drawing, Panel, Series

@@ -1,0 +1,128 @@
+"""What an assimilation wrote, read again: as many rows as a picture or an ephemeris takes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ahnn.data.estimate_table import COVARIANCE, DEVIATION, FIRST, INNOVATION, rows_of
+from ahnn.data.files import Covariance, Ephemeris, write_oem
+from ahnn.data.reference import Reference
+from ahnn.errors import UserError
+from ahnn.labels import require_velocities
+from ahnn.types import Space
+
+Array = NDArray[np.float64]
+MOST = 10_000
+"""Rows that are kept of an output, evenly spread over it."""
+
+
+class Record(NamedTuple):
+    """Rows of an output, the last one of each time.
+
+    Attributes:
+        time: (T,) increasing.
+        mean: (T, D).
+        covariance: (T, D, D).
+        outcome: (T,) words.
+        nis, dof: (T,).
+        measured: names of the measured numbers.
+        innovation, deviation: (T, M), NaN where a number is missing.
+    """
+
+    time: Array
+    mean: Array
+    covariance: Array
+    outcome: NDArray[np.str_]
+    nis: Array
+    dof: Array
+    measured: tuple[str, ...]
+    innovation: Array
+    deviation: Array
+
+
+def read_record(path: Path, components: tuple[str, ...], most: int = MOST) -> Record:
+    """Return at most so many rows of an output, the last one among them, in constant memory.
+
+    Raises:
+        UserError: it holds no rows.
+    """
+    stride = max(1, -(-sum(1 for _ in rows_of(path)) // most))
+    kept: dict[float, dict[str, Any]] = {}
+    row: dict[str, Any] = {}
+    for k, row in enumerate(rows_of(path)):
+        if k % stride == 0:
+            kept[float(row["time"])] = row
+    if not row:
+        message = f"output: expected estimates; received none in {path}"
+        raise UserError(message)
+    kept[float(row["time"])] = row
+    rows = [kept[time] for time in sorted(kept)]
+    size, measured = (
+        len(components),
+        tuple(n.removeprefix(INNOVATION) for n in row if n.startswith(INNOVATION)),
+    )
+
+    def columns(names: list[str]) -> Array:
+        return np.array([[_number(row[name]) for name in names] for row in rows])
+
+    covariance = np.zeros((len(rows), size, size))
+    for i in range(size):
+        for j in range(i + 1):
+            (covariance[:, i, j],) = columns([f"{COVARIANCE}{components[i]}_{components[j]}"]).T
+            covariance[:, j, i] = covariance[:, i, j]
+    time, nis, dof = columns(["time", "nis", "dof"]).T
+    outcome = np.array([row[FIRST[3]] for row in rows])
+    told = [columns([prefix + name for name in measured]) for prefix in (INNOVATION, DEVIATION)]
+    return Record(time, columns([*components]), covariance, outcome, nis, dof, measured, *told)
+
+
+def _number(cell: Any) -> float:
+    return np.nan if cell is None or cell == "" else float(cell)
+
+
+def require_orbit(space: Space, reference: Reference) -> None:
+    """Refuse an ephemeris of what is no orbit, or of which frame, centre or epoch are unknown.
+
+    Raises:
+        UserError: names the keys that say what is missing.
+    """
+    if len(space.components) != 6 or space.units[:3] != ("s", "km", "km/s"):
+        message = (
+            f"oem: expected an orbit in s, km and km/s; received {space.name} in {', '.join(space.units[:3])}"
+        )
+        raise UserError(message)
+    require_velocities(space, "oem")
+    keys = zip(("frame", "center", "time_system", "epoch"), reference, strict=True)
+    if missing := [f"{key}=" for key, value in keys if value in ("", None)]:
+        message = (
+            f"oem: expected {', '.join(missing)} of the estimates, which neither model nor start says; "
+            "received none. Such as frame=EME2000 center=EARTH time_system=UTC epoch=2024-03-01T12:00:00"
+        )
+        raise UserError(message)
+
+
+def write_ephemeris(path: Path, record: Record, space: Space, name: str, reference: Reference) -> None:
+    """Write the estimates of an orbit with their covariances as an orbit ephemeris message.
+
+    Args:
+        path: of the message.
+        record: the estimates, in km and, of momenta, km/s times the mass.
+        space: what the numbers mean.
+        name: of the object.
+        reference: frame, centre, clock and epoch of time zero.
+
+    Raises:
+        UserError: see `require_orbit`.
+    """
+    require_orbit(space, reference)
+    frame, center, clock, epoch = reference
+    assert epoch is not None
+    scale = np.array([1.0] * 3 + [1.0 / space.mass] * 3)
+    matrices = record.covariance * scale[:, None] * scale
+    covariances = tuple(Covariance(float(t), matrix) for t, matrix in zip(record.time, matrices, strict=True))
+    states = record.mean * scale
+    write_oem(path, [Ephemeris(name, name, center, frame, clock, epoch, record.time, states, covariances)])

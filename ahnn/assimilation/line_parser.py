@@ -1,0 +1,230 @@
+"""From a line of text to what an instrument said."""
+
+from __future__ import annotations
+
+import csv
+import json
+import logging
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from ahnn.arguments import nearest
+from ahnn.assimilation.cells import BadLine, is_missing, number
+from ahnn.assimilation.stream_clock import Clock
+from ahnn.assimilation.stream_sensor import Sensor
+from ahnn.data.files.table import HEADER
+from ahnn.data.files.units import factor
+from ahnn.errors import UserError
+
+log = logging.getLogger("ahnn")
+
+TIME, SENSOR, SD = ("time", "t"), "sensor", "sd_"
+"""Names of columns: of the time, of the sensor, and what stands before the name of a standard deviation."""
+
+
+class Reading(NamedTuple):
+    """What an instrument said.
+
+    Attributes:
+        time: in the unit of the space.
+        values: M numbers, NaN where one is missing.
+        sensor: its name; "" where there is one sensor.
+        deviations: M standard deviations; None takes those of the sensor.
+    """
+
+    time: float
+    values: tuple[float, ...]
+    sensor: str = ""
+    deviations: tuple[float, ...] | None = None
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing was measured."""
+        return all(map(math.isnan, self.values))
+
+
+class Layout:
+    """How the lines of a stream are read: JSON objects, or cells under the names of a header.
+
+    Args:
+        first: the first line.
+        sensors: by name.
+        clock: what times mean; None takes numbers alone.
+
+    Raises:
+        UserError: a header without time, with a column that no sensor has or in a unit that does not fit it,
+            or with numbers whose standard deviations nobody says.
+    """
+
+    def __init__(self, first: str, sensors: Mapping[str, Sensor], clock: Clock | None = None) -> None:
+        self.sensors, self.clock = sensors, clock
+        self.only = next(iter(sensors)) if len(sensors) == 1 else None
+        known = {name for sensor in sensors.values() for name in sensor.columns}
+        self.known = {*TIME, SENSOR, *known, *(SD + name for name in known)}
+        self.foreign = {key: self.known - _keys(sensor) for key, sensor in sensors.items()}
+        self.said: set[tuple[str, str]] = set()
+        self.names: list[str] | None = None
+        self.scales: dict[str, float] = {}
+        if "\r" in first.strip():
+            message = "measurements: expected lines that end with LF; received CR. tr '\\r' '\\n' makes such"
+            raise UserError(message)
+        if not first.lstrip().startswith("{"):
+            self.delimiter = max(",;\t", key=first.count)
+            try:
+                self.names = [self._name(cell) for cell in self._split(first)]
+            except BadLine as error:
+                message = f"measurements: expected a header; received {first[:40]!r} ({error})"
+                raise UserError(message) from error
+            if len({*self.names}) < len(self.names) or len({*TIME} & {*self.names}) != 1:
+                expected = f"a header with time and {self._expected()}, each once"
+                message = f"measurements: expected {expected}; received {first.strip()!r}"
+                raise UserError(message)
+            self._require_deviations({*self.names})
+
+    def reading(self, text: str) -> Reading:
+        """Return what a line says.
+
+        Raises:
+            BadLine: it is no measurement.
+        """
+        row = self._cells(text) if self.names else self._object(text)
+        name = row.get(SENSOR) or self.only
+        if not isinstance(name, str) or name not in self.sensors:
+            message = f"sensor: expected one of {', '.join(self.sensors)}; received {row.get(SENSOR)!r}"
+            raise BadLine(message)
+        sensor = self.sensors[name]
+        self._say_unused(name, row)
+        cells = [row[key] for key in TIME if key in row]
+        cell = cells[0] if len(cells) == 1 else None
+        time = number(cell, "time") if self.clock is None else self.clock.time(cell)
+        if math.isnan(time):
+            message = "time: expected a number; received none"
+            raise BadLine(message)
+        values = tuple([self._number(row, column) for column in sensor.columns])
+        return Reading(time, values, name, self._deviations(row, sensor, values))
+
+    @property
+    def asks(self) -> bool:
+        """Whether lines are of times alone, and ask for predictions; JSON objects may be."""
+        return not {*(self.names or ())} - {*TIME, SENSOR}
+
+    def _say_unused(self, name: str, row: dict[str, Any]) -> None:
+        """Warn, once for each sensor and column, of numbers that no reading of that sensor has."""
+        for key in self.foreign[name]:
+            if key in row and (name, key) not in self.said and not is_missing(row[key]):
+                self.said.add((name, key))
+                log.warning("measurements: %s is not used in lines of sensor %s, which has none", key, name)
+
+    def _cells(self, text: str) -> dict[str, Any]:
+        assert self.names is not None
+        cells = self._split(text)
+        if len(cells) != len(self.names):
+            message = f"expected {len(self.names)} cells; received {len(cells)}"
+            raise BadLine(message)
+        return dict(zip(self.names, cells, strict=True))
+
+    def _split(self, text: str) -> list[str]:
+        """Return the cells of a line; raises BadLine."""
+        cells = text.split(self.delimiter)
+        if '"' in text:
+            try:
+                cells = next(csv.reader([text], delimiter=self.delimiter, skipinitialspace=True))
+            except csv.Error as error:
+                message = f"expected cells; received: {error}"
+                raise BadLine(message) from error
+        return [cell.strip() for cell in cells]
+
+    def _object(self, text: str) -> dict[str, Any]:
+        try:
+            row = json.loads(text, object_pairs_hook=unique)
+        except (ValueError, RecursionError) as error:
+            message = f"expected a JSON object; received: {error}"
+            raise BadLine(message) from error
+        if not isinstance(row, dict):
+            message = f"expected a JSON object; received {text[:40]!r}"
+            raise BadLine(message)
+        if unknown := row.keys() - self.known:
+            message = f"expected time and {self._expected()}; received {sorted(unknown)[0]!r}"
+            raise BadLine(message)
+        return row
+
+    def _deviations(
+        self, row: dict[str, Any], sensor: Sensor, values: tuple[float, ...]
+    ) -> tuple[float, ...] | None:
+        """Return the standard deviations of a row; None where it brings none and the sensor's hold."""
+        given = [self._number(row, SD + name) for name in sensor.columns]
+        if sensor.deviations is not None and all(map(math.isnan, given)):
+            return None
+        own = sensor.deviations or (math.nan,) * len(given)
+        chosen = [other if math.isnan(sd) else sd for sd, other in zip(given, own, strict=True)]
+        for k, (name, value) in enumerate(zip(sensor.columns, values, strict=True)):
+            if math.isnan(value) and math.isnan(chosen[k]):
+                chosen[k] = 1.0  # of what was not measured
+            if not chosen[k] > 0.0:
+                message = f"{SD}{name}: expected a number > 0; received {row.get(SD + name)!r}"
+                raise BadLine(message)
+        return tuple(chosen)
+
+    def _number(self, row: dict[str, Any], name: str) -> float:
+        """Return what stands in a column, in the unit of the sensor; raises BadLine."""
+        cell, scale = row.get(name), self.scales.get(name, 1.0)
+        return number(number(cell, name) * scale, name)
+
+    def _name(self, cell: str) -> str:
+        """Return the name in a cell of the header; raises UserError for one that is not known."""
+        found = HEADER.fullmatch(cell)
+        name = found["name"] if found else cell
+        if name not in self.known:
+            expected = f"a header with time and {self._expected()}"
+            message = (
+                f"measurements: expected {expected}; received {name!r}{nearest(name, sorted(self.known))}"
+            )
+            raise UserError(message)
+        unit = found["unit"] if found else None
+        if unit is not None and name in TIME and self.clock is not None:
+            self.clock = self.clock.named(unit)
+        elif unit is not None and name not in (*TIME, SENSOR):
+            self.scales[name] = self._scale(name.removeprefix(SD), unit)
+        return name
+
+    def _require_deviations(self, named: set[str]) -> None:
+        """Refuse a table whose numbers have no standard deviations; raises UserError."""
+        for name, sensor in self.sensors.items():
+            lacking = [column for column in sensor.columns if column in named and SD + column not in named]
+            if sensor.deviations is None and lacking:
+                key = "measurement.sd" if self.only else f"sensors.{name}.sd"
+                message = (
+                    f"measurements: expected a column {SD}{lacking[0]}, or {key}=NUMBER; received neither"
+                )
+                raise UserError(message)
+
+    def _scale(self, name: str, given: str) -> float:
+        """Return what numbers of a column are multiplied with; raises UserError for a unit that fits none."""
+        units = {}
+        for sensor in self.sensors.values():
+            units |= dict(zip(sensor.columns, sensor.measurement.units, strict=True))
+        try:
+            return factor(given, units[name])
+        except ValueError as error:
+            message = (
+                f"measurements: expected {name} in {units[name]}, or a unit that fits it; received {given}"
+            )
+            raise UserError(message) from error
+
+    def _expected(self) -> str:
+        return ", ".join(dict.fromkeys(name for one in self.sensors.values() for name in one.columns))
+
+
+def _keys(sensor: Sensor) -> set[str]:
+    """Return the names that a line of a sensor may use."""
+    return {*TIME, SENSOR, *sensor.columns, *(SD + name for name in sensor.columns)}
+
+
+def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return the object of some pairs; raises ValueError where a key comes twice."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        message = "a key twice"
+        raise ValueError(message)
+    return found

@@ -1,0 +1,214 @@
+"""Estimates as lines of text: CSV under a header, or JSON objects; and the file that can be cut back."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import json
+import math
+import os
+import sys
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, BinaryIO, Literal
+
+from ahnn.assimilation.online import Estimate
+from ahnn.assimilation.stream_sensor import Sensor
+from ahnn.data.estimate_table import COVARIANCE, DEVIATION, FIRST, INNOVATION
+from ahnn.data.files.sidecar import Sidecar
+from ahnn.errors import UserError
+
+Format = Literal["csv", "json"]
+TAIL = 1 << 14
+"""Bytes at the end of an output that a state knows by their hash."""
+
+
+class Rows:
+    """Estimates as rows under the same names.
+
+    Args:
+        components: of the state.
+        sensors: by name.
+        kind: csv or json.
+        said: units and frame, which go beside a file; None writes none.
+    """
+
+    def __init__(
+        self,
+        components: tuple[str, ...],
+        sensors: Mapping[str, Sensor],
+        kind: Format,
+        said: Sidecar | None = None,
+    ) -> None:
+        self.kind: Format = kind
+        self.said = said
+        self.lower = [(i, j) for i in range(len(components)) for j in range(i + 1)]
+        measured = dict.fromkeys(name for sensor in sensors.values() for name in sensor.columns)
+        place = {name: k for k, name in enumerate(measured)}
+        self.places = {key: [place[name] for name in sensor.columns] for key, sensor in sensors.items()}
+        self.width = len(place)
+        self.names = [
+            *FIRST,
+            *components,
+            *(f"{COVARIANCE}{components[i]}_{components[j]}" for i, j in self.lower),
+            *(INNOVATION + name for name in measured),
+            *(DEVIATION + name for name in measured),
+        ]
+
+    def header(self) -> str:
+        """Return the first line of a table; JSON objects have none."""
+        return ",".join(self.names) + "\n" if self.kind == "csv" else ""
+
+    def row(self, line: int, sensor: str, estimate: Estimate) -> str:
+        """Return the line of an estimate."""
+        mean, covariance, told = estimate.mean.tolist(), estimate.covariance.tolist(), estimate.innovation
+        innovation, deviation = [math.nan] * self.width, [math.nan] * self.width
+        assert told is not None
+        parts = zip(self.places[sensor], told.residual[0].tolist(), told.deviation[0].tolist(), strict=True)
+        for place, residual, sd in parts:
+            innovation[place], deviation[place] = residual, sd
+        values: list[Any] = [line, estimate.time, sensor, estimate.outcome, estimate.replayed]
+        values += [float(told.nis), int(told.measured), *mean]
+        values += [covariance[i][j] for i, j in self.lower]
+        values += [*innovation, *deviation]
+        if self.kind == "csv":
+            return ",".join(map(_cell, values)) + "\n"
+        plain = (None if isinstance(value, float) and math.isnan(value) else value for value in values)
+        return json.dumps(dict(zip(self.names, plain, strict=True))) + "\n"
+
+    def wrote(self, text: str, line: int, *, begin: bool) -> bool:
+        """Return whether a text is rows of lines behind a number, the last of which a kill may have cut.
+
+        Args:
+            text: of an output.
+            line: that number.
+            begin: whether the text is the whole output.
+        """
+        if begin and (head := self.header()):
+            if len(text) < len(head):
+                return head.startswith(text)
+            if not text.startswith(head):
+                return False
+            text = text.removeprefix(head)
+        *whole, cut = text.split("\n")
+        numbers = [line, *map(self._number, whole)]
+        first, _, others = cut.partition("," if self.kind == "csv" else ": ")
+        torn = first == '{"line"' or (not others and '{"line": '.startswith(cut))
+        if self.kind == "csv":
+            torn = (first.isdigit() or not cut) and others.count(",") <= len(self.names) - 2
+        return torn and all(a < b for a, b in pairwise(numbers))
+
+    def _number(self, row: str) -> int:
+        """Return the number of the line that a row is of, -1 where it is no row of these."""
+        try:
+            if self.kind == "json":
+                found = json.loads(row)
+                return found["line"] if list(found) == self.names else -1
+            cells = row.split(",")
+            return int(cells[0]) if len(cells) == len(self.names) else -1
+        except (ValueError, TypeError, RecursionError):
+            return -1
+
+
+def digest(content: bytes) -> str:
+    """Return the hash of the end of an output."""
+    return hashlib.blake2b(content, digest_size=16).hexdigest()
+
+
+def _cell(value: Any) -> str:
+    return "" if value != value else str(value)
+
+
+class Output:
+    """Where rows go: standard output, or a file that belongs to one process and can be cut back.
+
+    Args:
+        path: of the file; `-` is standard output.
+        rows: of what it is written.
+        line: number of the last line that a state holds; None begins a new file.
+        size: bytes of the file that the state knows of; rows of later lines behind them are cut off.
+        tail: hash of the last of those bytes.
+
+    Raises:
+        UserError: a file that exists where a new one begins, that another process writes, or that is not as
+            the state knows it.
+    """
+
+    def __init__(self, path: str, rows: Rows, line: int | None = None, size: int = 0, tail: str = "") -> None:
+        self.size, self._tail = size, b""
+        self.file: BinaryIO = sys.stdout.buffer
+        if path == "-":
+            return
+        if line is None:
+            require_new(path)
+        self.file = _opened(Path(path), new=size == 0)
+        if line is not None and (found := self._cut_back(rows, line, tail)):
+            self.close()
+            message = (
+                f"output: expected {path} as it was left, {size} bytes and rows of later lines; received "
+                f"{found}. Begin again with another state and output"
+            )
+            raise UserError(message)
+
+    @property
+    def digest(self) -> str:
+        """Hash of the last bytes."""
+        return digest(self._tail)
+
+    def _cut_back(self, rows: Rows, line: int, tail: str) -> str:
+        """Cut off what lies behind `size`; return what is there where that, or the end, is not ours."""
+        length = self.file.seek(0, os.SEEK_END)
+        if length < self.size:
+            return f"{length} bytes"
+        begin = self.file.seek(max(0, self.size - TAIL))
+        self._tail, behind = self.file.read(self.size - begin), self.file.read().decode(errors="replace")
+        if self.digest != tail or not rows.wrote(behind, line, begin=self.size == 0):
+            return "other content"
+        self.file.truncate(self.size)
+        self.file.seek(self.size)
+        return ""
+
+    def write(self, text: str) -> None:
+        """Write a line, and hand it to the system at once."""
+        content = text.encode()
+        self.file.write(content)
+        self.file.flush()
+        self.size += len(content)
+        self._tail = (self._tail + content)[-TAIL:]
+
+    def close(self) -> None:
+        """Close a file; standard output stays open."""
+        if self.file is not sys.stdout.buffer:
+            self.file.close()
+
+    def sync(self) -> None:
+        """Wait until the rows are on the disk."""
+        with contextlib.suppress(OSError):  # a pipe has none
+            os.fsync(self.file.fileno())
+
+
+def require_new(path: str) -> None:
+    """Refuse to begin where something is already; raises UserError."""
+    if path != "-" and os.path.lexists(path):
+        message = (
+            f"output: expected a new file; received {path}, which is there. Name another one or remove it"
+        )
+        raise UserError(message)
+
+
+def _opened(path: Path, *, new: bool) -> BinaryIO:
+    """Return a file that no other process writes; raises UserError, also where one is expected and is not."""
+    if not (new or path.exists()):
+        message = f"output: expected {path} as it was left; received none. Begin again with another state"
+        raise UserError(message)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    file = path.open("r+b" if path.exists() else "x+b")
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        file.close()
+        message = f"output: expected a file of its own; received {path}, which another process writes"
+        raise UserError(message) from error
+    return file

@@ -1,0 +1,93 @@
+"""Pictures of an assimilation: innovations in their bands, consistency, and the size of the beliefs."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ahnn.assimilation.assimilation_record import Array, Record
+from ahnn.estimation.consistency import band
+from ahnn.evaluation import style
+from ahnn.labels import headed
+from ahnn.types import Space
+
+AVERAGED = 50
+"""Readings that a mean NIS is of."""
+NAMES = ("innovations", "consistency", "deviations")
+
+
+def figures_of(record: Record, space: Space) -> dict[str, Figure]:
+    """Return the figures of a record under their names."""
+    drawn = (draw(record, space) for draw in (innovations, consistency, deviations))
+    return dict(zip(NAMES, drawn, strict=True))
+
+
+def innovations(record: Record, space: Space) -> Figure:
+    """Draw each measured number less its prediction, in the band of three standard deviations."""
+    time, unit = _time(record, space)
+    figure = style.canvas(8, 1.2 + 1.9 * len(record.measured))
+    panels = figure.subplots(len(record.measured), 1, sharex=True, squeeze=False)[:, 0]
+    refused = record.outcome == "rejected"
+    for k, (axes, name) in enumerate(zip(panels, record.measured, strict=True)):
+        there = np.isfinite(record.innovation[:, k])
+        t, value, wide = time[there], record.innovation[there, k], 3.0 * record.deviation[there, k]
+        axes.fill_between(t, -wide, wide, color=style.BAND, alpha=0.5, lw=0, label="±3σ")
+        axes.axhline(0, color=style.BLACK, lw=0.6)
+        taken = ~refused[there]
+        limit = 2.0 * float(np.median(wide)) if len(t) else 1.0
+        limit = max(limit, float(np.abs(value[taken]).max(initial=0.0)))
+        far = np.clip(value[~taken], -limit, limit)  # an outlier does not flatten the others
+        axes.plot(t[taken], value[taken], ".", color=style.VERMILLION, ms=3, ls="none", label="innovation")
+        axes.plot(t[~taken], far, "x", color=style.BLACK, ms=5, ls="none", label="rejected")
+        axes.set_ylim(-1.1 * limit, 1.1 * limit)
+        known = space.components[: space.dof]
+        axes.set_ylabel(f"{name} [{space.units.position}]" if name in known else name)
+    style.legend_below(figure, panels[0])
+    panels[0].set_title(f"{space.name}: innovations")
+    panels[-1].set_xlabel(f"time [{unit}]")
+    return figure
+
+
+def consistency(record: Record, space: Space) -> Figure:
+    """Draw the moving mean of the NIS of what was taken, per measured number, with its 95 % band."""
+    time, unit = _time(record, space)
+    figure = style.canvas(8, 4)
+    axes = figure.subplots()
+    taken = (record.outcome == "taken") & np.isfinite(record.nis)
+    count = min(AVERAGED, max(1, int(taken.sum())))
+    nis, dof = (np.convolve(part[taken], np.ones(count), "valid") for part in (record.nis, record.dof))
+    if len(nis):
+        limits = np.array([band(total, 1) for total in sorted({*dof})])
+        where = np.searchsorted(sorted({*dof}), dof)
+        t = time[taken][count - 1 :]
+        low, high = limits[where].T / dof
+        axes.fill_between(t, low, high, color=style.BAND, alpha=0.5, lw=0, label="95 % band")
+        axes.plot(t, nis / dof, **style.MODEL, label=f"mean of {count} readings")
+    axes.axhline(1, color=style.BLACK, lw=0.6)
+    axes.set_ylabel("NIS / measured numbers")
+    axes.set_xlabel(f"time [{unit}]")
+    axes.set_title(f"{space.name}: consistency")
+    style.legend_below(figure, axes)
+    return figure
+
+
+def deviations(record: Record, space: Space) -> Figure:
+    """Draw the standard deviations of positions and momenta, root sum of squares of the components."""
+    time, unit = _time(record, space)
+    figure = style.canvas(8, 5)
+    panels = figure.subplots(2, 1, sharex=True)
+    variance = np.diagonal(record.covariance, axis1=1, axis2=2)
+    parts = variance[:, : space.dof], variance[:, space.dof :] / np.square(space.divisor)
+    for axes, part, name in zip(panels, parts, style.NAMES, strict=True):
+        axes.plot(time, np.sqrt(part.sum(1)), **(style.MODEL | {"lw": 1.2}))
+        axes.set_ylabel(f"believed σ of {headed(space, name)}")
+        style.logarithmic(axes, 0)
+    panels[0].set_title(f"{space.name}: what the filter believes to know")
+    panels[-1].set_xlabel(f"time [{unit}]")
+    return figure
+
+
+def _time(record: Record, space: Space) -> tuple[Array, str]:
+    """Return the times of a record, in hours where they are many seconds."""
+    hours = space.units.time == "s" and record.time[-1] - record.time[0] > 7200
+    return (record.time / 3600, "h") if hours else (record.time, space.units.time)

@@ -1,0 +1,139 @@
+"""What is asked of a finished run: its own configuration, and the few things that can be chosen again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from omegaconf import DictConfig, OmegaConf
+
+from ahnn.arguments import flatten, nearest
+from ahnn.cli.importing import let_import
+from ahnn.cli.pairs import read_pairs
+from ahnn.cli.parts import SENSOR, SIMULATION
+from ahnn.cli.settings import check_again
+from ahnn.cli.trust import require_trusted, targets
+from ahnn.cli.unreferenced_keys import require_referenced
+from ahnn.contents import read_plain
+from ahnn.errors import UserError
+from ahnn.paths import cache_dir
+from ahnn.pretrained import shipped
+
+OWN = ("run", "pretrained", "ckpt", "name")
+"""Keys of `Own`."""
+GROUPS = ("plugins", "measurement")
+NODES = ("system", "data", "evaluation", "plugins", "measurement")
+"""Parts of a configuration that an evaluation builds from."""
+KEYS = ("label", "threads")
+DATA = (*SIMULATION, "split", *SENSOR)
+"""Keys of `data` that say which trajectories there are and what measures them, not the training; they are
+kept where this user keeps his own, not where the run did."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Own:
+    """Keys of the command line that are no part of a configuration."""
+
+    run: str | None = None
+    pretrained: str | None = None
+    ckpt: str = "best"
+    name: str | None = None
+
+
+class Request(NamedTuple):
+    """What a command line asks for.
+
+    Attributes:
+        source: run folder or name of a shipped model, what is loaded.
+        folder: where its evaluations are kept.
+        ckpt: the weights to evaluate.
+        name: of the evaluation, or None.
+        overrides: key=value, in the order given.
+        trust: whether to build whatever the run's configuration names.
+    """
+
+    source: Path
+    folder: Path
+    ckpt: str
+    name: str | None
+    overrides: list[str]
+    trust: bool
+
+    @classmethod
+    def of(cls, arguments: list[str], usage: str) -> Request:
+        """Return the request of a command line.
+
+        Raises:
+            UserError: neither a run nor a shipped model is named, or an argument is not key=value.
+        """
+        given = [text for text in arguments if text != "--trust"]
+        if not any(text.startswith(("run=", "pretrained=")) for text in given) or not all(
+            "=" in text for text in given
+        ):
+            message = f"{usage}; received: {' '.join(arguments) or 'nothing'}"
+            raise UserError(message)
+        mine = [text for text in given if text.partition("=")[0] in OWN]
+        own = read_pairs(mine, Own, usage)
+        name = own.pretrained
+        folder = Path(f"runs/pretrained_{name}" if own.run is None else own.run)
+        if name is not None and (folder / "config.yaml").exists():
+            message = (
+                f"run {folder}: expected a folder for pretrained={name}; received another run. Name a new one"
+            )
+            raise UserError(message)
+        overrides = [text for text in given if text not in mine]
+        source = folder if name is None else shipped(name)
+        trust = len(given) < len(arguments)
+        return cls(source, folder, own.ckpt, own.name, overrides, trust)
+
+
+def run_config(folder: Path, request: Request) -> DictConfig:
+    """Return the configuration of a run with what is chosen again.
+
+    Raises:
+        UserError: it is missing or damaged, names what is not trusted, or an override has no effect or a
+            wrong value.
+    """
+    path = folder / "config.yaml"
+    content = read_plain(path)
+    missing = [key for key in NODES if not isinstance(content.get(key), dict)]
+    missing += [key for key in KEYS if key not in content]
+    if missing:
+        message = f"{path}: expected the configuration of a run; received one without {', '.join(missing)}"
+        raise UserError(message)
+    content["data"] = {key: content["data"].get(key) for key in DATA} | {"cache": str(cache_dir())}
+    if request.trust:
+        let_import(targets(content))
+    else:
+        require_trusted(path, content, (*NODES, *KEYS))
+    cfg = OmegaConf.create({key: content[key] for key in (*NODES, *KEYS)})
+    cfg = chosen_again(cfg, request.overrides) if request.overrides else cfg
+    check_again(cfg)
+    return cfg
+
+
+def chosen_again(cfg: DictConfig, texts: list[str]) -> DictConfig:
+    """Return the configuration of a run with overrides, those of groups first.
+
+    Raises:
+        UserError: an override is no key=value, names no option, or acts on no finished run.
+    """
+    from ahnn.cli.commandline import pair
+    from ahnn.cli.compose import composed
+
+    pairs = dict(map(pair, texts))
+    if groups := [text for text in texts if pair(text)[0] in GROUPS]:
+        anew = composed("train", groups, partly=True)
+        for group in pairs.keys() & GROUPS:
+            cfg[group] = anew[group]
+    known: Any = flatten(OmegaConf.to_container(cfg))  # pyright: ignore[reportArgumentType]
+    for key, value in pairs.items():
+        if key in known:
+            OmegaConf.update(cfg, key, value)
+        elif key not in GROUPS:
+            hint = nearest(key, [*known, *GROUPS])
+            message = f"{key}: expected a key that acts on a finished run and not on its training{hint}"
+            raise UserError(message)
+    require_referenced([cfg], texts)
+    return cfg

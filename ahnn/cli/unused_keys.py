@@ -1,0 +1,125 @@
+"""Keys of a command line that the parts of a training leave unread: they are refused, and never dropped."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Any
+
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+
+from ahnn.cli.parts import is_multirun
+from ahnn.cli.unreferenced_keys import keys_of, without_effect
+from ahnn.data import Simulated, Source
+from ahnn.data.recorded_sensor import Recorded
+from ahnn.data.sensor import Sensor
+
+if TYPE_CHECKING:
+    from ahnn.jobs.prepared import Prepared
+
+log = logging.getLogger(__name__)
+
+
+EVALUATED = ("smoother", "least_squares", "tuning")
+SIMULATED = ("cadence", "times", "measurement", "measurement_sd", "start_sd", "seed", "beside")
+"""Keys of filters for evaluations alone, and for measurements that are simulated to fit a process noise."""
+Unread = Iterator[tuple[str, str]]
+"""Keys, and why they are not read."""
+
+
+def require_read(cfg: DictConfig, prepared: Prepared, texts: Iterable[str] | None = None) -> None:
+    """Refuse overrides that none of the parts of a training reads.
+
+    Args:
+        cfg: of the training.
+        prepared: built from it.
+        texts: overrides; None takes those of the command line.
+
+    Raises:
+        UserError: one without effect.
+    """
+    if texts is None:
+        texts = HydraConfig.get().overrides.task if HydraConfig.initialized() else ()
+    values = {key: value for key, _, value in (text.partition("=") for text in texts)}
+    several = values.get("seeds", "null") != "null"
+    data = unread_of_data(cfg, prepared.data.source, prepared.data.sensor)
+    training, plugins = unread_of_training(cfg, prepared, several=several), unread_of_plugins(cfg.plugins)
+    refuse((*data, *training, *plugins), texts)
+
+
+def refuse(found: Iterable[tuple[str, str]], texts: Iterable[str]) -> None:
+    """Refuse overrides of keys that are not read, or warn in a sweep, whose other jobs may read them."""
+    keys = keys_of(texts)
+    for name, reason in found:
+        for key in keys:
+            if f"{key}.".startswith(f"{name}."):
+                error = without_effect(key, reason)
+                if not is_multirun():
+                    raise error
+                log.warning(str(error))
+
+
+def unread_of_data(cfg: DictConfig, source: Source, sensor: Sensor | None) -> Unread:
+    """Yield the keys that a source of trajectories and its evaluation leave unread."""
+    simulated = isinstance(source, Simulated)
+    drawn = simulated or (sensor is not None and not isinstance(sensor, Recorded))
+    yield from unless(
+        ("data.trajectories", simulated, "these data are not simulated"),
+        ("data.seed", drawn, "nothing is drawn for these data"),
+        ("evaluation.seed", source.truth is not None, "starts are perturbed only in known systems"),
+        ("system.steps", cfg.system.get("periods") is None, "system.periods says how long trajectories are"),
+    )
+
+
+def unread_of_training(cfg: DictConfig, prepared: Prepared, *, several: bool) -> Unread:
+    """Yield the keys that model, optimiser and trainer leave unread; `several` seeds are named."""
+    automatic, staged = prepared.model.stepper.automatic, prepared.data.stages is not None
+    rolled = OmegaConf.select(cfg, "callbacks.rollout.count") != 0
+    clipped = bool(cfg.trainer.get("gradient_clip_val"))
+    derived = staged or cfg.loss.derivative > 0
+    yield from unless(
+        ("weights", cfg.ckpt is None or cfg.weights is None, "ckpt resumes a training from its own weights"),
+        ("seed", not several, "seeds says which ones"),
+        ("scheduler", automatic or not cfg.scheduler, "second-order steps have no learning rate"),
+        ("optimizer.tolerance", not staged, "steps on measurements hold no part of a batch back"),
+        ("loss.order", derived, "with loss.derivative=0 no derivatives are formed"),
+        ("callbacks.rollout", not staged, "measurements have no true start to roll out from"),
+        ("callbacks.rollout.every", rolled, "callbacks.rollout.count=0 rolls out nothing"),
+        ("trainer.gradient_clip_algorithm", clipped, "trainer.gradient_clip_val is not set"),
+    )
+
+
+def of_plugins(nodes: DictConfig) -> Iterator[tuple[str, DictConfig]]:
+    """Yield name and options of each plugin; what is none is refused where it is built."""
+    yield from ((str(name), node) for name, node in nodes.items() if isinstance(node, DictConfig))
+
+
+def unread_of_plugins(nodes: DictConfig) -> Unread:
+    """Yield the keys of filters that another of their keys leaves unread."""
+    for name, options in of_plugins(nodes):
+        yield from unless(
+            (f"plugins.{name}.patience", options.get("gate", 0) is not None, "gate=null refuses nothing"),
+            (f"plugins.{name}.cadence", options.get("times") is None, "times says when measurements come"),
+        )
+
+
+def unread_online(nodes: DictConfig, *, covariance: bool) -> Unread:
+    """Yield the keys of filters that a stream leaves unread; `covariance`: that of the weights is known."""
+    yield from unread_of_plugins(nodes)
+    for name, options in of_plugins(nodes):
+        yield from ((f"plugins.{name}.{key}", "a stream is filtered, and no more") for key in EVALUATED)
+        if not _is_fitted(options.get("process_noise"), covariance=covariance):
+            yield from ((f"plugins.{name}.{key}", "no process noise is fitted to data") for key in SIMULATED)
+
+
+def _is_fitted(noise: Any, *, covariance: bool) -> bool:
+    """Return whether a process noise is found from data."""
+    if isinstance(noise, DictConfig):
+        return noise.get("size") is None or noise.get("memory") is None
+    return isinstance(noise, str) and not (covariance and noise == "parameter_error")
+
+
+def unless(*rows: tuple[str, bool, str]) -> Unread:
+    """Yield the keys of rows that are not read, with the reason."""
+    yield from ((name, reason) for name, is_read, reason in rows if not is_read)

@@ -1,0 +1,124 @@
+"""Trajectories that a user brings in Python: what they must be, and their content as that of a file."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from ahnn.arguments import Positive, check_values, fits
+from ahnn.data.files.content import Content
+from ahnn.data.files.samples import Track
+from ahnn.data.files.table import FINITE, LARGEST
+from ahnn.data.files.units import unit
+from ahnn.data.files.unwrapped_angles import unwrapped
+from ahnn.errors import UserError
+from ahnn.numbers import as_float64, described
+from ahnn.types import Space, Trajectories, Units
+
+
+def check_space(space: Space) -> None:
+    """Raise UserError for names, units or an inertia that mean nothing."""
+    if not isinstance(space, Space):
+        message = f"space: expected ahnn.Space(name, components); received {described(space)}"
+        raise UserError(message)
+    check_values("space", Space, space._asdict())
+    if not isinstance(space.units, Units):
+        message = f"space.units: expected ahnn.Units(...); received {space.units!r}"
+        raise UserError(message)
+    check_values("space.units", Units, space.units._asdict())
+    for text in (space.name, *space.components, *space.units):
+        if not text.strip() or not text.isprintable() or "$" in text:
+            message = f"space: expected names and units that can be printed, without $; received {text!r}"
+            raise UserError(message)
+    masses = space.inertia if isinstance(space.inertia, tuple) else (space.inertia,)
+    if not all(fits(mass, Positive) for mass in masses) or len(masses) not in (1, space.dof):
+        message = (
+            f"space.inertia: expected finite numbers > 0, one or {space.dof}; received {space.inertia!r}"
+        )
+        raise UserError(message)
+    size = len(space.components)
+    if size < 2 or size % 2:
+        message = f"space: expected 2n components, positions first; received {size}: {space.components}"
+        raise UserError(message)
+    if again := [name for name in space.components if space.components.count(name) > 1]:
+        message = f"space.components: expected different names; received {again[0]!r} twice"
+        raise UserError(message)
+
+
+def check_trajectories(given: Trajectories, space: Space) -> Trajectories:
+    """Return trajectories as float64 tensors, states (B, T, D), or positions (B, T, n), and times (B, T).
+
+    Raises:
+        UserError: a space that means nothing, shapes that do not fit it, infinite numbers, or times that do
+            not increase.
+    """
+    check_space(space)
+    if not isinstance(given, Trajectories):
+        message = f"trajectories: expected ahnn.Trajectories(states, times); received {described(given)}"
+        raise UserError(message)
+    states = as_float64(given.states, "states", torch.device("cpu")).detach()
+    times = as_float64(given.times, "times", torch.device("cpu")).detach()
+    size = len(space.components)
+    if states.ndim != 3 or states.shape[-1] not in (size, space.dof) or min(states.shape) < 1:
+        message = (
+            f"states: expected shape (trajectories, samples, {size}) of {', '.join(space.components)}; "
+            f"received {tuple(states.shape)}. Positions alone have {space.dof} columns"
+        )
+        raise UserError(message)
+    if times.shape not in (states.shape[:2], states.shape[1:2]):
+        message = (
+            f"times: expected shape {tuple(states.shape[:2])}, or {tuple(states.shape[1:2])} for all alike; "
+            f"received {tuple(times.shape)}"
+        )
+        raise UserError(message)
+    for name, part in (("states", states), ("times", times)):
+        if bool((beyond := part.abs() > LARGEST).any()):
+            received = float(part[beyond][0])
+            message = f"{name}: expected {FINITE}, NaN where a sample is absent; received {received:g}"
+            raise UserError(message)
+    trajectories = Trajectories(states, times.expand(states.shape[:2]))
+    steps = trajectories.times.diff(dim=1)
+    if bool((steps <= 0).any()):
+        b, k = (int(n) for n in (steps <= 0).nonzero()[0])
+        pair = trajectories.times[b, k : k + 2].tolist()
+        message = f"times: expected increasing ones; received {pair} from sample {k} of trajectory {b}"
+        raise UserError(message)
+    unknown = trajectories.times.isnan()
+    if bool((unknown[:, :-1] & ~unknown[:, 1:]).any()):
+        message = "times: expected one for each sample, NaN only after the last; received NaN before another"
+        raise UserError(message)
+    return trajectories
+
+
+def content_of(given: Trajectories, space: Space) -> Content:
+    """Return trajectories as the content of a file; momenta that are all NaN are those of positions alone.
+
+    Raises:
+        UserError: what `check_trajectories` refuses.
+    """
+    if given.controls is not None or space.controls:
+        message = (
+            "trajectories: expected states and times; received controls, which only simulated systems bring "
+            "to a training"
+        )
+        raise UserError(message)
+    states, times, *_ = check_trajectories(given, space)
+    q, p = space.components[: space.dof], space.components[space.dof :]
+    alone = bool(states[..., len(q) :].isnan().all())
+    values = (states[..., : len(q)] if alone else states).numpy()
+    rows = np.arange(1, times.shape[1] + 1)
+    tracks = tuple(
+        Track("", f"trajectory {b}", rows[: len(known)], known, values[b, : len(known)])
+        for b, known in enumerate(row[np.isfinite(row)] for row in times.numpy())
+    )
+    units = Units(*map(_known, space.units))
+    return unwrapped(Content(q, () if alone else p, True, units, space.frame, tracks, time="times"))
+
+
+def _known(text: str) -> str:
+    """Return a unit, or that of plain numbers in the place of one of the user's own."""
+    try:
+        unit(text)
+    except ValueError:
+        return "1"
+    return text

@@ -1,0 +1,169 @@
+"""A flow as one recorded sequence of operations: the same numbers to rounding, without Python between them.
+
+On the 13 sigma points of one state a small network costs more in Python than in arithmetic; replayed, the
+sequence takes a quarter of the time. Only flows whose operations do not depend on the numbers are recorded:
+explicit integrators and maps, and no iteration to convergence.
+"""
+
+from __future__ import annotations
+
+import copy
+import threading
+import warnings
+from collections.abc import Callable
+from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
+
+import torch
+from torch import Tensor
+from torch.nn.utils import vector_to_parameters
+
+from ahnn.compiled_libraries import followed
+from ahnn.dynamics.base import Dynamics
+from ahnn.dynamics.fields import HamiltonianDynamics, NeuralODE
+from ahnn.dynamics.next_state import NextState
+from ahnn.dynamics.transition import transition
+from ahnn.integrators.explicit import ExplicitRungeKutta
+from ahnn.integrators.symplectic import SymmetricComposition
+from ahnn.rollouts import clock_of
+from ahnn.types import Flow, TimeStep
+
+SETTLED = 3
+"""Calls after which a recording is as fast as it gets."""
+WORTH = 150
+"""Calls that cost what a recording does."""
+_RECORDING = threading.Lock()
+"""Held while operations are recorded: paths side by side share one recording."""
+
+
+def recorded(flow: Flow) -> Flow:
+    """Return a flow with the same values, to rounding, for one step length at a time and without gradients.
+
+    Dynamics whose operations depend on the numbers, and functions of which nothing is known, come back as
+    they are.
+    """
+    return _Recorded(flow) if _fixed(flow) else flow
+
+
+def _fixed(flow: Flow) -> bool:
+    """Return whether these are dynamics whose operations do not depend on the numbers."""
+    if clock_of(flow):
+        return False
+    if isinstance(flow, HamiltonianDynamics | NeuralODE):
+        return isinstance(flow.integrator, ExplicitRungeKutta | SymmetricComposition)
+    return isinstance(flow, NextState)
+
+
+class _Recorded:
+    """Recordings of a flow, one for each shape of the states."""
+
+    def __init__(self, flow: Flow) -> None:
+        self.flow = flow
+        self._known: dict[torch.Size, Callable[[Tensor, Tensor], Tensor]] = {}
+
+    def transition(self, x: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+        """Return the states (B, D) after dt, and the state transitions (B, D, D)."""
+        return transition(self.flow, x, dt)
+
+    def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
+        """Return the states (B, D) after dt."""
+        if followed():
+            return self.flow(x, dt)
+        step = torch.as_tensor(dt, dtype=torch.float64)
+        with _RECORDING:
+            known = self._known.get(x.shape)
+            if known is None:
+                known = self._known[x.shape] = _record(lambda x, dt: self.flow(x, dt), x, step)
+        return known(x, step)
+
+
+class Increments:
+    """Increments of dynamics for any parameters, without gradients; recorded where that pays.
+
+    A recording serves all problems of the same dynamics: only parameters differ from one to the next.
+
+    Args:
+        dynamics: float64; they stay as they are.
+        calls: how many are expected, from which it follows whether they are recorded: what numbers come out
+            depends on the problem alone, and not on those before it.
+    """
+
+    def __init__(self, dynamics: Dynamics, calls: int) -> None:
+        self.dynamics = copy.deepcopy(dynamics).requires_grad_(False)
+        self._original = dynamics
+        self._wanted = calls > WORTH and self._gains()
+        self._recorded: Callable[..., Tensor] | None = None
+        self._theta: Tensor | None = None
+
+    def _gains(self) -> bool:
+        """Return whether a recording is faster; a step that is one operation in C has nothing to gain."""
+        flow = self.dynamics
+        return _fixed(flow) and not (isinstance(flow, HamiltonianDynamics) and flow.in_c())
+
+    def __call__(self, theta: Tensor, x: Tensor, dt: Tensor) -> Tensor:
+        """Return x(t + dt) - x(t), (B, D), for the parameters theta, (P,), states x, (B, D), and dt, (B,)."""
+        if self._wanted:
+            with _RECORDING:
+                if self._recorded is None:
+                    self._recorded = _recording(self._original, theta, x, dt)
+            return self._recorded(theta, x, dt)
+        if theta is not self._theta:
+            vector_to_parameters(theta, self.dynamics.parameters())
+            self._theta = theta
+        return self.dynamics.increment(x, dt)
+
+
+class _Known(NamedTuple):
+    """A recording, and what of the dynamics it holds for good: all but the parameters."""
+
+    integrator: Any
+    buffers: list[Tensor]
+    recording: Callable[..., Tensor]
+
+    def fits(self, dynamics: Dynamics) -> bool:
+        """Return whether the dynamics are still those of the recording."""
+        now = list(dynamics.buffers())
+        if len(now) != len(self.buffers) or self.integrator is not getattr(dynamics, "integrator", None):
+            return False
+        pairs = zip(now, self.buffers, strict=True)
+        return all(a.dtype == b.dtype and torch.equal(a, b) for a, b in pairs)
+
+
+_KNOWN: WeakKeyDictionary[Dynamics, _Known] = WeakKeyDictionary()
+
+
+def _recording(dynamics: Dynamics, *example: Tensor) -> Callable[..., Tensor]:
+    """Return the recorded increment of parameters, states and steps; made once for the same dynamics."""
+    known = _KNOWN.get(dynamics)
+    if known is None or not known.fits(dynamics):
+        copied = copy.deepcopy(dynamics).requires_grad_(False)
+        buffers = [buffer.clone() for buffer in dynamics.buffers()]
+        known = _Known(
+            getattr(dynamics, "integrator", None), buffers, _record(of_parameters(copied), *example)
+        )
+        _KNOWN[dynamics] = known
+    return known.recording
+
+
+def of_parameters(dynamics: Dynamics) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
+    """Return the increment as a function of parameters, too, that a recording sees; uses up the dynamics."""
+    shapes = {name: p.shape for name, p in dynamics.named_parameters()}
+    sizes = [shape.numel() for shape in shapes.values()]
+
+    def increment(theta: Tensor, x: Tensor, dt: Tensor) -> Tensor:
+        for (name, shape), part in zip(shapes.items(), theta.split(sizes), strict=True):
+            owner, _, leaf = name.rpartition(".")
+            dynamics.get_submodule(owner)._parameters[leaf] = part.view(shape)  # pyright: ignore[reportArgumentType]
+        return dynamics.increment(x, dt)
+
+    return increment
+
+
+def _record(function: Callable[..., Tensor], *example: Tensor) -> Callable[..., Tensor]:
+    with torch.inference_mode(mode=False), torch.no_grad(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # deprecated for deployment; nothing here depends on the numbers
+        trace: Any = torch.jit.trace
+        known = trace(function, tuple(t.clone() for t in example), check_trace=False)
+        for _ in range(SETTLED):
+            known(*example)
+    return known

@@ -1,0 +1,54 @@
+"""Steps in time, as a filter is told them, and the process noise of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ahnn.estimation.argument_checks import checked_steps
+from ahnn.estimation.belief import Belief
+from ahnn.estimation.covariances import Covariance, covariance_factor
+from ahnn.estimation.results import ProcessNoise
+from ahnn.numbers import Numbers
+
+
+class Grid(NamedTuple):
+    """Steps in time: their lengths, and the times () at which they end."""
+
+    lengths: list[float]
+    times: list[Tensor]
+
+    @classmethod
+    def of(cls, dt: Numbers, steps: int, start: Tensor) -> Grid:
+        """Return T steps of one length or of (T,) lengths from a time on.
+
+        Raises:
+            ValueError: another shape, or steps that are not positive.
+        """
+        lengths = checked_steps(dt, steps)
+        if lengths.ndim == 0:
+            ends = start + lengths * torch.arange(1, steps + 1, device=start.device)
+            return cls([float(lengths)] * steps, list(ends.unbind()))
+        return cls(lengths.tolist(), list((start + lengths.cumsum(0).to(start.device)).unbind()))
+
+
+def process_factor(process_noise: ProcessNoise, belief: Belief) -> Callable[[float], Tensor]:
+    """Return the factor of Q, (B, D, D), as a function of the step; each length is factored once.
+
+    Raises:
+        ValueError: no covariance; from the function for a noise that is one of the step.
+    """
+    batch, size = belief.mean.shape
+
+    def factor(matrix: Covariance) -> Tensor:
+        chol = covariance_factor(matrix, "Q", batch=batch, size=size, definite=False)
+        return chol.to(belief.mean.device).expand(batch, size, size)
+
+    if callable(process_noise):
+        return cache(lambda dt: factor(process_noise(dt)))
+    constant = factor(process_noise)
+    return lambda _: constant

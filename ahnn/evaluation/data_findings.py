@@ -1,0 +1,132 @@
+"""What a doctor of data has found, as a table of 80 columns and as pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.console import Group, RenderableType
+from rich.table import Table
+
+from ahnn.data.doctor import Examined, Finding
+from ahnn.data.doctor.slopes import slopes
+from ahnn.data.files.content import Content
+from ahnn.evaluation import style
+from ahnn.evaluation.sinks.figure_files import FORMATS, drawn
+from ahnn.files import write_atomically
+from ahnn.manifest import require_own
+from ahnn.progress import track
+
+SHOWN = 5
+"""Findings of a kind that the table lists; the others are counted."""
+CURVES = 6
+"""Trajectories of a file that a picture shows."""
+LOOKS = tuple(
+    {"color": color, "ls": ls, "lw": 1.0}
+    for ls in ("-", "--")
+    for color in (style.BLUE, style.VERMILLION, style.GREEN)
+)
+"""Of the components."""
+
+
+def checkup(found: Examined) -> RenderableType:
+    """Return the findings as a table, faults first, and a line that sums them up."""
+    levels = {
+        level: [one for one in found.findings if one.level == level] for level in ("fault", "warning", "note")
+    }
+    counts = ", ".join(f"{len(part)} {level}{'s' * (len(part) != 1)}" for level, part in levels.items())
+    samples = sum(len(part.times) for content in found.contents for part in content.tracks)
+    files = {finding.file for finding in found.findings} | {c.tracks[0].file for c in found.contents}
+    many = "s" * (samples != 1)
+    head = f"{len(files)} file{'s' * (len(files) != 1)}, {samples:,} sample{many}: {counts}"
+    taken = [line for content in found.contents if (line := columns(content))]
+    if not found.findings:
+        return Group(*taken, head)
+    table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
+    for name, width in (("", 7), ("file", 12), ("row", 6), ("column", 6), ("what", 24), ("what to do", 20)):
+        table.add_column(name, width=width, overflow="fold", justify="right" if name == "row" else "left")
+    for level, part in levels.items():
+        for cells in shortened(sorted(part, key=lambda one: (one.file, one.row))):
+            table.add_row(level, *cells)
+    return Group(table, "", *taken, head)
+
+
+def columns(content: Content) -> str:
+    """Return what each column of a table was taken for; "" for formats that say it."""
+    roles: dict[str, list[str]] = {}
+    for name, role, unit in content.columns:
+        roles.setdefault(role, []).append(f"{name} [{unit}]" if unit else name)
+    listed = "; ".join(f"{role} {', '.join(names)}" for role, names in roles.items())
+    return f"{Path(content.tracks[0].file).name}: {listed}" if roles else ""
+
+
+def shortened(findings: list[Finding]) -> Iterator[tuple[str, str, str, str, str]]:
+    """Yield the cells of findings, of those that are alike the first ones and how many more there are."""
+    kinds: dict[tuple[str, str, str], list[Finding]] = {}
+    for one in findings:
+        kinds.setdefault((one.file, one.column, one.remedy), []).append(one)
+    for (file, column, _), alike in kinds.items():
+        name = Path(file).name
+        for one in alike[:SHOWN]:
+            yield name, str(one.row or ""), column, one.what, one.remedy
+        if (more := len(alike) - SHOWN) > 0:
+            yield name, "...", column, f"{more:,} more like these", ""
+
+
+def draw(found: Examined, folder: Path) -> None:
+    """Write a picture of each file into a folder.
+
+    Raises:
+        UserError: the folder holds other files of these names.
+    """
+    files = [content.tracks[0].file for content in found.contents]
+    names = [Path(file).name for file in files]
+    unique = [name if names.count(name) == 1 else f"{k + 1}_{name}" for k, name in enumerate(names)]
+    places = [[folder / f"{name}{suffix}" for suffix in FORMATS] for name in unique]
+    require_own(chain.from_iterable(places), "figures")
+    for k, content in enumerate(track(found.contents, "drawing figures", len(files))):
+        figure = picture(content, [one for one in found.findings if one.file == files[k]])
+        for path in places[k]:
+            write_atomically(path, drawn(figure, path.suffix))
+
+
+def picture(content: Content, findings: list[Finding]) -> Figure:
+    """Draw positions with what was found, and velocities as stated beside the change of the positions."""
+    figure = style.canvas(8, 6 if content.rates else 3.2)
+    panels = figure.subplots(2 if content.rates else 1, 1, sharex=True, squeeze=False)[:, 0]
+    n, shown = len(content.positions), content.tracks[:CURVES]
+    for c, name in enumerate(content.positions):
+        for part in shown:
+            look: dict[str, Any] = LOOKS[c % len(LOOKS)]
+            panels[0].plot(part.times, part.values[:, c], **look, marker=".", ms=3, label=name)
+            if content.rates:
+                panels[1].plot(part.times, part.values[:, n + c], **look, label=content.rates[c])
+    if content.rates:
+        for part in shown:
+            change = None if content.momenta else slopes(part.times, part.values[:, :n], 1)
+            if change is not None:
+                look = {"color": style.BLACK, "ls": "none", "marker": "+", "ms": 4, "zorder": 4}
+                panels[1].plot(part.times[change.at], change.values, **look, label="change of the positions")
+        rate = "momentum" if content.momenta else f"velocity [{content.units.velocity}]"
+        panels[1].set_ylabel(rate)
+    mark(panels[0], shown, findings)
+    panels[0].set_ylabel(f"position [{content.units.position}]")
+    panels[-1].set_xlabel(f"time [{content.units.time}]")
+    for axes in panels:
+        axes.grid(alpha=0.3)
+    few = f", the first {CURVES} of {len(content.tracks)}" if len(content.tracks) > CURVES else ""
+    panels[0].set_title(f"{Path(shown[0].file).name}: {len(findings)} findings{few}")
+    style.legend_below(figure, *panels)
+    return figure
+
+
+def mark(axes: Any, shown: Any, findings: list[Finding]) -> None:
+    """Draw a line at the time of each row that something was found in."""
+    for level, ls in (("fault", "-"), ("warning", ":")):
+        rows = [one.row for one in findings if one.level == level and one.row]
+        for time in np.unique(np.concatenate([part.times[np.isin(part.rows, rows)] for part in shown])):
+            axes.axvline(time, color=style.BLACK, ls=ls, lw=0.8, alpha=0.6, label=level)

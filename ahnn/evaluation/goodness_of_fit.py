@@ -1,0 +1,155 @@
+"""What can be said of learned dynamics without truth: do they explain measurements to within their noise?"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple, cast
+
+import torch
+from torch import Tensor, nn
+
+from ahnn.dynamics.base import Dynamics, has_field
+from ahnn.dynamics.variations import own_jacobians
+from ahnn.estimation.consistency import band
+from ahnn.jacobians import step_jacobians
+from ahnn.measurements import Segment
+from ahnn.measurements.smoothing import guess
+from ahnn.numbers import in_percent
+from ahnn.shooting.initial_states import FOLLOWING, LOST, SURE, Fitted, Trial, fit_starts, refine
+from ahnn.shooting.path_sensitivities import Steps, steps_between
+from ahnn.shooting.robust import ROBUST, RobustName
+
+NORMAL95 = 1.959963984540054
+"""Standard deviations within which a normal number lies with 95 %."""
+OUTLYING = 6.0
+"""Standard deviations beyond which a number is an outlier, where the training weighed these down."""
+
+
+class Explained(NamedTuple):
+    """How well paths from fitted starts explain measurements.
+
+    Attributes:
+        chi_square: squared residuals per degree of freedom, in standard deviations; 1 is the noise itself.
+        band: within which it lies with 95 % if nothing but the noise is left.
+        correlation: of residuals with those that follow; 0 if nothing but the noise is left.
+        correlation_band: within which that lies with 95 %, on either side of 0.
+        lost: trajectories that no start explains, which do not count in the others.
+        trajectories: how many were tried.
+        outliers: share of the measured numbers that were taken for outliers and left out.
+        halved_steps: chi-square of the same field in steps of half the length; None where there is no field.
+    """
+
+    chi_square: float
+    band: tuple[float, float]
+    correlation: float
+    correlation_band: float
+    lost: int
+    trajectories: int
+    outliers: float = 0.0
+    halved_steps: float | None = None
+
+    @property
+    def consistent(self) -> bool:
+        """Whether nothing but the noise is left."""
+        within = self.band[0] <= self.chi_square <= self.band[1]
+        return within and abs(self.correlation) <= self.correlation_band and not self.lost
+
+    def sentence(self) -> str:
+        """Return the finding as a note under the table."""
+        if self.lost == self.trajectories:
+            return f"from no start does it meet the measurements of any of {self.lost} unseen trajectories"
+        low, high = self.band
+        text = (
+            f"it leaves {self.chi_square:#.4g} of the noise's variance in unseen measurements "
+            f"(1 to within {low - 1:+.1g} and {high - 1:+.1g}), "
+            f"residuals in a row correlate by {self.correlation:+.1g}"
+        )
+        text += f"; {in_percent(self.outliers)} left out as outliers" if self.outliers else ""
+        if self.halved_steps is not None and abs(self.halved_steps - self.chi_square) > (high - low) / 2:
+            text += (
+                f"; in steps of half the length it leaves {self.halved_steps:#.4g}: the integrator's own "
+                "error shows beside the noise, one of higher order has less"
+            )
+        return text + (
+            f"; {self.lost} of {self.trajectories} trajectories not explained" if self.lost else ""
+        )
+
+    def numbers(self) -> dict[str, Any]:
+        """Return plain values for metrics.json."""
+        return {**self._asdict(), "band": list(self.band), "consistent": self.consistent}
+
+
+def trial_of(dynamics: nn.Module, robust: RobustName = "none") -> Trial:
+    """Return dynamics, float64 with a method `increment`, to be held against measurements."""
+    increment = cast(Any, dynamics).increment
+    known = isinstance(dynamics, Dynamics)
+    jacobians = own_jacobians(dynamics) if known else partial(step_jacobians, increment)
+    return Trial(increment, jacobians, ROBUST[robust])
+
+
+@torch.no_grad()
+def fit_to(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") -> tuple[Fitted, Steps]:
+    """Return the starts from which dynamics meet measurements best, and the steps of the paths from there.
+
+    Args:
+        dynamics: float64, with a method `increment`.
+        segment: measurements that the dynamics were not trained on.
+        robust: the loss of single residuals.
+    """
+    steps = steps_between(segment.times, segment.instrument.longest)
+    return fit_starts(trial_of(dynamics, robust), guess(segment), segment, steps), steps
+
+
+@torch.no_grad()
+def without_outliers(dynamics: nn.Module, segment: Segment, robust: RobustName) -> Segment:
+    """Return measurements without those that are far from the path that a robust loss fits to all."""
+    fitted, steps = fit_to(dynamics, segment, robust)
+    far = segment.residuals(fitted.states[:, steps.ends]).abs() > OUTLYING
+    return segment._replace(values=segment.values.masked_fill(far, torch.nan))
+
+
+@torch.no_grad()
+def explain(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") -> Explained:
+    """Return how well dynamics explain measurements, each trajectory from the start that fits it best.
+
+    Args:
+        dynamics: float64, with a method `increment`.
+        segment: measurements that the dynamics were not trained on.
+        robust: the loss of the training; one that weighs outliers down leaves them out here.
+    """
+    measured = int(segment.measured.sum())
+    if robust != "none":
+        segment = without_outliers(dynamics, segment, robust)
+    fitted, steps = fit_to(dynamics, segment)
+    degrees = segment.measured - 2 * segment.instrument.dof
+    met = (degrees > 0) & (fitted.sums <= LOST * segment.measured)
+    total = float(degrees[met].sum())
+    chi = float(fitted.sums[met].sum()) / total if total else float("nan")
+    part, halved = segment.rows(met), None
+    if total and has_field(dynamics):
+        near, steps_of_half = fitted.starts[met], steps.rows(met).halved()
+        again = refine(trial_of(dynamics), near, part, steps_of_half, FOLLOWING, SURE)
+        halved = float(again.sums.sum()) / total
+    residuals = part.residuals(fitted.states[met][:, steps.ends])
+    correlation, pairs = serial(residuals.masked_fill(part.values.isnan(), torch.nan))
+    # Residuals of a fit correlate by about minus the share of the numbers that it has spent on its unknowns.
+    spent = 1 - total / float(part.measured.sum()) if total else 0.0
+    return Explained(
+        chi_square=chi,
+        band=band(1, total) if total else (float("nan"), float("nan")),
+        correlation=correlation,
+        correlation_band=NORMAL95 / max(pairs, 1) ** 0.5 + spent,
+        lost=int((~met).sum()),
+        trajectories=len(met),
+        outliers=1 - int(segment.measured.sum()) / max(measured, 1),
+        halved_steps=halved,
+    )
+
+
+def serial(residuals: Tensor, apart: int = 1) -> tuple[float, int]:
+    """Return the correlation of residuals (B, K + 1, M) so many times apart, and of how many pairs.
+
+    A NaN is no residual.
+    """
+    products = residuals[:, apart:] * residuals[:, :-apart]
+    return float(products.nanmean() / residuals.square().nanmean()), int(products.isfinite().sum())

@@ -1,0 +1,93 @@
+"""The case of learned dynamics on the data that they belong to."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import torch
+from torch.nn.functional import pad
+
+from ahnn.data import SplitData
+from ahnn.data.recorded_sensor import Recorded
+from ahnn.data.segments import whole
+from ahnn.dynamics import Dynamics, HasEnergy
+from ahnn.evaluation.case import Case, perturbations
+from ahnn.evaluation.goodness_of_fit import fit_to
+from ahnn.measurements import Segment
+from ahnn.shooting.robust import RobustName
+from ahnn.statistics import sampling_interval
+from ahnn.types import Trajectories
+from ahnn.uncertainty import Domain, Uncertainty
+
+
+def make_case(
+    dynamics: Dynamics,
+    data: SplitData,
+    *,
+    label: str,
+    seed: int,
+    folder: Path,
+    uncertainty: Uncertainty | None = None,
+    domain: Domain | None = None,
+    robust: RobustName = "none",
+    remark: str = "",
+) -> Case:
+    """Return the case of learned dynamics on the test trajectories of its data.
+
+    Args:
+        dynamics: what was learned, in float64 on the CPU.
+        data: the splits that it was trained, validated and is tested on.
+        label: name in tables.
+        seed: of the initial errors.
+        folder: where the results are written.
+        uncertainty: of the parameters of the dynamics, if it is known.
+        domain: where the dynamics were learned, if that is known.
+        robust: the loss of single residuals that they were learned with.
+        remark: on the data, for the table.
+    """
+    source, truth, measured = data.source, data.source.truth, measured_test(data)
+    fitted, test = None, data["test"]
+    if measured is not None and isinstance(data.sensor, Recorded):
+        fitted, test = fit_to(dynamics, measured, robust)[0].starts, as_test(measured)
+    return Case(
+        label=label,
+        assumes=dynamics.assumes,
+        space=source.space,
+        truth=truth,
+        flow=dynamics,
+        energy=dynamics.energy if isinstance(dynamics, HasEnergy) else None,
+        integrator=getattr(dynamics, "integrator", None),
+        dt=sampling_interval(test),
+        test=test,
+        validation=data["val"],
+        train=data["train"],
+        perturbation=None if truth is None else perturbations(truth, len(test.states), seed),
+        folder=folder,
+        measured=measured,
+        robust=robust,
+        learned_from=None if data.sensor is None else learned_from(data),
+        uncertainty=uncertainty,
+        novelty=None if domain is None else partial(domain.novelty, dynamics),
+        fitted=fitted,
+        remark=remark,
+    )
+
+
+def learned_from(data: SplitData) -> Segment:
+    """Return the measurements of the training trajectories."""
+    measured = data.measured("train")
+    return Segment(*measured, data.instrument())
+
+
+def as_test(measured: Segment) -> Trajectories:
+    """Return measurements of positions or states as test trajectories, NaN in what is not measured."""
+    missing = 2 * measured.instrument.dof - measured.values.shape[-1]
+    return Trajectories(pad(measured.values, (0, missing), value=torch.nan), measured.times)
+
+
+def measured_test(data: SplitData) -> Segment | None:
+    """Return the measurements of whole test trajectories; None where states are known."""
+    if data.sensor is None:
+        return None
+    return whole(data.measured("test"), data.instrument())

@@ -1,0 +1,27 @@
+"""The table on standard output."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+from ahnn.evaluation.case import Findings
+from ahnn.evaluation.results import Results
+from ahnn.evaluation.score_table import results_table
+from ahnn.evaluation.terminal import show
+
+
+@final
+@dataclass(frozen=True)
+class TableSink:
+    """Prints the results.
+
+    Attributes:
+        detail: whether with pooled errors and those of each component.
+    """
+
+    detail: bool = False
+
+    def __call__(self, results: Results, findings: Findings) -> None:  # noqa: ARG002
+        """Print the table of the results."""
+        show(results_table(results, detail=self.detail))

@@ -1,0 +1,68 @@
+"""One table over the jobs of a sweep: what each was asked for, its training and its scores."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from ahnn.contents import read_whole
+from ahnn.errors import UserError
+from ahnn.evaluation.case import Who
+from ahnn.evaluation.results import Results, load_results
+from ahnn.evaluation.score_table import number
+from ahnn.evaluation.titles import MODEL
+from ahnn.labels import quantity
+
+TRAINING = {"W": "window", "seconds": "seconds", "val loss": "val_loss"}
+"""Columns of numbers on the training; losses over windows of different W do not compare."""
+QUANTITIES = ("position", "velocity", "energy")
+
+
+def sweep_table(folder: Path, jobs: list[Path]) -> Table:
+    """Return the table over job folders: overrides, training, and the model's scores from the true start."""
+    table = Table(title=f"sweep {folder}", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
+    table.pad_edge, table.padding = False, (0, 1, 0, 0)
+    table.add_column("job", no_wrap=True)
+    table.add_column("overrides", overflow="fold")
+    found = [_results(job) for job in jobs]
+    spaces = [results.space for results in found if results is not None]
+    heads = [quantity(spaces[0], name)[0] for name in QUANTITIES] if spaces else QUANTITIES
+    for head in (*TRAINING, *heads):
+        table.add_column(head, justify="right", no_wrap=True)
+    for job, results in zip(jobs, found, strict=True):
+        values = None if results is None else _values(results)
+        missing = ["-"] * (len(TRAINING) + len(QUANTITIES) - 1)
+        cells = [*missing, "no scores"] if values is None else values
+        table.add_row(job.name, _overrides(job), *cells, style="red" if values is None else None)
+    table.caption = "W: steps of the loss; losses of different W do not compare. Scores: true start."
+    table.caption_justify = "left"
+    return table
+
+
+def _results(job: Path) -> Results | None:
+    """Return the results of a job, or None where it has none."""
+    try:
+        return load_results(job)
+    except UserError:
+        return None
+
+
+def _values(results: Results) -> list[str] | None:
+    """Return the cells of a job, or None where it has no score."""
+    row = results.row(Who(MODEL, "true"))
+    if row is None:
+        return None
+    training = [results.training.get(key) for key in TRAINING.values()]
+    numbers = [str(x) if isinstance(x, int) else "-" if x is None else number(float(x)) for x in training]
+    return [*numbers, *(number(getattr(row.scores, name)) for name in QUANTITIES)]
+
+
+def _overrides(job: Path) -> str:
+    """Return the overrides of a job on one line."""
+    try:
+        text = read_whole(job / ".hydra" / "overrides.yaml").decode("utf-8", "replace")
+    except OSError:
+        return ""
+    return " ".join(line[2:] for line in text.splitlines())

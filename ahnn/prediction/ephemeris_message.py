@@ -1,0 +1,75 @@
+"""Predictions as orbit ephemeris messages (CCSDS 502.0-B), with covariances where they are known."""
+
+from __future__ import annotations
+
+import torch
+
+from ahnn.data.files import Covariance, Ephemeris
+from ahnn.data.files.units import LENGTH, TIME, unit
+from ahnn.data.reference import Reference
+from ahnn.data.starts import Starts
+from ahnn.errors import UserError
+from ahnn.labels import require_velocities
+from ahnn.prediction.durations import picoseconds
+from ahnn.prediction.propagation import Prediction
+from ahnn.types import Space
+
+PLAIN = frozenset("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_./ ")
+"""What a value in a message may hold."""
+
+
+def require_named(reference: Reference) -> None:
+    """Refuse a message without frame, centre, time system and epoch; raises UserError."""
+    if not all(reference[:3]) or not PLAIN.issuperset("".join(reference[:3])):
+        message = (
+            "frame: expected frame, centre and time system for an ephemeris message, such as "
+            f"frame=[EME2000,EARTH,UTC]; received {str(reference) or 'none'!r}"
+        )
+        raise UserError(message)
+    if reference.epoch is None:
+        message = (
+            "epoch: expected that of time zero for an ephemeris message, such as epoch=2024-03-01T12:00:00"
+        )
+        raise UserError(message)
+
+
+def ephemerides(prediction: Prediction, starts: Starts, space: Space) -> list[Ephemeris]:
+    """Return a segment for each trajectory, in km, km/s and s.
+
+    Raises:
+        UserError: a space without three positions in a length, no epoch, or no frame, centre or time system.
+    """
+    require_velocities(space, "output")
+    position, second = unit(space.units.position), unit(space.units.time)
+    if space.dof != 3 or position.dimension != LENGTH or second.dimension != TIME:
+        message = (
+            f"output: expected three positions in a length and times for an ephemeris message; received "
+            f"{space.dof} in {space.units.position} and {space.units.time}. Write .csv"
+        )
+        raise UserError(message)
+    frame, center, clock, epoch = starts.reference
+    require_named(starts.reference)
+    assert epoch is not None
+    km = position.size / 1e3
+    speed = unit(space.units.velocity).size / 1e3 / space.mass
+    scale = torch.tensor([km] * 3 + [speed] * 3, dtype=torch.float64)
+    times = (prediction.times * second.size).numpy()
+    matrices, segments = prediction.covariances, []
+    for b, name in enumerate(starts.names):
+        begin = epoch + picoseconds(float(starts.times[b]) + float(prediction.times[0]), space.units.time)
+        known = () if matrices is None else (matrices[b] * scale * scale.unsqueeze(1)).numpy()
+        since = times - times[0]
+        segments.append(
+            Ephemeris(
+                object_id="".join(sign if sign in PLAIN else "_" for sign in name),
+                object_name="",
+                center=center,
+                frame=frame,
+                time_system=clock,
+                start=begin,
+                times=since,
+                states=(prediction.states[b] * scale).numpy(),
+                covariances=tuple(Covariance(float(t), c) for t, c in zip(since, known, strict=False)),
+            )
+        )
+    return segments

@@ -1,0 +1,97 @@
+"""Predictions as columns of a table with units in their names, as CSV or Parquet."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import numpy as np
+
+from ahnn.data.files import epochs
+from ahnn.data.files.sidecar import Sidecar
+from ahnn.data.starts import Starts
+from ahnn.errors import UserError
+from ahnn.labels import components
+from ahnn.prediction.durations import picoseconds
+from ahnn.prediction.propagation import Prediction
+from ahnn.types import Space
+from ahnn.uncertainty import BEYOND
+
+
+def columns(prediction: Prediction, starts: Starts, space: Space) -> dict[str, Any]:
+    """Return the columns of all trajectories, one behind the other.
+
+    Momenta are written as velocities, as docs/data.md names them, where they are m times these; `sd_` is a
+    standard deviation, and `novel` is 1 where a state lies beyond the training data.
+
+    Args:
+        prediction: of the starts.
+        starts: their names, times and reference.
+        space: what the numbers mean.
+    """
+    samples = prediction.states.shape[1]
+    times = (starts.times.unsqueeze(1) + prediction.times).flatten()
+    found: dict[str, Any] = {"id": np.repeat(np.asarray(starts.names), samples)}
+    found[f"t [{space.units.time}]"] = times.numpy()
+    if (epoch := starts.reference.epoch) is not None:
+        utc = starts.reference.clock == "UTC"
+        moments = (epoch + picoseconds(float(t), space.units.time) for t in times)
+        found["epoch"] = np.asarray([epochs.spelled(moment, utc=utc) for moment in moments])
+    names, factors = labels(space), 1 / space.scales.numpy()
+    for prefix, values in (("", prediction.states), ("sd_", prediction.deviations)):
+        if values is not None:
+            rows = values.flatten(0, 1).numpy() * factors
+            found |= {f"{prefix}{name}": rows[:, k] for k, name in enumerate(names)}
+    if prediction.novelty is not None:
+        found["novelty [1]"] = prediction.novelty.flatten().numpy()
+        found["novel [1]"] = (prediction.novelty.flatten() > BEYOND).numpy().astype(np.int64)
+    return found
+
+
+def described(starts: Starts, space: Space) -> Sidecar:
+    """Return the sidecar of a table: with it a reader of data takes the prediction as trajectories."""
+    names, momenta = list(space.components[: space.dof]), list(space.components[space.dof :])
+    reference = starts.reference
+    rates = {"velocities": [f"v{name}" for name in names]} if space.mechanical else {"momenta": momenta}
+    time = "t" if reference.epoch is None else "epoch"
+    columns = {"time": time, "id": "id", "positions": names, **rates}
+    units = {} if reference.epoch is None else {"epoch": reference.clock or "UTC"}
+    return Sidecar(units, columns, str(reference._replace(epoch=None)))
+
+
+def labels(space: Space) -> list[str]:
+    """Return the names of positions and their velocities, or momenta that are none, with units."""
+    if not space.mechanical:
+        return components(space)
+    positions = space.components[: space.dof]
+    units = space.units
+    return [*(f"{q} [{units.position}]" for q in positions), *(f"v{q} [{units.velocity}]" for q in positions)]
+
+
+def as_csv(found: dict[str, Any]) -> bytes:
+    """Return columns as comma-separated values, each number with all its digits."""
+    rows = zip(*(column.tolist() for column in found.values()), strict=True)
+    lines = [",".join(map(_cell, found)), *(",".join(map(_cell, row)) for row in rows)]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _cell(value: Any) -> str:
+    text = value if isinstance(value, str) else repr(value)
+    return '"' + text.replace('"', '""') + '"' if any(sign in text for sign in ',;"\t') else text
+
+
+def as_parquet(found: dict[str, Any]) -> bytes:
+    """Return columns as a Parquet file.
+
+    Raises:
+        UserError: pyarrow is not installed.
+    """
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError as error:
+        message = "output: expected pyarrow for Parquet; received none. Install the extra ahnn[parquet]"
+        raise UserError(message) from error
+    buffer = io.BytesIO()
+    pq.write_table(pa.table(found), buffer)
+    return buffer.getvalue()

@@ -1,0 +1,56 @@
+"""Normal points: measurements of neighbouring times as one, of the state in their midst, as in laser ranging.
+
+What a start does to a path is the same to the last digit, and what parameters do within a group is left out:
+of an effect that grows with t², a share of (τ / t)². Residuals are the exact ones, so that the optimum stays.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from ahnn.shooting.initial_states import Linearised
+from ahnn.shooting.path_sensitivities import transitions
+
+POINTS = 200
+"""Groups of the measurements of a path, at least, and fewer than twice as many."""
+
+
+def normal_points(now: Linearised, ends: Tensor) -> tuple[Linearised, Tensor]:
+    """Return residuals with the same normal equations, and which states of the path they belong to, (G,).
+
+    A group has no more rows than components of the state that it sees: of five stations that measure three
+    numbers each, 15 rows of one time become 3.
+
+    Args:
+        now: residuals of K + 1 times.
+        ends: (K + 1,) the states of the path at these times.
+    """
+    size = max(1, len(ends) // POINTS)
+    of_state, middles = now.of_state, ends
+    if size > 1:
+        of_state, middles = _of_middles(now, ends, size)
+    seen = of_state.flatten(0, -2).any(0)
+    if seen.sum() >= of_state.shape[-2]:
+        return now, ends
+    basis, triangle = torch.linalg.qr(of_state[..., seen])
+    of_points = of_state.new_zeros(*triangle.shape[:-1], len(seen))
+    of_points[..., seen] = triangle
+    residuals = (basis.mT @ _grouped(now.residuals.unsqueeze(-1), size)).squeeze(-1)
+    return Linearised(now.jacobians, residuals, of_points, basis.mT @ _grouped(now.of_start, size)), middles
+
+
+def _of_middles(now: Linearised, ends: Tensor, size: int) -> tuple[Tensor, Tensor]:
+    """Return derivatives (B, G, size M, D) with respect to the states in the midst of groups, and these."""
+    last = len(ends) - 1
+    middles = ends[torch.arange(size // 2, last + size // 2 + 1, size).clamp(max=last)]
+    moved = transitions(now.jacobians.to(now.of_state), set(ends[::size].tolist()))
+    back = torch.linalg.inv(moved[:, middles])
+    return _grouped(now.of_state @ moved[:, ends], size) @ back, middles
+
+
+def _grouped(values: Tensor, size: int) -> Tensor:
+    """Return values (B, K + 1, M, D) of groups of times, (B, G, size M, D), the last filled up with zeros."""
+    missing = -values.shape[1] % size
+    return pad(values, (0, 0, 0, 0, 0, missing)).unflatten(1, (-1, size)).flatten(2, 3)

@@ -1,0 +1,133 @@
+"""How long a training takes on this machine, measured on a few of its own steps before it begins."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+import time
+from collections.abc import Callable
+from statistics import median
+from typing import Any
+
+import torch
+from torch.nn.utils import parameters_to_vector
+
+from ahnn.data.datamodule import WindowDataModule
+from ahnn.data.segments import Segments
+from ahnn.shooting.robust import ROBUST
+from ahnn.training.maximum_posterior import WideProblem
+from ahnn.training.objectives import Objective
+from ahnn.training.shooting import Shooting
+
+TRIALS = 3
+"""Steps that are timed, at most."""
+ENOUGH = 0.25
+"""Seconds of steps that are typical enough: of those that take longer one is timed."""
+REFITTED = 0.5
+"""Of its time, what a step takes that begins with starts that were fitted before."""
+STRETCHES, STRETCH = 300, 64
+"""How many stretches last steps are timed on, at most, and their measurement intervals."""
+
+
+def expected_seconds(
+    trainer: Any, data: WindowDataModule, model: Any, per_epoch: int, epochs: range
+) -> float:
+    """Return about how long the rest of a training takes: steps, validations and callbacks.
+
+    Args:
+        trainer: with all its callbacks; those with a method `seconds` say themselves what an epoch costs.
+        data: of the training.
+        model: calibrated; it stays as it is.
+        per_epoch: optimiser steps of an epoch.
+        epochs: that are left, counted from 0.
+    """
+    timed = [callback for callback in trainer.callbacks if hasattr(callback, "seconds")]
+    total = sum(c.seconds(epoch, trainer, model, data) for epoch in epochs for c in timed)
+    if data.stages is not None:
+        return total + _on_measurements(model, data, per_epoch, epochs)
+    validation, of_step = _validation_seconds(model, data), dict[Objective, float]()
+    for epoch in epochs:
+        objective = model.curriculum.at(epoch, epochs.stop)
+        if objective not in of_step:
+            of_step[objective] = step_seconds(model, data, objective)
+        total += per_epoch * of_step[objective] + validation
+    return total
+
+
+def _on_measurements(model: Any, data: WindowDataModule, per_epoch: int, epochs: range) -> float:
+    """Return the time of steps, validations and last steps, in proportion to the measurements in them.
+
+    Over long stretches the paths of untrained dynamics are given up early: the first stage is timed.
+    """
+    objective, closing = model.curriculum.at(0, epochs.stop), model.curriculum.closing
+    each = step_seconds(model, data, objective) / next(iter(data.train_dataloader())).times.numel()
+    last = each * (1 + REFITTED * (closing + 1))  # one more is taken by functions
+    if not isinstance(objective, Shooting):  # trained in the weak form, dynamics fit starts soon
+        last = _shooting_seconds(model, data) * REFITTED * (closing + 2)
+    return last * data.measured("train").times.numel() + each * sum(amounts(data, per_epoch, epochs))
+
+
+def _shooting_seconds(model: Any, data: WindowDataModule) -> float:
+    """Return the time of fits and equations of shooting for each measured time.
+
+    They are timed on the beginnings of trajectories: untrained dynamics do not follow them far.
+    """
+    dynamics = copy.deepcopy(model.dynamics).double()
+    whole = Segments(data.measured("train"), None, data.instrument)
+    batch = whole.gather(torch.arange(min(len(whole), STRETCHES)))
+    batch = batch._replace(values=batch.values[:, : STRETCH + 1], times=batch.times[:, : STRETCH + 1])
+    parameters = list(dynamics.parameters())
+    theta, sizes = parameters_to_vector(parameters).detach(), [p.numel() for p in parameters]
+    equations = lambda: WideProblem(dynamics, batch, ROBUST["none"]).equations(theta, sizes)  # noqa: E731
+    with torch.no_grad():
+        return _median(equations) / batch.times.numel()
+
+
+def amounts(data: WindowDataModule, per_epoch: int, epochs: range) -> list[int]:
+    """Return how much each epoch works through, its validation too: measured times, or 1 without stages."""
+    if getattr(data, "stages", None) is None:
+        return [1] * len(epochs)
+    loader, found = data.train_dataloader(), []
+    validation = next(iter(data.val_dataloader())).times.numel()
+    for epoch in epochs:
+        loader.set_epoch(epoch)
+        found.append(validation + per_epoch * next(iter(loader)).times.numel())
+    return found
+
+
+def _validation_seconds(model: Any, data: WindowDataModule) -> float:
+    """Return the time of a validation, from that of its first batch."""
+    batches = data.val_dataloader()
+    first = next(iter(batches))
+    with torch.no_grad():
+        return len(batches) * _median(lambda: model.curriculum.judge.validation(model.dynamics, first))
+
+
+def step_seconds(model: Any, data: WindowDataModule, objective: Objective) -> float:
+    """Return the median time of an optimiser step on fresh batches, taken by a copy of the dynamics."""
+    dynamics = copy.deepcopy(model.dynamics)
+    optimizer = model.optimisation.optimizer(dynamics.parameters())
+    stepper = model.stepper_for(optimizer)
+    loader = data.train_dataloader()
+    draws = itertools.cycle(loader.batches()[: TRIALS + 1])
+
+    def step() -> None:
+        loss = stepper.step(objective, model.loss, dynamics, loader.gather(next(draws)), optimizer)
+        if stepper.automatic:
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+
+    return _median(step, TRIALS)
+
+
+def _median(work: Callable[[], Any], repeats: int = 1) -> float:
+    """Return the median time of some work, a first call apart."""
+    times = []
+    while len(times) < 2 or (len(times) <= repeats and sum(times[1:]) < ENOUGH):
+        begin = time.perf_counter()
+        work()
+        if torch.cuda.is_initialized():
+            torch.cuda.synchronize()
+        times.append(time.perf_counter() - begin)
+    return median(times[1:])

@@ -1,0 +1,70 @@
+"""The unscented transformation as the kernel of a Gaussian filter."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+from torch import Tensor
+
+from ahnn.estimation.belief import Belief
+from ahnn.estimation.estimator import Sensor
+from ahnn.estimation.kernel import measured, propagate
+from ahnn.estimation.results import Predicted, Updated
+from ahnn.estimation.rounding import Rounding
+from ahnn.measurements import Position, State, nearest, residual
+from ahnn.types import Flow
+from ahnn_plugins.ukf.parameters import Form, Weights
+from ahnn_plugins.ukf.sigma_points import draw
+from ahnn_plugins.ukf.unscented_smoother import backward_kernel
+
+READINGS = (Position, State)
+"""Models of the first components of a state; a class made from one may do something else."""
+
+
+class SigmaPoints(NamedTuple):
+    """Predictions and updates by sigma points.
+
+    Sigma points are drawn again after Q is added: without that an unscented filter does not equal the Kalman
+    filter on a linear system.
+
+    Attributes:
+        weights: of the points.
+        form: of the covariances.
+        points: (B, S, D) after the flow, of the next prediction, where they are known already.
+    """
+
+    weights: Weights
+    form: Form
+    points: Tensor | None = None
+
+    @property
+    def rounding(self) -> Rounding:
+        """What crowded points and formed covariances amplify."""
+        return Rounding(self.weights.crowding, self.form.squares, self.weights.downdate is not None)
+
+    def predict(
+        self, belief: Belief, flow: Flow, dt: float, chol_q: Tensor, *, smoothing: bool = False
+    ) -> Predicted:
+        """Return the belief after a step; the flow is called once, on B (2 D + 1) points."""
+        points = self.points
+        if points is None:
+            points = propagate(flow, draw(belief, self.weights), dt)
+        predicted = self.form.predict(points, self.weights, chol_q)
+        if not smoothing:
+            return predicted
+        backward, mended = backward_kernel(points, belief.chol, self.weights, chol_q)
+        if mended is not None and predicted.repaired is not None:
+            # The law holds the predicted covariance: what was mended there is no second repair.
+            mended = mended & ~predicted.repaired
+        return predicted._replace(backward=backward, mended=mended)
+
+    def update(self, prior: Belief, y: Tensor, sensor: Sensor, time: float) -> Updated:
+        """Return the belief given a row; one that reads the state needs no points."""
+        model, size = sensor.measurement, y.shape[-1]
+        if self.form.read is not None and type(model) in READINGS and size <= prior.mean.shape[-1]:
+            turned = nearest(model, y, prior.mean[:, :size])
+            if (updated := self.form.read(prior, turned, self.weights, sensor.chol_r)) is not None:
+                return updated
+        images = measured(model, draw(prior, self.weights), time)
+        return self.form.update(prior, images, y, partial(residual, model), self.weights, sensor.chol_r)

@@ -1,0 +1,36 @@
+"""Backward laws of the unscented Rauch-Tung-Striebel smoother (Särkkä 2008) on factors."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from ahnn.estimation.results import Backward
+from ahnn.estimation.smoother import backward_law, smoother
+from ahnn_plugins.ukf.parameters import Weights
+from ahnn_plugins.ukf.square_root import joint_factor
+
+unscented_smoother = smoother
+"""The smoother composes the laws below; it is that of any filter."""
+
+
+def backward_kernel(
+    propagated: Tensor, chol: Tensor, weights: Weights, chol_q: Tensor
+) -> tuple[Backward, Tensor | None]:
+    """Return the law of the state before a step given the state after it, see `backward_law`.
+
+    Args:
+        propagated: (B, S, D) sigma points after the flow.
+        chol: (B, D, D) factor from which they were drawn.
+        weights: of the points.
+        chol_q: (B, D, D) factor of the process noise.
+
+    Returns:
+        The law, and which members needed a repair or had a singular covariance, (B,) bool; None if no member.
+    """
+    outer = propagated[:, 1:] - propagated[:, :1]
+    shift = weights.outer * outer.sum(1, keepdim=True)
+    joint, repaired = joint_factor(outer, shift, chol, weights, chol_q.mT)
+    law, singular = backward_law(joint)
+    if singular is not None:
+        repaired = singular if repaired is None else singular | repaired
+    return law, repaired

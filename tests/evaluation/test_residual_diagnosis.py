@@ -1,0 +1,79 @@
+"""What residuals say of a wrong data.noise and of outliers, and that they say nothing of wrong dynamics."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+import torch
+from cases import SPRING, trajectories
+from test_goodness_of_fit import Spring, measured
+
+from ahnn.data.segments import Segments
+from ahnn.data.sensor import Sensor
+from ahnn.evaluation.residual_diagnosis import remedy
+
+
+def stated(batch, *factors):
+    """Return measurements whose noise is said to be so many times what it is."""
+    deviations = batch.instrument.deviations * torch.tensor(factors, dtype=torch.float64)
+    return batch._replace(instrument=batch.instrument._replace(deviations=deviations))
+
+
+@pytest.mark.parametrize("factor", [0.02, 0.1, 0.4, 2.5, 10.0])
+def test_noise_that_is_off_by_more_than_two_is_named(factor):
+    said = remedy(Spring(SPRING), stated(measured(), factor), "none")
+    head, _, tail = said.partition(" times too ")
+    found = float(head.removeprefix("data.noise is about "))
+    assert tail == ("small for q1" if factor < 1 else "large for q1")
+    assert found == pytest.approx(max(factor, 1 / factor), rel=0.1)
+
+
+@pytest.mark.parametrize("factor", [0.6, 1.0, 1.8])
+def test_noise_within_a_factor_of_two_is_not_spoken_of(factor):
+    assert remedy(Spring(SPRING), stated(measured(), factor), "none") == ""
+
+
+def test_of_several_numbers_the_one_that_is_off_is_named():
+    batch = measured(kind="state")
+    assert remedy(Spring(SPRING), stated(batch, 1.0, 0.1), "none").endswith("times too small for p1")
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.1])
+def test_outliers_are_named_where_the_training_counted_them(factor):
+    batch = stated(measured(outliers=0.05, gaps=0.2), factor)
+    said = remedy(Spring(SPRING), batch, "none").split("; ")
+    assert len(said) == (1 if factor == 1 else 2)
+    share, _, rest = said[-1].partition(" % of the numbers are outliers, ")
+    assert float(share) == pytest.approx(5, abs=1.5)
+    assert rest == "which loss.robust=student weighs down"
+    assert "outliers" not in remedy(Spring(SPRING), batch, "student")
+
+
+@pytest.mark.parametrize("every", [80, 95, 110])
+def test_wrong_dynamics_are_no_noise_a_quarter_of_a_period_apart(every):
+    """Where residuals in a row do not correlate, those further apart do."""
+    system = dataclasses.replace(SPRING, steps=1600)
+    sensor = Sensor(system.space, measured="position", noise=0.01, every=every)
+    seen = sensor.measure(trajectories(system, 40, 5), 0)
+    batch = Segments(seen, None, sensor.instrument(system.dt)).gather(torch.arange(40))
+    assert remedy(Spring(system), batch, "none") == ""
+    for stiffness in (1.12, 1.3):
+        softer = dataclasses.replace(system, stiffness=stiffness * system.stiffness)
+        assert remedy(Spring(softer), batch, "none") == ""
+
+
+def test_what_fitted_starts_take_up_is_no_noise():
+    batch = measured()
+    for samples in (2, 3, 4):
+        few = batch._replace(
+            values=batch.values[:, ::10][:, :samples], times=batch.times[:, ::10][:, :samples]
+        )
+        assert remedy(Spring(SPRING), few, "none") == ""
+
+
+def test_wrong_dynamics_are_no_noise():
+    stiffer = dataclasses.replace(SPRING, stiffness=5.6)
+    assert remedy(Spring(stiffer), measured(), "none") == ""
+    assert "2.5e+02 times too large for q1" in remedy(Spring(stiffer), stated(measured(), 3e2), "none")
+    assert float(trajectories(SPRING, 1, 5).states.abs().max()) > 0.1  # far above the noise

@@ -1,0 +1,124 @@
+"""The announced time of a training on measurements counts its last steps."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+import torch
+from oscillators import Swing
+
+from ahnn.measurements import Instrument, Observations, Position
+from ahnn.training import runtime_estimate
+from ahnn.training.shooting import Shooting
+from ahnn.training.weak import Weak
+
+
+class Batches:
+    """Batches of 10 measurements, in the second epoch of 40."""
+
+    size = 10
+
+    def set_epoch(self, epoch):
+        self.size = 10 if epoch < 1 else 40
+
+    def __iter__(self):
+        yield SimpleNamespace(times=torch.zeros(self.size))
+
+
+class Data:
+    """Measurements: 1,000 of the training, 200 of a validation."""
+
+    stages = object()
+
+    def train_dataloader(self):
+        return Batches()
+
+    def val_dataloader(self):
+        return [SimpleNamespace(times=torch.zeros(200))]
+
+    def measured(self, split):
+        assert split == "train"
+        return SimpleNamespace(times=torch.zeros(1000))
+
+
+@pytest.mark.parametrize(
+    ("first", "closing", "last"),
+    [(Shooting(4), 0, 150), (Shooting(4), 3, 300), (Weak(), 0, 700), (Weak(), 3, 1750)],
+)
+def test_last_steps_and_the_covariance_count_by_all_measurements(first, closing, last, monkeypatch):
+    """A step of 10 takes 1 s; a pass of shooting over all follows, then halves where starts fit soon."""
+    monkeypatch.setattr(runtime_estimate, "step_seconds", lambda *_: 1.0)
+    monkeypatch.setattr(runtime_estimate, "_shooting_seconds", lambda *_: 0.7)
+    at = lambda epoch, epochs: first if (epoch, epochs) == (0, 2) else None  # noqa: E731
+    curriculum = SimpleNamespace(at=at, closing=closing)
+    model, trainer = SimpleNamespace(curriculum=curriculum), SimpleNamespace(callbacks=[])
+    seconds = runtime_estimate.expected_seconds(trainer, Data(), model, 3, range(2))  # pyright: ignore
+    assert seconds == pytest.approx(3 + 12 + 2 * 20 + last)
+
+
+def test_epochs_count_by_what_they_work_through():
+    """Three steps of 10 or 40 measurements, and a validation of 200; windows of states are alike."""
+    assert runtime_estimate.amounts(Data(), 3, range(3)) == [230, 320, 320]  # pyright: ignore
+    assert runtime_estimate.amounts(SimpleNamespace(stages=None), 3, range(3)) == [1, 1, 1]  # pyright: ignore
+
+
+@pytest.mark.parametrize(("each", "calls"), [(0.01, 4), (0.2, 3), (2.0, 2)])
+def test_steps_that_take_long_are_timed_once(each, calls, monkeypatch):
+    done = []
+    monkeypatch.setattr(runtime_estimate.time, "perf_counter", lambda: each * len(done))
+    assert runtime_estimate._median(lambda: done.append(0), 3) == pytest.approx(each)
+    assert len(done) == calls
+
+
+def test_each_epoch_counts_its_steps_its_validation_and_the_callbacks_that_say_so(monkeypatch):
+    """Epochs 2 to 4 of 5: steps of 0.5 s up to the third, of 2 s after it, and validations of 3 s."""
+    one, other = object(), object()
+    monkeypatch.setattr(runtime_estimate, "step_seconds", lambda *given: {one: 0.5, other: 2.0}[given[-1]])
+    monkeypatch.setattr(runtime_estimate, "_validation_seconds", lambda *_: 3.0)
+    curriculum = SimpleNamespace(at=lambda epoch, epochs: one if epoch < 3 < epochs else other)
+    slow = SimpleNamespace(seconds=lambda epoch, *_: 100.0 * epoch)
+    trainer = SimpleNamespace(callbacks=[SimpleNamespace(), slow])
+    model, data = SimpleNamespace(curriculum=curriculum), SimpleNamespace(stages=None)
+    seconds = runtime_estimate.expected_seconds(trainer, data, model, 7, range(2, 5))  # pyright: ignore
+    assert seconds == pytest.approx(3.5 + 14 + 14 + 3 * 3 + 100 * (2 + 3 + 4))
+
+
+def test_a_validation_takes_as_long_as_its_first_batch_for_each_of_them(monkeypatch):
+    seen = []
+    monkeypatch.setattr(runtime_estimate, "_median", lambda work, *_: work() or 3.0)
+    judge = SimpleNamespace(validation=lambda *given: seen.append(given))
+    model = SimpleNamespace(dynamics="dynamics", curriculum=SimpleNamespace(judge=judge))
+    data = SimpleNamespace(val_dataloader=lambda: ["first", "second", "third", "fourth"])
+    assert runtime_estimate._validation_seconds(model, data) == 12.0  # pyright: ignore
+    assert seen == [("dynamics", "first")]
+
+
+@pytest.mark.parametrize(("rows", "samples"), [(4, 20), (320, 80)])
+def test_last_steps_are_timed_on_the_beginnings_of_some_trajectories(rows, samples, monkeypatch):
+    """By each measured time; the rows and intervals of the beginnings are bounded."""
+    seen = []
+    equations = SimpleNamespace(equations=lambda theta, sizes: seen.append((theta.tolist(), sizes)))
+    monkeypatch.setattr(runtime_estimate, "_median", lambda work, *_: work() or 6.0)
+    monkeypatch.setattr(
+        runtime_estimate, "WideProblem", lambda _, batch, *__: seen.append(batch) or equations
+    )
+    times = torch.arange(samples, dtype=torch.float64).expand(rows, -1)
+    data = SimpleNamespace(
+        measured=lambda _: Observations(times.sin().unsqueeze(-1), times),
+        instrument=Instrument(Position(1), torch.ones(1), 1.0, 1, 1.0),
+    )
+    model = SimpleNamespace(dynamics=Swing(2.5, 0.5))
+    count = min(rows, runtime_estimate.STRETCHES) * min(samples, runtime_estimate.STRETCH + 1)
+    assert runtime_estimate._shooting_seconds(model, data) == pytest.approx(6.0 / count, rel=1e-12)  # pyright: ignore
+    batch, asked = seen
+    assert batch.values.shape == (*batch.times.shape, 1)
+    assert batch.times.numel() == count
+    assert asked == ([2.5, 0.5], [2])
+
+
+def test_what_is_timed_once_is_done_once_before(monkeypatch):
+    done = []
+    monkeypatch.setattr(runtime_estimate.time, "perf_counter", lambda: {0: 0.0, 1: 0.08, 2: 0.09}[len(done)])
+    assert runtime_estimate._median(lambda: done.append(0)) == pytest.approx(0.01)
+    assert len(done) == 2
