@@ -20,7 +20,7 @@ def export(arguments: list[str]) -> None:
         from ahnn.cli.pairs import read_pairs
         from ahnn.jobs import exporting
 
-    exporting.export(read_pairs(arguments, exporting.Asked, USAGE))
+    exporting.export(read_pairs(arguments, exporting.ExportRequest, USAGE))
 
 
 def main() -> None:

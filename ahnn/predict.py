@@ -31,7 +31,7 @@ def predict(arguments: list[str]) -> None:
         from ahnn.cli.pairs import read_pairs
         from ahnn.jobs import predicting
 
-    predicting.predict(read_pairs(arguments, predicting.Asked, USAGE))
+    predicting.predict(read_pairs(arguments, predicting.PredictionRequest, USAGE))
 
 
 def main() -> None:

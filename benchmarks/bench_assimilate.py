@@ -24,7 +24,7 @@ import numpy as np
 import torch
 
 import ahnn
-from ahnn.assimilation import Assimilation, Reading, Sensor
+from ahnn.assimilation import Assimilation, Reading, StreamSensor
 from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.output_rows import Rows
 from ahnn.assimilation.session import Session
@@ -57,7 +57,7 @@ def make(run: ahnn.Run) -> Assimilation:
     """Return the filter."""
     q = torch.diag(torch.tensor(NOISE, dtype=torch.float64).repeat_interleave(3) ** 2)
     process = online_process(UnscentedKalmanFilter(), run.dynamics, run.dt, q)
-    sensors = {"position": Sensor.of(Position(), SD, run.space)}
+    sensors = {"position": StreamSensor.of(Position(), SD, run.space)}
     return Assimilation(process, sensors, initial_belief([START], np.diag([1.0] * 3 + [1e-4] * 3)))
 
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from ahnn.data.doctor import Finding, examine
-from ahnn.data.files.reading import Reading
+from ahnn.data.files.reading import FileReading
 
 Array = NDArray[np.float64]
 MU, RADIUS, J2, TURN = 398600.4418, 6378.1363, 1.0826e-3, 7.292115e-5
@@ -179,7 +179,7 @@ def verdict(one: Table, folder: Path) -> list[Finding]:
     )
     np.savetxt(path, rows, "%.15g", ",", header=",".join(("id", "t [s]", *one.header)), comments="")
     path.with_suffix(".yaml").write_text(f"frame: {one.frame}\n" if one.frame else "{}\n")
-    found = examine([path], Reading()).findings
+    found = examine([path], FileReading()).findings
     return [finding for finding in found if finding.level != "note" and finding.column]
 
 

@@ -24,7 +24,7 @@ from timing import Work, has, in_turn, markdown, ratio, shown
 from works import DT, NEEDS, SIZE, own_step
 
 from ahnn.training import FirstOrder
-from ahnn.training.cuda_graph import Recorded
+from ahnn.training.cuda_graph import RecordedStep
 from ahnn.types import Window
 
 SHAPES = ((64, 2, 1, 256), (64, 2, 5, 256), (256, 4, 5, 256), (256, 4, 5, 8192))
@@ -49,7 +49,7 @@ def row(width: int, depth: int, window: int, size: int, repeats: int) -> list[st
     start = torch.randn(size, SIZE, generator=rng)
     targets = 0.01 * torch.randn(size, window, SIZE, generator=rng)
     batch = Window(start.cuda(), targets.cuda(), DT)
-    steppers = {"recorded": Recorded(size), "eager": FirstOrder()}
+    steppers = {"recorded": RecordedStep(size), "eager": FirstOrder()}
     own = width, depth, "gelu", batch
     once = waited(own_step(*own, 1, steppers["recorded"]))
     once()

@@ -18,7 +18,15 @@ import torch
 from timing import Row, Work, has, in_turn, left_out, settle, table
 
 from ahnn.dynamics import HamiltonianDynamics
-from ahnn.training import Derivative, LevenbergMarquardt, Loss, LossOptions, Objective, Problem, Recursive
+from ahnn.training import (
+    Derivative,
+    LeastSquaresProblem,
+    LevenbergMarquardt,
+    Loss,
+    LossOptions,
+    Objective,
+    Recursive,
+)
 from ahnn.types import Window
 
 TASKS = {"generic orbit, 2x40": (3, 40, 5000), "spring, 2x24": (1, 24, 7500)}
@@ -52,7 +60,7 @@ def step(objective: Objective, own: HamiltonianDynamics, batch: Window) -> Work:
     """Return work: one step, always from the same weights."""
     parts = objective.divided(batch)
 
-    def problems() -> tuple[Problem, Problem]:  # as the stepper makes them
+    def problems() -> tuple[LeastSquaresProblem, LeastSquaresProblem]:  # as the stepper makes them
         return objective.problem(own, parts[0]), objective.problem(own, parts[1])
 
     begun = LevenbergMarquardt(own.parameters())

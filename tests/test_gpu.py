@@ -13,7 +13,7 @@ from ahnn.evaluation import load_results
 from ahnn.measurements import Position
 from ahnn.rollouts import rollout
 from ahnn.training import FirstOrder, LevenbergMarquardt, LossOptions
-from ahnn.training.cuda_graph import Recorded
+from ahnn.training.cuda_graph import RecordedStep
 from ahnn.training.loss import Loss
 from ahnn.training.objectives import Derivative, Recursive
 from ahnn.training.steppers import problems
@@ -51,7 +51,7 @@ def test_recorded_steps_are_those_of_the_cpu(kind):
     here, there = dynamics(kind), dynamics(kind).cuda()
     loss, moved = Loss(4, LossOptions()).double(), Loss(4, LossOptions()).double().cuda()
     objective, recorded = Recursive(loss, 2), Recursive(moved, 2)
-    stepper, kept = Recorded(6), []
+    stepper, kept = RecordedStep(6), []
     for seed in range(3):
         batch = windows(seed)
         here.zero_grad()

@@ -20,7 +20,7 @@ MOST = 10_000
 """Rows that are kept of an output, evenly spread over it."""
 
 
-class Record(NamedTuple):
+class AssimilationRecord(NamedTuple):
     """Rows of an output, the last one of each time.
 
     Attributes:
@@ -44,7 +44,7 @@ class Record(NamedTuple):
     deviation: Array
 
 
-def read_record(path: Path, components: tuple[str, ...], most: int = MOST) -> Record:
+def read_record(path: Path, components: tuple[str, ...], most: int = MOST) -> AssimilationRecord:
     """Return at most so many rows of an output, the last one among them, in constant memory.
 
     Raises:
@@ -77,7 +77,7 @@ def read_record(path: Path, components: tuple[str, ...], most: int = MOST) -> Re
     time, nis, dof = columns(["time", "nis", "dof"]).T
     outcome = np.array([row[FIRST[3]] for row in rows])
     told = [columns([prefix + name for name in measured]) for prefix in (INNOVATION, DEVIATION)]
-    return Record(time, columns([*components]), covariance, outcome, nis, dof, measured, *told)
+    return AssimilationRecord(time, columns([*components]), covariance, outcome, nis, dof, measured, *told)
 
 
 def _number(cell: Any) -> float:
@@ -105,7 +105,9 @@ def require_orbit(space: Space, reference: Reference) -> None:
         raise UserError(message)
 
 
-def write_ephemeris(path: Path, record: Record, space: Space, name: str, reference: Reference) -> None:
+def write_ephemeris(
+    path: Path, record: AssimilationRecord, space: Space, name: str, reference: Reference
+) -> None:
     """Write the estimates of an orbit with their covariances as an orbit ephemeris message.
 
     Args:

@@ -8,21 +8,21 @@ from operator import attrgetter
 from typing import NamedTuple
 
 from ahnn.assimilation.line_parser import Reading
-from ahnn.estimation import Innovation, State
+from ahnn.estimation import EstimatorState, Innovation
 
 TIME = attrgetter("time")
 
 
-class Entry(NamedTuple):
+class KeptReading(NamedTuple):
     """A reading that counted, what it told, and the state after it."""
 
     time: float
     reading: Reading
-    state: State
+    state: EstimatorState
     innovation: Innovation
 
 
-class Window(NamedTuple):
+class ReadingWindow(NamedTuple):
     """What may still be changed by a late reading.
 
     Attributes:
@@ -31,12 +31,12 @@ class Window(NamedTuple):
         entries: in the order of their times.
     """
 
-    anchor: State
+    anchor: EstimatorState
     since: float
-    entries: tuple[Entry, ...] = ()
+    entries: tuple[KeptReading, ...] = ()
 
     @property
-    def state(self) -> State:
+    def state(self) -> EstimatorState:
         """The newest state."""
         return self.entries[-1].state if self.entries else self.anchor
 
@@ -45,7 +45,7 @@ class Window(NamedTuple):
         """Time of the newest state."""
         return self.entries[-1].time if self.entries else self.since
 
-    def before(self, time: float) -> Window:
+    def before(self, time: float) -> ReadingWindow:
         """Return the window up to a time, readings of that time included."""
         return self._replace(entries=self.entries[: bisect_right(self.entries, time, key=TIME)])
 
@@ -54,7 +54,7 @@ class Window(NamedTuple):
         low, high = (side(self.entries, reading.time, key=TIME) for side in (bisect_left, bisect_right))
         return any(alike(one.reading, reading) for one in self.entries[low:high])
 
-    def kept(self, span: float, most: int) -> Window:
+    def kept(self, span: float, most: int) -> ReadingWindow:
         """Return the window without what is older than a span of time, or beyond so many readings."""
         first = max(0, len(self.entries) - most)
         while first < len(self.entries) and self.entries[first].time < self.time - span:
@@ -62,7 +62,7 @@ class Window(NamedTuple):
         if first == 0:
             return self
         last = self.entries[first - 1]
-        return Window(last.state, last.time, self.entries[first:])
+        return ReadingWindow(last.state, last.time, self.entries[first:])
 
 
 def alike(one: Reading, other: Reading) -> bool:

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 from ahnn.arguments import nearest
 from ahnn.assimilation.cells import BadLine, is_missing, number
-from ahnn.assimilation.stream_clock import Clock
-from ahnn.assimilation.stream_sensor import Sensor
+from ahnn.assimilation.stream_clock import StreamClock
+from ahnn.assimilation.stream_sensor import StreamSensor
 from ahnn.data.files.table import HEADER
 from ahnn.data.files.units import factor
 from ahnn.errors import UserError
@@ -57,7 +57,9 @@ class Layout:
             or with numbers whose standard deviations nobody says.
     """
 
-    def __init__(self, first: str, sensors: Mapping[str, Sensor], clock: Clock | None = None) -> None:
+    def __init__(
+        self, first: str, sensors: Mapping[str, StreamSensor], clock: StreamClock | None = None
+    ) -> None:
         self.sensors, self.clock = sensors, clock
         self.only = next(iter(sensors)) if len(sensors) == 1 else None
         known = {name for sensor in sensors.values() for name in sensor.columns}
@@ -150,7 +152,7 @@ class Layout:
         return row
 
     def _deviations(
-        self, row: dict[str, Any], sensor: Sensor, values: tuple[float, ...]
+        self, row: dict[str, Any], sensor: StreamSensor, values: tuple[float, ...]
     ) -> tuple[float, ...] | None:
         """Return the standard deviations of a row; None where it brings none and the sensor's hold."""
         given = [self._number(row, SD + name) for name in sensor.columns]
@@ -216,7 +218,7 @@ class Layout:
         return ", ".join(dict.fromkeys(name for one in self.sensors.values() for name in one.columns))
 
 
-def _keys(sensor: Sensor) -> set[str]:
+def _keys(sensor: StreamSensor) -> set[str]:
     """Return the names that a line of a sensor may use."""
     return {*TIME, SENSOR, *sensor.columns, *(SD + name for name in sensor.columns)}
 

@@ -14,11 +14,11 @@ from torch import Tensor
 
 from ahnn.arguments import Count, Finite, Positive, Within, checked
 from ahnn.assimilation.cells import BadLine
-from ahnn.assimilation.late_readings import Entry, Window
+from ahnn.assimilation.late_readings import KeptReading, ReadingWindow
 from ahnn.assimilation.line_parser import Reading
-from ahnn.assimilation.stream_sensor import Sensor, plain
+from ahnn.assimilation.stream_sensor import StreamSensor, plain
 from ahnn.errors import UserError
-from ahnn.estimation import Belief, Innovation, State, Status, load_notes, load_state, save_state
+from ahnn.estimation import Belief, EstimatorState, Innovation, Status, load_notes, load_state, save_state
 from ahnn.estimation.process_model import Process
 
 HOPELESS = 1e16
@@ -77,7 +77,7 @@ class Assimilation:
     def __init__(
         self,
         process: Process,
-        sensors: Mapping[str, Sensor],
+        sensors: Mapping[str, StreamSensor],
         start: Belief,
         *,
         time: Finite = 0.0,
@@ -97,7 +97,7 @@ class Assimilation:
                 name: sensor.factor(None) for name, sensor in self.sensors.items() if sensor.deviations
             }
             state = process.estimator.start(process.lifted(start), time)
-            self.window = Window(state, float(time))
+            self.window = ReadingWindow(state, float(time))
             mean, covariance = start.mean[0].tolist(), start.covariance[0].tolist()
             self.begun = {"start": mean, "start_sd": covariance, "time": float(time)}
             process.advanced(state, time, time + process.max_step)  # no line waits for what that prepares
@@ -150,7 +150,7 @@ class Assimilation:
         """
         try:
             state, notes = load_state(path, like=self.window.anchor), load_notes(path)
-            window = Window(state, float(state.time))
+            window = ReadingWindow(state, float(state.time))
             if ours := notes["of"] == self.identity:
                 for time, values, sensor, sd in json.loads(notes["readings"]):
                     reading = Reading(time, tuple(values), sensor, None if sd is None else tuple(sd))
@@ -191,7 +191,7 @@ class Assimilation:
             raise UserError(message)
         return reading
 
-    def _added(self, window: Window, reading: Reading) -> Window:
+    def _added(self, window: ReadingWindow, reading: Reading) -> ReadingWindow:
         """Return the window with a reading at its end."""
         sensor, process = self.sensors[reading.sensor], self.process
         state = process.advanced(window.state, window.time, reading.time)
@@ -211,10 +211,10 @@ class Assimilation:
                 f"{reading.time:g}, by sensor {reading.sensor}"
             )
             raise Diverged(message)
-        entry = Entry(reading.time, reading, state, innovation)
+        entry = KeptReading(reading.time, reading, state, innovation)
         return window._replace(entries=(*window.entries, entry))
 
-    def _require_reading_at_fault(self, state: State, reading: Reading) -> None:
+    def _require_reading_at_fault(self, state: EstimatorState, reading: Reading) -> None:
         """Raise BadLine where the filter takes what it expects to read: the reading is no measurement."""
         model, sensor = self._models[reading.sensor], self.sensors[reading.sensor]
         y = model(state.moments.mean, reading.time)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Literal
 
 from ahnn.assimilation.online import Estimate
-from ahnn.assimilation.stream_sensor import Sensor
+from ahnn.assimilation.stream_sensor import StreamSensor
 from ahnn.data.estimate_table import COVARIANCE, DEVIATION, FIRST, INNOVATION
 from ahnn.data.files.sidecar import Sidecar
 from ahnn.errors import UserError
@@ -38,7 +38,7 @@ class Rows:
     def __init__(
         self,
         components: tuple[str, ...],
-        sensors: Mapping[str, Sensor],
+        sensors: Mapping[str, StreamSensor],
         kind: Format,
         said: Sidecar | None = None,
     ) -> None:

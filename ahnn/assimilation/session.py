@@ -20,7 +20,7 @@ from ahnn.assimilation.line_parser import Layout, Reading
 from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.online import Assimilation, Diverged, Estimate
 from ahnn.assimilation.output_rows import Output, Rows, digest, require_new
-from ahnn.assimilation.stream_clock import Clock
+from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.data.files import sidecar
 from ahnn.errors import TrainingError, UserError
 from ahnn.estimation.consistency import band
@@ -107,7 +107,7 @@ class Session:
         output: str,
         state: Path | None,
         every: int,
-        clock: Clock | None = None,
+        clock: StreamClock | None = None,
     ) -> None:
         self.filter, self.lines, self.rows, self.clock = assimilation, lines, rows, clock
         self.state, self.every = state, every

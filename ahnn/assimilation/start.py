@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ahnn.assimilation.stream_clock import Clock
+from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.data.files.epochs import spelled
 from ahnn.data.reference import Reference
 from ahnn.data.starts import Starts
@@ -33,7 +33,7 @@ class Begin(NamedTuple):
         reference: of the estimates.
     """
 
-    clock: Clock
+    clock: StreamClock
     time: float
     reference: Reference
 
@@ -83,7 +83,7 @@ def begin(found: Starts, ours: Reference, time: float | None, unit: str) -> Begi
     """
     own, held = found.reference, float(found.times[0])
     whole = ours.filled(own)
-    clock = Clock(unit, None, whole.clock or "UTC")
+    clock = StreamClock(unit, None, whole.clock or "UTC")
     if own.epoch is None:
         if time is not None and held not in (0.0, time):
             message = (

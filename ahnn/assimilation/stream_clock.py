@@ -13,7 +13,7 @@ from ahnn.data.reference import Reference
 from ahnn.errors import UserError
 
 
-class Clock(NamedTuple):
+class StreamClock(NamedTuple):
     """What times mean.
 
     Attributes:
@@ -84,7 +84,7 @@ class Clock(NamedTuple):
         days = seconds / DAY - 0.5  # from J2000.0
         return math.tau * ((0.7790572732640 + 0.00273781191135448 * days + days % 1.0) % 1.0)
 
-    def named(self, text: str) -> Clock:
+    def named(self, text: str) -> StreamClock:
         """Return the clock of a header that names a unit of time or a time system; raises UserError."""
         if text == self.system or {text, self.system} <= TO_TT.keys():
             return self._replace(cells=text)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from ahnn.assimilation.assimilation_record import Array, Record
+from ahnn.assimilation.assimilation_record import Array, AssimilationRecord
 from ahnn.estimation.consistency import band
 from ahnn.evaluation import style
 from ahnn.labels import headed
@@ -16,13 +16,13 @@ AVERAGED = 50
 NAMES = ("innovations", "consistency", "deviations")
 
 
-def figures_of(record: Record, space: Space) -> dict[str, Figure]:
+def figures_of(record: AssimilationRecord, space: Space) -> dict[str, Figure]:
     """Return the figures of a record under their names."""
     drawn = (draw(record, space) for draw in (innovations, consistency, deviations))
     return dict(zip(NAMES, drawn, strict=True))
 
 
-def innovations(record: Record, space: Space) -> Figure:
+def innovations(record: AssimilationRecord, space: Space) -> Figure:
     """Draw each measured number less its prediction, in the band of three standard deviations."""
     time, unit = _time(record, space)
     figure = style.canvas(8, 1.2 + 1.9 * len(record.measured))
@@ -48,7 +48,7 @@ def innovations(record: Record, space: Space) -> Figure:
     return figure
 
 
-def consistency(record: Record, space: Space) -> Figure:
+def consistency(record: AssimilationRecord, space: Space) -> Figure:
     """Draw the moving mean of the NIS of what was taken, per measured number, with its 95 % band."""
     time, unit = _time(record, space)
     figure = style.canvas(8, 4)
@@ -71,7 +71,7 @@ def consistency(record: Record, space: Space) -> Figure:
     return figure
 
 
-def deviations(record: Record, space: Space) -> Figure:
+def deviations(record: AssimilationRecord, space: Space) -> Figure:
     """Draw the standard deviations of positions and momenta, root sum of squares of the components."""
     time, unit = _time(record, space)
     figure = style.canvas(8, 5)
@@ -87,7 +87,7 @@ def deviations(record: Record, space: Space) -> Figure:
     return figure
 
 
-def _time(record: Record, space: Space) -> tuple[Array, str]:
+def _time(record: AssimilationRecord, space: Space) -> tuple[Array, str]:
     """Return the times of a record, in hours where they are many seconds."""
     hours = space.units.time == "s" and record.time[-1] - record.time[0] > 7200
     return (record.time / 3600, "h") if hours else (record.time, space.units.time)

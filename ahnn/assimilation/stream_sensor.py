@@ -12,7 +12,7 @@ from ahnn.measurements import Measurement, Position, State, noise_deviations
 from ahnn.types import Space
 
 
-class Sensor(NamedTuple):
+class StreamSensor(NamedTuple):
     """An instrument of a stream.
 
     Attributes:
@@ -26,7 +26,9 @@ class Sensor(NamedTuple):
     columns: tuple[str, ...]
 
     @classmethod
-    def of(cls, measurement: Measurement, deviations: float | list[float] | None, space: Space) -> Sensor:
+    def of(
+        cls, measurement: Measurement, deviations: float | list[float] | None, space: Space
+    ) -> StreamSensor:
         """Return the sensor of a model; one that reads the state has the names of the space as columns.
 
         Args:

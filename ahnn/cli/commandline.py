@@ -29,7 +29,7 @@ from omegaconf import DictConfig, OmegaConf
 from ahnn.arguments import flatten, nearest
 from ahnn.cli.identical_jobs import warn_of_twins
 from ahnn.cli.importing import let_import
-from ahnn.cli.settings import Settings
+from ahnn.cli.settings import CommonSettings
 from ahnn.cli.trust import targets
 from ahnn.cli.unreferenced_keys import require_referenced
 from ahnn.errors import UserError
@@ -221,9 +221,11 @@ def check_additions(loader: ConfigLoaderImpl, overrides: Iterable[str]) -> None:
     """
     for override in map(parse, overrides):
         key, text = override.key_or_group, str(override.input_line)
-        read = "." in key or key in signature(Settings).parameters or loader.repository.group_exists(key)
+        read = (
+            "." in key or key in signature(CommonSettings).parameters or loader.repository.group_exists(key)
+        )
         if text.startswith("+") and not read and not any(f"${{{key}" in other for other in overrides):
-            known = {*signature(Settings).parameters, *loader.list_groups("")}
+            known = {*signature(CommonSettings).parameters, *loader.list_groups("")}
             message = f"{text!r}: expected a key that something reads{nearest_key(key, known)}"
             raise UserError(message)
 

@@ -30,7 +30,7 @@ class Splits:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings(Again):
+class CommonSettings(Again):
     """The top level beside the groups."""
 
     seed: Seed
@@ -73,8 +73,8 @@ def check_settings(cfg: DictConfig) -> None:
     Raises:
         UserError: a wrong type, an impossible value, or one that contradicts the chosen model.
     """
-    schemas = {"": Settings, "data": Splits, "evaluation": Evaluation, "trainer": Training}
-    own = [name for name, key in signature(Settings).parameters.items() if key.default is key.empty]
+    schemas = {"": CommonSettings, "data": Splits, "evaluation": Evaluation, "trainer": Training}
+    own = [name for name, key in signature(CommonSettings).parameters.items() if key.default is key.empty]
     if missing := [name for name in (*own, *schemas) if name and name not in cfg]:  # others may refer to them
         message = f"configuration: expected key {missing[0]!r}; received none"
         raise UserError(message)

@@ -11,10 +11,10 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from torch import Tensor
 
 from ahnn.arguments import check_arguments, nearest
-from ahnn.assimilation import Assimilation, Process, Sensor
+from ahnn.assimilation import Assimilation, Process, StreamSensor
 from ahnn.assimilation.assimilation_record import require_orbit
 from ahnn.assimilation.start import begin, belief_of
-from ahnn.assimilation.stream_clock import Clock
+from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.cli.build import blaming, build, build_all, plain_config
 from ahnn.cli.compose import composed
 from ahnn.cli.parts import build_sensor, build_source
@@ -27,7 +27,7 @@ from ahnn.data.starts import starts
 from ahnn.errors import UserError
 from ahnn.evaluation import Case, EvaluationPlugin
 from ahnn.evaluation.make_case import make_case
-from ahnn.jobs.assimilating import Asked, Stream, require_places
+from ahnn.jobs.assimilating import AssimilationRequest, Stream, require_places
 from ahnn.loading import load
 from ahnn.measurements import reading
 from ahnn.runs import Run
@@ -52,7 +52,7 @@ def read_stream(arguments: list[str], usage: str) -> Stream:
     return build_assimilation(options, nodes, cfg, run)
 
 
-def asked(arguments: list[str], usage: str) -> tuple[Asked, DictConfig, Request]:
+def asked(arguments: list[str], usage: str) -> tuple[AssimilationRequest, DictConfig, Request]:
     """Return the options of a command line, the nodes of its sensors, and what it asks of the run.
 
     Raises:
@@ -68,8 +68,8 @@ def asked(arguments: list[str], usage: str) -> tuple[Asked, DictConfig, Request]
     request = Request.of([text for text in given if text not in mine], usage)
     cfg = composed("assimilate", mine)
     options = plain_config(cfg)
-    check_arguments("", Asked, options)
-    return Asked(**options), cfg.sensors, request
+    check_arguments("", AssimilationRequest, options)
+    return AssimilationRequest(**options), cfg.sensors, request
 
 
 def with_filter(request: Request, run: Run) -> Request:
@@ -90,7 +90,7 @@ def _key(text: str) -> str:
 
 def build_sensors(
     nodes: DictConfig, cfg: DictConfig, run: Run, truth: Callable[[], System | None]
-) -> dict[str, Sensor]:
+) -> dict[str, StreamSensor]:
     """Build the sensors of a stream; the one of the run's group `measurement` where none are named.
 
     Raises:
@@ -108,7 +108,9 @@ def build_sensors(
             known = truth() if sd is None and named == "position" else None
             called = str(name) or (named if isinstance(named, str) else type(model).__name__)
             try:
-                made[called] = Sensor.of(model, sd if known is None else known.noise.measurement, run.space)
+                made[called] = StreamSensor.of(
+                    model, sd if known is None else known.noise.measurement, run.space
+                )
             except UserError as error:
                 message = f"{who}.{error}"
                 raise UserError(message) from None
@@ -133,7 +135,7 @@ def build_process(cfg: DictConfig, run: Run, case: Callable[[], Case]) -> Proces
         return plugin.online(run.dynamics, run.dt, run.space, case, novelty, run.uncertainty)
 
 
-def build_assimilation(asked: Asked, nodes: DictConfig, cfg: DictConfig, run: Run) -> Stream:
+def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictConfig, run: Run) -> Stream:
     """Build the filter of a stream; data are only made where a process noise is fitted to them.
 
     Raises:
@@ -173,7 +175,7 @@ def build_assimilation(asked: Asked, nodes: DictConfig, cfg: DictConfig, run: Ru
     return Stream(asked, run.space, filtering, clock, reference, name)
 
 
-def require_angles(nodes: Any, clock: Clock) -> None:
+def require_angles(nodes: Any, clock: StreamClock) -> None:
     """Refuse ground stations that do not say where the Earth stood at an epoch of time zero.
 
     Raises:

@@ -26,7 +26,7 @@ MILLISECOND = SECOND // 1000
 """Within which two epochs are one."""
 
 
-class Known(NamedTuple):
+class KnownCovariance(NamedTuple):
     """Covariances of states.
 
     Attributes:
@@ -38,7 +38,9 @@ class Known(NamedTuple):
     moments: list[int]
 
 
-def covariances_of(path: Path, moments: list[int], frame: str | None, *, earlier: bool) -> Known | None:
+def covariances_of(
+    path: Path, moments: list[int], frame: str | None, *, earlier: bool
+) -> KnownCovariance | None:
     """Return the covariance of a state of each segment; None, and a warning, where a segment has none of it.
 
     Args:
@@ -58,7 +60,7 @@ def covariances_of(path: Path, moments: list[int], frame: str | None, *, earlier
         log.warning("start %s: its covariances are of other epochs than its states, and not used", path)
         return None
     matrices, at = zip(*(one for one in found if one is not None), strict=True)
-    return Known(torch.from_numpy(np.stack(matrices)), list(at))
+    return KnownCovariance(torch.from_numpy(np.stack(matrices)), list(at))
 
 
 def latest(

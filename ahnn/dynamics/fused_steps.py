@@ -15,7 +15,7 @@ from torch.autograd import Function
 
 from ahnn.dynamics import native
 from ahnn.dynamics.activations import Activation
-from ahnn.dynamics.gradients import Layers, Record, gradient, plain_gradient, recorded_gradient, reverse
+from ahnn.dynamics.gradients import LayerRecord, Layers, gradient, plain_gradient, recorded_gradient, reverse
 from ahnn.dynamics.native import Scheme
 from ahnn.integrators.tableaus import EULER
 
@@ -118,7 +118,7 @@ class _Step(Function):
         layers, kernels = layers_of(tensors), scheme.activation.kernels
         assert kernels is not None
         x, slopes = _by_columns(x), list[Tensor]()
-        records: list[list[Record]] = []
+        records: list[list[LayerRecord]] = []
         for row in ((), *scheme.tableau.a):
             slope, record = recorded_gradient(moved(x, row, slopes, scheme.h), layers, kernels)
             slopes.append(slope)

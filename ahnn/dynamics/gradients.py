@@ -46,7 +46,7 @@ class Layers(NamedTuple):
         return Layers(weights, biases, torch.zeros_like(self.last), torch.zeros_like(self.leave.T))
 
 
-class Record(NamedTuple):
+class LayerRecord(NamedTuple):
     """What the reverse needs of one hidden layer.
 
     Attributes:
@@ -96,7 +96,7 @@ def gradient(x: Tensor, layers: Layers, kernels: Kernels) -> Tensor:
     return _narrow(delta, layers.leave)
 
 
-def recorded_gradient(x: Tensor, layers: Layers, kernels: Kernels) -> tuple[Tensor, list[Record]]:
+def recorded_gradient(x: Tensor, layers: Layers, kernels: Kernels) -> tuple[Tensor, list[LayerRecord]]:
     """Return f, shape (B, F), at the inputs x, shape (B, F), and what `reverse` needs of each layer."""
     entered, seen = _upwards(x, layers, kernels)
     ones = torch.ones_like(seen[-1])
@@ -104,13 +104,13 @@ def recorded_gradient(x: Tensor, layers: Layers, kernels: Kernels) -> tuple[Tens
     for k in reversed(range(len(seen))):
         slope = kernels.pull(ones, seen[k])
         bend = kernels.curvature(seen[k], slope).mul_(u)
-        records.append(Record(entered[k], slope, slope * u, bend))
+        records.append(LayerRecord(entered[k], slope, slope * u, bend))
         if k > 0:
             u = torch.mm(records[-1].delta, layers.weights[k])
     return _narrow(records[-1].delta, layers.leave), records[::-1]
 
 
-def reverse(v: Tensor, records: list[Record], layers: Layers, sums: Layers) -> Tensor:
+def reverse(v: Tensor, records: list[LayerRecord], layers: Layers, sums: Layers) -> Tensor:
     """Return v . df/dx, shape (B, F), and add v . df/dparameters to `sums`, in place.
 
     Args:

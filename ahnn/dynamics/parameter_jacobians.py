@@ -12,7 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ahnn.dynamics.gradients import Layers, Record
+from ahnn.dynamics.gradients import LayerRecord, Layers
 from ahnn.dynamics.networks import Perceptron
 
 
@@ -25,7 +25,7 @@ class Stage(NamedTuple):
         back: what returns to each layer, (B, R, H).
     """
 
-    records: list[Record]
+    records: list[LayerRecord]
     along: list[Tensor]
     back: list[Tensor]
 
@@ -38,7 +38,7 @@ def layers_at(network: Perceptron, theta: Tensor) -> Layers:
     return Layers(hidden[::2], hidden[1::2], last[0], hidden[0])
 
 
-def reversed_rows(t: Tensor, records: list[Record], weights: list[Tensor]) -> tuple[Stage, Tensor]:
+def reversed_rows(t: Tensor, records: list[LayerRecord], weights: list[Tensor]) -> tuple[Stage, Tensor]:
     """Return the reverse of g = grad N(z) for all cotangents, and t . dg/dz, shape (B, R, F).
 
     Args:
@@ -57,7 +57,7 @@ def reversed_rows(t: Tensor, records: list[Record], weights: list[Tensor]) -> tu
     return Stage(records, along, back[::-1]), back[-1] @ weights[0]
 
 
-def curvature(records: list[Record], weights: list[Tensor]) -> Tensor:
+def curvature(records: list[LayerRecord], weights: list[Tensor]) -> Tensor:
     """Return the second derivatives of N with respect to z, shape (B, F, F).
 
     Args:

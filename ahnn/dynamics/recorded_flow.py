@@ -113,7 +113,7 @@ class Increments:
         return self.dynamics.increment(x, dt)
 
 
-class _Known(NamedTuple):
+class _KnownFlow(NamedTuple):
     """A recording, and what of the dynamics it holds for good: all but the parameters."""
 
     integrator: Any
@@ -129,7 +129,7 @@ class _Known(NamedTuple):
         return all(a.dtype == b.dtype and torch.equal(a, b) for a, b in pairs)
 
 
-_KNOWN: WeakKeyDictionary[Dynamics, _Known] = WeakKeyDictionary()
+_KNOWN: WeakKeyDictionary[Dynamics, _KnownFlow] = WeakKeyDictionary()
 
 
 def _recording(dynamics: Dynamics, *example: Tensor) -> Callable[..., Tensor]:
@@ -138,7 +138,7 @@ def _recording(dynamics: Dynamics, *example: Tensor) -> Callable[..., Tensor]:
     if known is None or not known.fits(dynamics):
         copied = copy.deepcopy(dynamics).requires_grad_(False)
         buffers = [buffer.clone() for buffer in dynamics.buffers()]
-        known = _Known(
+        known = _KnownFlow(
             getattr(dynamics, "integrator", None), buffers, _record(of_parameters(copied), *example)
         )
         _KNOWN[dynamics] = known

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ahnn.estimation.belief import Belief, Status
 from ahnn.estimation.consistency import band, coverage, independent_count, nees
 from ahnn.estimation.covariances import Covariance, Factor, initial_belief
-from ahnn.estimation.estimator import Estimator, Innovation, Recursive, State
+from ahnn.estimation.estimator import Estimator, EstimatorState, Innovation, RecursiveEstimator
 from ahnn.estimation.gate import Gate
 from ahnn.estimation.saved_state import load_notes, load_state, save_state
 from ahnn.estimation.scenario import Problem, Setting, perturbed_arcs, simulated
@@ -15,14 +15,14 @@ __all__ = [
     "Belief",
     "Covariance",
     "Estimator",
+    "EstimatorState",
     "Factor",
     "FilterState",
     "Gate",
     "Innovation",
     "Problem",
-    "Recursive",
+    "RecursiveEstimator",
     "Setting",
-    "State",
     "Status",
     "band",
     "coverage",

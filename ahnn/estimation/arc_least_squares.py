@@ -10,8 +10,8 @@ from torch import Tensor
 from ahnn.dynamics.flow_at_time import at
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.consistency import deviations
-from ahnn.estimation.estimator import Sensor
-from ahnn.estimation.step_noise import Grid
+from ahnn.estimation.estimator import SensorModel
+from ahnn.estimation.step_noise import StepGrid
 from ahnn.jacobians import pointwise_jacobian
 from ahnn.measurements import residual
 from ahnn.types import Flow
@@ -33,10 +33,10 @@ class Arc(NamedTuple):
     """
 
     flow: Flow
-    grid: Grid
+    grid: StepGrid
     rows: Tensor
     measured: list[int]
-    sensor: Sensor
+    sensor: SensorModel
     prior: Belief
 
     def first(self, count: int) -> Arc:

@@ -13,7 +13,7 @@ from torch import Tensor
 from ahnn.errors import UserError
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.covariances import Covariance, covariance_factor
-from ahnn.estimation.estimator import Sensor
+from ahnn.estimation.estimator import SensorModel
 from ahnn.estimation.gate import Gate, thresholds
 from ahnn.estimation.state import FilterState
 from ahnn.measurements.base import Measurement
@@ -45,7 +45,7 @@ def check_state(state: FilterState) -> None:
 
 def checked_sensor(
     measurement: Measurement, noise: Covariance, belief: Belief, gate: Gate | None, *, definite: bool = False
-) -> Sensor:
+) -> SensorModel:
     """Return a measurement model with the factor of its noise R, (M, M) or (B, M, M).
 
     Raises:
@@ -62,8 +62,8 @@ def checked_sensor(
     chol_r = covariance_factor(noise, "R", batch=batch, size=width, definite=definite)
     chol_r = chol_r.to(device).expand(batch, width, width)
     if gate is None:
-        return Sensor(measurement, chol_r)
-    return Sensor(measurement, chol_r, thresholds(gate, width, device), gate.patience)
+        return SensorModel(measurement, chol_r)
+    return SensorModel(measurement, chol_r, thresholds(gate, width, device), gate.patience)
 
 
 def checked_rows(values: Numbers, who: str, shape: tuple[int | str, ...], device: torch.device) -> Tensor:

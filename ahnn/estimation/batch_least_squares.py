@@ -18,7 +18,7 @@ from ahnn.estimation.argument_checks import check_belief, checked_rows, checked_
 from ahnn.estimation.belief import Belief, Status, choose
 from ahnn.estimation.linalg import tria
 from ahnn.estimation.state import initial_state
-from ahnn.estimation.step_noise import Grid
+from ahnn.estimation.step_noise import StepGrid
 from ahnn.measurements.base import Measurement
 from ahnn.numbers import Numbers
 from ahnn.shooting.initial_states import GROWTH, SHORTEST, damped_moves
@@ -86,7 +86,7 @@ def batch_least_squares(
     sensor = checked_sensor(measurement, measurement_noise, belief, None)
     shape = (len(belief.mean), "T", len(measurement.names))
     rows = checked_rows(measurements, "measurements", shape, belief.mean.device)
-    grid = Grid.of(dt, rows.shape[1], initial_state(belief, start_time).time)
+    grid = StepGrid.of(dt, rows.shape[1], initial_state(belief, start_time).time)
     measured = (~rows.isnan()).any(-1).any(0).nonzero().flatten().tolist()
     arc = Arc(flow, grid, rows, measured, sensor, belief)
     start, span = belief.mean, SHORTEST

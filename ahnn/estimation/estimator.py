@@ -34,7 +34,7 @@ from ahnn.numbers import Numbers
 from ahnn.types import Flow
 
 
-class State(Protocol):
+class EstimatorState(Protocol):
     """What an estimator carries for B members: a NamedTuple of tensors and of NamedTuples of tensors."""
 
     @property
@@ -55,7 +55,7 @@ class State(Protocol):
     def _replace(self, **parts: Any) -> Self: ...
 
 
-S = TypeVar("S", bound=State)
+S = TypeVar("S", bound=EstimatorState)
 
 
 class Innovation(NamedTuple):
@@ -80,7 +80,7 @@ class Innovation(NamedTuple):
     log_likelihood: Tensor
 
 
-class Recursive(Protocol[S]):
+class RecursiveEstimator(Protocol[S]):
     """An estimator that steps: pure functions of a state that carries everything."""
 
     @property
@@ -141,7 +141,7 @@ class Smoothed(NamedTuple):
     more: dict[str, Any] = {}  # noqa: RUF012 - never written to
 
 
-class Estimator(Recursive[S], Protocol[S]):
+class Estimator(RecursiveEstimator[S], Protocol[S]):
     """A recursive estimator that also takes whole batches of rows."""
 
     @property
@@ -172,7 +172,7 @@ class Estimator(Recursive[S], Protocol[S]):
         ...
 
 
-class Sensor(NamedTuple):
+class SensorModel(NamedTuple):
     """A measurement model and what is believed of it.
 
     Attributes:
@@ -203,6 +203,6 @@ class Kernel(Protocol):
         """Return the belief after a step, Q with factor (B, D, D) added; with its backward law if asked."""
         ...
 
-    def update(self, prior: Belief, y: Tensor, sensor: Sensor, time: float) -> Updated:
+    def update(self, prior: Belief, y: Tensor, sensor: SensorModel, time: float) -> Updated:
         """Return the belief given a row y (B, M), NaN where a component is missing."""
         ...

@@ -28,11 +28,11 @@ from ahnn.estimation.belief import Belief
 from ahnn.estimation.covariances import Covariance
 from ahnn.estimation.estimator import Batch, Innovation, Kernel, Smoothed
 from ahnn.estimation.gate import Gate, check_gate
-from ahnn.estimation.loop import StepModel, Stepper, run, stepper
+from ahnn.estimation.loop import FilterLoop, StepModel, run, stepper
 from ahnn.estimation.results import FilterResult, ProcessNoise, Updated
 from ahnn.estimation.smoother import smoother
 from ahnn.estimation.state import FilterState, initial_state
-from ahnn.estimation.step_noise import Grid, process_factor
+from ahnn.estimation.step_noise import StepGrid, process_factor
 from ahnn.measurements.base import Measurement
 from ahnn.numbers import Numbers
 from ahnn.types import Flow
@@ -75,7 +75,7 @@ class GaussianFilter(ABC):
     def kernel(self, belief: Belief) -> Kernel:
         """Return the kernel for beliefs of this shape, on this device."""
 
-    def stepper(self, kernel: Kernel, rows: Tensor, *, smoothing: bool) -> Stepper:
+    def stepper(self, kernel: Kernel, rows: Tensor, *, smoothing: bool) -> FilterLoop:
         """Return the steps of a run over rows (B, T, M)."""
         del rows
         return stepper(kernel, smoothing=smoothing)
@@ -192,7 +192,7 @@ class GaussianFilter(ABC):
             batch, device = len(state.belief.mean), state.belief.mean.device
             shape = (batch, "T", len(measurement.names))
             rows = checked_rows(measurements, "measurements", shape, device)
-            grid = Grid.of(dt, rows.shape[1], state.time)
+            grid = StepGrid.of(dt, rows.shape[1], state.time)
             kernel = self.kernel(state.belief)
             chol_q = process_factor(process_noise, state.belief)
             model = lambda k: StepModel(flow, chol_q(grid.lengths[k]), sensor)  # noqa: E731

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ahnn.dynamics.flow_at_time import at
 from ahnn.estimation.belief import Status, choose
-from ahnn.estimation.estimator import Kernel, Sensor
+from ahnn.estimation.estimator import Kernel, SensorModel
 from ahnn.estimation.results import Backward, Updated
 from ahnn.estimation.rounding import Rounding, lost_in_prediction, lost_in_update
 from ahnn.estimation.state import FilterState, add_repairs, fail, frozen
@@ -42,7 +42,7 @@ def predict(
 
 
 def update(
-    state: FilterState, kernel: Kernel, y: Tensor, sensor: Sensor
+    state: FilterState, kernel: Kernel, y: Tensor, sensor: SensorModel
 ) -> tuple[FilterState, Updated, Tensor]:
     """Return the state given the row y (B, M), the update itself, and which rows the gate rejected."""
     updated, rounding = kernel.update(state.belief, y, sensor, float(state.time)), kernel.rounding
@@ -119,7 +119,7 @@ def taken(state: FilterState, updated: Updated) -> FilterState:
 
 
 def _decide(
-    state: FilterState, updated: Updated, y: Tensor, sensor: Sensor, rounding: Rounding
+    state: FilterState, updated: Updated, y: Tensor, sensor: SensorModel, rounding: Rounding
 ) -> tuple[FilterState, Tensor]:
     """Take or refuse the update, member by member; return also which rows the gate rejected, (B,) bool."""
     present = ~torch.isnan(y)

@@ -8,11 +8,11 @@ from typing import NamedTuple, Protocol
 from torch import Tensor
 
 from ahnn.estimation import kernel as decisions
-from ahnn.estimation.estimator import Kernel, Sensor
+from ahnn.estimation.estimator import Kernel, SensorModel
 from ahnn.estimation.results import FilterResult
 from ahnn.estimation.state import FilterState
-from ahnn.estimation.step_noise import Grid
-from ahnn.estimation.step_records import Step, collected
+from ahnn.estimation.step_noise import StepGrid
+from ahnn.estimation.step_records import StepRecord, collected
 from ahnn.types import Flow
 
 
@@ -27,20 +27,20 @@ class StepModel(NamedTuple):
 
     flow: Flow
     chol_q: Tensor
-    sensor: Sensor
+    sensor: SensorModel
 
 
-class Stepper(Protocol):
+class FilterLoop(Protocol):
     """The steps of one run."""
 
     def __call__(
         self, k: int, state: FilterState, row: Tensor | None, model: StepModel, length: float, time: Tensor
-    ) -> tuple[FilterState, Step]:
+    ) -> tuple[FilterState, StepRecord]:
         """Return the state after step k, which ends at `time`, and its record; no row is None."""
         ...
 
 
-def stepper(kernel: Kernel, *, smoothing: bool) -> Stepper:
+def stepper(kernel: Kernel, *, smoothing: bool) -> FilterLoop:
     """Return the steps of a kernel; with the laws that a smoother needs, if asked for."""
 
     def step(
@@ -50,19 +50,19 @@ def stepper(kernel: Kernel, *, smoothing: bool) -> Stepper:
         model: StepModel,
         length: float,
         time: Tensor,
-    ) -> tuple[FilterState, Step]:
+    ) -> tuple[FilterState, StepRecord]:
         flow, chol_q, sensor = model
         after, backward = decisions.predict(state, kernel, flow, length, time, chol_q, smoothing=smoothing)
         predicted, updated, rejected = after.belief, None, None
         if row is not None:
             after, updated, rejected = decisions.update(after, kernel, row, sensor)
-        return after, Step(predicted, after.belief, updated, rejected, backward)
+        return after, StepRecord(predicted, after.belief, updated, rejected, backward)
 
     return step
 
 
 def run(
-    before: FilterState, rows: Tensor, grid: Grid, models: Callable[[int], StepModel], step: Stepper
+    before: FilterState, rows: Tensor, grid: StepGrid, models: Callable[[int], StepModel], step: FilterLoop
 ) -> FilterResult:
     """Filter the rows (B, T, M) from a state on; arguments are checked.
 

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from ahnn.dynamics.recorded_flow import recorded
 from ahnn.estimation.covariances import Factor, covariance_factor
-from ahnn.estimation.estimator import Recursive
+from ahnn.estimation.estimator import RecursiveEstimator
 from ahnn.estimation.force_error import ForceError
 from ahnn.estimation.parameter_error import ParameterError
 from ahnn.estimation.process_model import Process
@@ -29,7 +29,7 @@ LENGTHS = 1000
 
 
 def online_process(
-    estimator: Recursive[Any],
+    estimator: RecursiveEstimator[Any],
     flow: Flow,
     interval: float,
     process_noise: Numbers,

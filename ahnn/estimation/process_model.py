@@ -9,7 +9,7 @@ import torch
 
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.covariances import Covariance
-from ahnn.estimation.estimator import Recursive, S
+from ahnn.estimation.estimator import RecursiveEstimator, S
 from ahnn.measurements import Measurement
 from ahnn.substeps import substeps
 from ahnn.types import Flow
@@ -33,7 +33,7 @@ class Process(NamedTuple):
         about: plain values that say what this is.
     """
 
-    estimator: Recursive[Any]
+    estimator: RecursiveEstimator[Any]
     flow: Flow
     noise: Callable[[float], Covariance]
     max_step: float

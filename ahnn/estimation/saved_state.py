@@ -17,17 +17,17 @@ from torch import Tensor
 from ahnn.checkpoints import Weights, packed, read_safetensors
 from ahnn.errors import UserError
 from ahnn.estimation.belief import Belief, Status
-from ahnn.estimation.estimator import State
+from ahnn.estimation.estimator import EstimatorState
 from ahnn.estimation.state import FilterState
 from ahnn.files import write_state
 
-S = TypeVar("S", bound=State)
+S = TypeVar("S", bound=EstimatorState)
 
 FORMAT = "ahnn filter state 2"
 """Raise the number when the meaning of a stored tensor changes. Format 1 had no checksum."""
 
 
-class Part(NamedTuple):
+class SavedPart(NamedTuple):
     """What a tensor of a state must be: finite, and no smaller or larger than this.
 
     Attributes:
@@ -43,19 +43,19 @@ class Part(NamedTuple):
 
 
 PARTS = {
-    "mean": Part("BD", torch.float64),
-    "chol": Part("BDD", torch.float64),
-    "time": Part("", torch.float64),
-    "steps": Part("", torch.int64, 0),
-    "status": Part("B", torch.int64, 0, max(Status)),
-    "failed_step": Part("B", torch.int64, -1),
-    "rejections": Part("B", torch.int64, 0),
-    "repairs": Part("B", torch.int64, 0),
-    "log_likelihood": Part("B", torch.float64),
+    "mean": SavedPart("BD", torch.float64),
+    "chol": SavedPart("BDD", torch.float64),
+    "time": SavedPart("", torch.float64),
+    "steps": SavedPart("", torch.int64, 0),
+    "status": SavedPart("B", torch.int64, 0, max(Status)),
+    "failed_step": SavedPart("B", torch.int64, -1),
+    "rejections": SavedPart("B", torch.int64, 0),
+    "repairs": SavedPart("B", torch.int64, 0),
+    "log_likelihood": SavedPart("B", torch.float64),
 }
 
 
-def save_state(state: State, path: Path | str, notes: Mapping[str, str] | None = None) -> None:
+def save_state(state: EstimatorState, path: Path | str, notes: Mapping[str, str] | None = None) -> None:
     """Write a state; the file appears whole or not at all. Gradients are not kept.
 
     Args:
@@ -134,7 +134,7 @@ def _refusal(path: Path | str, reason: object) -> str:
     )
 
 
-def _check(parts: dict[str, Any], like: State | None) -> None:
+def _check(parts: dict[str, Any], like: EstimatorState | None) -> None:
     """Refuse tensors that are no state; raises ValueError with the first that is not."""
     known = PARTS if like is None or isinstance(like, FilterState) else _named(like)
     if parts.keys() != known.keys():

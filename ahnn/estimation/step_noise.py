@@ -16,14 +16,14 @@ from ahnn.estimation.results import ProcessNoise
 from ahnn.numbers import Numbers
 
 
-class Grid(NamedTuple):
+class StepGrid(NamedTuple):
     """Steps in time: their lengths, and the times () at which they end."""
 
     lengths: list[float]
     times: list[Tensor]
 
     @classmethod
-    def of(cls, dt: Numbers, steps: int, start: Tensor) -> Grid:
+    def of(cls, dt: Numbers, steps: int, start: Tensor) -> StepGrid:
         """Return T steps of one length or of (T,) lengths from a time on.
 
         Raises:

@@ -12,7 +12,7 @@ from ahnn.estimation.results import Backward, FilterResult, Updated
 from ahnn.estimation.state import FilterState
 
 
-class Step(NamedTuple):
+class StepRecord(NamedTuple):
     """One step: beliefs before and after the update, and the update itself where there was one."""
 
     predicted: Belief
@@ -23,7 +23,7 @@ class Step(NamedTuple):
 
 
 def collected(
-    steps: list[Step], before: FilterState, after: FilterState, measurements: Tensor
+    steps: list[StepRecord], before: FilterState, after: FilterState, measurements: Tensor
 ) -> FilterResult:
     """Return the result of the steps between two states, NaN from the failed step of a member on."""
     present = ~torch.isnan(measurements)

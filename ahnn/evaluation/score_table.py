@@ -19,7 +19,7 @@ NUMBER = 9
 QUANTITIES = ("position", "velocity", "energy")
 
 
-class Line(NamedTuple):
+class ScoreLine(NamedTuple):
     """A line of the table.
 
     Attributes:
@@ -52,13 +52,13 @@ def results_table(results: Results, *, detail: bool = False) -> str:
     return "\n".join(parts)
 
 
-def table_lines(rows: Iterable[Row], label: str) -> list[Line]:
+def table_lines(rows: Iterable[Row], label: str) -> list[ScoreLine]:
     """Return the lines of a table, in sections, each row in one of them.
 
     A floor stands beside the model of the same estimator, start and span; a further process, or a second
     floor, has a section of its own.
     """
-    lines: list[Line] = []
+    lines: list[ScoreLine] = []
     for row in rows:
         side = int(row.who.floor)
         at = _slot(lines, row.who, label)
@@ -69,7 +69,7 @@ def table_lines(rows: Iterable[Row], label: str) -> list[Line]:
     return sorted(lines, key=lambda line: order.index(line.section))
 
 
-def _slot(lines: list[Line], who: Who, label: str) -> int:
+def _slot(lines: list[ScoreLine], who: Who, label: str) -> int:
     """Return the number of the line that has room for a row; it is added where there is none."""
     own = title(who, label)
     section = own
@@ -80,7 +80,7 @@ def _slot(lines: list[Line], who: Who, label: str) -> int:
             return free[0]
         if not there:
             break
-    lines.append(Line(section, _name(who), (None, None)))
+    lines.append(ScoreLine(section, _name(who), (None, None)))
     return len(lines) - 1
 
 
@@ -92,7 +92,7 @@ def _name(who: Who) -> str:
     return f"{who.start} start" if who.span == "whole" else f"{who.start}, {who.span}"
 
 
-def _columns(lines: list[Line], results: Results) -> Iterator[str]:
+def _columns(lines: list[ScoreLine], results: Results) -> Iterator[str]:
     """Yield head and body; a column that would be empty throughout is left out."""
     sides = [side for side in (0, 1) if any(line.rows[side] for line in lines)]
     known = [quantity for quantity in QUANTITIES if _any(lines, quantity)]
@@ -119,7 +119,7 @@ def _columns(lines: list[Line], results: Results) -> Iterator[str]:
         yield f"  {line.name}".ljust(names) + "".join(f"{between}{value}" for value in values)
 
 
-def _any(lines: list[Line], quantity: str) -> bool:
+def _any(lines: list[ScoreLine], quantity: str) -> bool:
     rows = (row for line in lines for row in line.rows if row is not None)
     return any(_scored(row, getattr(row.scores, quantity)) for row in rows)
 

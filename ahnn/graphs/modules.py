@@ -19,7 +19,7 @@ SPACING, TERMS = 0.5, 13
 """Of the sum for the normal distribution; its error is below 4e-16."""
 
 
-class Step(nn.Module):
+class StepModule(nn.Module):
     """One step of a flow: the states (B, D) that the states x, shape (B, D), reach after dt."""
 
     def __init__(self, dynamics: Dynamics, dt: float) -> None:
@@ -31,7 +31,7 @@ class Step(nn.Module):
         return self.dynamics(x, self.dt)
 
 
-class Energy(nn.Module):
+class EnergyModule(nn.Module):
     """The learned Hamiltonian, shape (B,), at states of shape (B, D)."""
 
     def __init__(self, dynamics: Dynamics) -> None:
@@ -58,9 +58,9 @@ def modules(dynamics: Dynamics, dt: float) -> dict[str, nn.Module]:
         )
         raise UserError(message)
     own = portable(dynamics)
-    found: dict[str, nn.Module] = {"flow": Step(own, dt)}
+    found: dict[str, nn.Module] = {"flow": StepModule(own, dt)}
     if isinstance(own, HasEnergy):
-        found["energy"] = Energy(own)
+        found["energy"] = EnergyModule(own)
     return found
 
 

@@ -17,7 +17,7 @@ from ahnn.assimilation.journal import Journal
 from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.output_rows import Rows, require_new
 from ahnn.assimilation.session import Session
-from ahnn.assimilation.stream_clock import Clock
+from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.assimilation.stream_figures import NAMES, figures_of
 from ahnn.assimilation.view import View, said
 from ahnn.data.estimate_table import described
@@ -32,7 +32,7 @@ log = logging.getLogger("ahnn")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Asked:
+class AssimilationRequest:
     """The keys of conf/assimilate.yaml."""
 
     measurements: str
@@ -69,10 +69,10 @@ class Stream(NamedTuple):
         name: of what is followed.
     """
 
-    asked: Asked
+    asked: AssimilationRequest
     space: Space
     filtering: Assimilation
-    clock: Clock
+    clock: StreamClock
     reference: Reference
     name: str
 
@@ -102,7 +102,7 @@ def assimilate(stream: Stream) -> None:
     _pictures(stream)
 
 
-def require_places(options: Asked) -> None:
+def require_places(options: AssimilationRequest) -> None:
     """Refuse places for output, state, figures and message where something else is; raises UserError."""
     if options.output == "-" and (options.figures or options.oem):
         message = "output: expected a FILE, of which figures and oem are made; received -"
@@ -127,7 +127,7 @@ def _opened(path: str, state: Path | None) -> BinaryIO | Journal:
     return pipe if state is None else Journal(pipe.raw, Path(f"{state}.lines"))
 
 
-def _made_at_the_end(options: Asked) -> list[Path]:
+def _made_at_the_end(options: AssimilationRequest) -> list[Path]:
     """Return the files that are made of the output."""
     names = [f"{name}{suffix}" for name in NAMES for suffix in FORMATS]
     pictures = [Path(options.figures) / name for name in names] if options.figures else []

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ahnn.data.doctor import examine
-from ahnn.data.files.reading import Reading
+from ahnn.data.files.reading import FileReading
 from ahnn.errors import UserError
 from ahnn.evaluation.data_findings import checkup, draw
 from ahnn.evaluation.terminal import show
@@ -29,7 +29,7 @@ def check(paths: Sequence[Path], figures: Path | None, options: dict[str, Any]) 
         require_writable(figures)
     mass, gap = options.get("mass"), options.get("gap", 10.0)
     how = {key: value for key, value in options.items() if key not in ("mass", "gap")}
-    found = examine(paths, Reading(mass is not None, **how), mass, gap)
+    found = examine(paths, FileReading(mass is not None, **how), mass, gap)
     show(checkup(found))
     if figures is not None:
         draw(found, figures)

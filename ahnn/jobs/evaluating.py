@@ -15,7 +15,7 @@ from ahnn.errors import UserError
 from ahnn.evaluation import EvaluationPlugin, evaluation_folder, load_results, report
 from ahnn.evaluation.make_case import make_case
 from ahnn.evaluation.sinks import TensorBoardSink
-from ahnn.evaluation.sinks.board import Board
+from ahnn.evaluation.sinks.board import EventBoard
 from ahnn.loading import weights_path
 from ahnn.runs import Run
 from ahnn.shooting.robust import ROBUST, RobustName
@@ -66,7 +66,7 @@ def evaluate(asked: Reevaluation) -> None:
     known: dict[str, Any] = {**training, "val_loss": run.about.get("val_loss"), **about}
     with evaluation_folder(asked.folder, asked.name) as folder:
         case = make_case(run.dynamics, splits, folder=folder, **named, **learned)
-        boards = [TensorBoardSink(Board(folder), about)] if asked.report["figures"] else []
+        boards = [TensorBoardSink(EventBoard(folder), about)] if asked.report["figures"] else []
         report(case, asked.plugins, known, more=boards, **asked.report)
 
 

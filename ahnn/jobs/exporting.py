@@ -11,7 +11,7 @@ from ahnn.jobs.named import named_runs
 
 
 @dataclass(frozen=True, kw_only=True)
-class Asked:
+class ExportRequest:
     """The keys of `python -m ahnn.export`, whose help says what they are."""
 
     output: str
@@ -20,7 +20,7 @@ class Asked:
     ckpt: str = "best"
 
 
-def export(asked: Asked) -> None:
+def export(asked: ExportRequest) -> None:
     """Write the graphs of a run into a new folder.
 
     Raises:

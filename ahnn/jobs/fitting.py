@@ -13,7 +13,7 @@ from ahnn.jobs.prepared import Prepared
 from ahnn.loading import load
 from ahnn.models import AbstractModel
 from ahnn.statistics import Statistics
-from ahnn.training.cuda_graph import Recorded, can_record
+from ahnn.training.cuda_graph import RecordedStep, can_record
 from ahnn.training.runtime_estimate import expected_seconds
 from ahnn.uncertainty import find_domain
 
@@ -46,7 +46,7 @@ def calibrate(prepared: Prepared) -> Statistics:
     domain = find_domain(model.dynamics.frozen(), data.examples()).about()
     model.learns_from(dt=dt, domain=domain, seen=data.splits.seen())
     if prepared.recorded and can_record(trainer, model):
-        model.step_by(Recorded(len(data.train_dataloader().batches()[0])))
+        model.step_by(RecordedStep(len(data.train_dataloader().batches()[0])))
     return statistics
 
 

@@ -21,7 +21,7 @@ log = logging.getLogger("ahnn")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Asked:
+class PredictionRequest:
     """The keys of `python -m ahnn.predict`, whose help says what they are."""
 
     start: str | list[Any]
@@ -37,7 +37,7 @@ class Asked:
     frame: str | list[str] | None = None
 
 
-def predict(asked: Asked) -> None:
+def predict(asked: PredictionRequest) -> None:
     """Predict, write what is asked for and show a summary.
 
     Raises:

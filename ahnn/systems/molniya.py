@@ -11,7 +11,7 @@ from torch import Tensor
 from ahnn.arguments import Finite, Positive
 from ahnn.integrators import INTEGRATORS, SymmetricComposition
 from ahnn.systems import oblate
-from ahnn.systems.satellites import Planet, Satellites
+from ahnn.systems.satellites import Planet, SatelliteSystem
 from ahnn.types import Flow
 
 POLAR = torch.tensor([0.0, 0.0, 2.0], dtype=torch.float64)
@@ -20,7 +20,7 @@ POLAR = torch.tensor([0.0, 0.0, 2.0], dtype=torch.float64)
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Molniya(Satellites):
+class Molniya(SatelliteSystem):
     """Molniya orbits in an inertial frame (paper, section IV.B); km, km/s, kg.
 
     Attributes:
@@ -61,6 +61,6 @@ class Molniya(Satellites):
 
     def compiled(self, flow: Flow, longest: float) -> Flow:
         """Return the exact flow, in C where there is a compiler."""
-        constants = oblate.Attraction(self.mass, -self.mass * self.mu, 1.5 * self.j2 * self.r_eq**2)
+        constants = oblate.OblateAttraction(self.mass, -self.mass * self.mu, 1.5 * self.j2 * self.r_eq**2)
         method = cast(SymmetricComposition, INTEGRATORS[self.integrator])
         return oblate.OblateFlow(flow, constants, method, longest)

@@ -12,7 +12,7 @@ from torch import Tensor
 from ahnn.arguments import Finite, Within
 from ahnn.errors import UserError
 from ahnn.systems.gravity import GravityField, Tide, ggm05c, read_gfc
-from ahnn.systems.satellites import Planet, Satellites
+from ahnn.systems.satellites import Planet, SatelliteSystem
 from ahnn.types import Space
 
 Degree = Annotated[int, Within(0)]
@@ -22,7 +22,7 @@ TURN = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]], dtype=
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class MolniyaGravity(Satellites):
+class MolniyaGravity(SatelliteSystem):
     """Molniya orbits in the axes of a planet that rotates about z; km, km/s, kg.
 
     H = p^2 / 2m + m V(q) - rotation (x p_y - y p_x), with p the mass times the inertial velocity, in the axes

@@ -20,7 +20,7 @@ from ahnn.substeps import substeps
 from ahnn.types import Flow, TimeStep
 
 
-class Attraction(NamedTuple):
+class OblateAttraction(NamedTuple):
     """Constants of the equations of motion.
 
     Attributes:
@@ -53,7 +53,7 @@ class OblateFlow:
     """
 
     def __init__(
-        self, flow: Flow, constants: Attraction, method: SymmetricComposition, longest: float
+        self, flow: Flow, constants: OblateAttraction, method: SymmetricComposition, longest: float
     ) -> None:
         self.flow, self.constants, self.longest = flow, constants, longest
         self.drifts, self.kicks = (torch.tensor(own, dtype=torch.float64) for own in method.weights)

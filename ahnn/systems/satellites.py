@@ -28,7 +28,7 @@ class Planet(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Satellites(System):
+class SatelliteSystem(System):
     """Orbits that start at periapsis; km, km/s, kg.
 
     The mass is 1 kg, so momenta equal velocities and energies are specific energies.

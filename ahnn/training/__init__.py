@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from ahnn.training.curriculum import Curriculum, SegmentOptions, make_curriculum
 from ahnn.training.hyperbolic import ExpHyperbolicLR
-from ahnn.training.least_squares import LeastSquares, Problem, pointwise_problem, recursive_problem
+from ahnn.training.least_squares import (
+    LeastSquares,
+    LeastSquaresProblem,
+    pointwise_problem,
+    recursive_problem,
+)
 from ahnn.training.levenberg_marquardt import LevenbergMarquardt
 from ahnn.training.loss import Loss, LossOptions
 from ahnn.training.objectives import Derivative, Objective, Recursive
@@ -17,11 +22,11 @@ __all__ = [
     "ExpHyperbolicLR",
     "FirstOrder",
     "LeastSquares",
+    "LeastSquaresProblem",
     "LevenbergMarquardt",
     "Loss",
     "LossOptions",
     "Objective",
-    "Problem",
     "Recursive",
     "SecondOrder",
     "SegmentOptions",

@@ -12,7 +12,7 @@ ROWS = 16
 """Of a block, at least."""
 
 
-class Factor(NamedTuple):
+class BandedFactor(NamedTuple):
     """The Cholesky factor L of the covariances of J sums of D components, in blocks of neighbouring sums.
 
     Attributes:
@@ -24,7 +24,7 @@ class Factor(NamedTuple):
     below: Tensor
 
     @classmethod
-    def of(cls, bands: Sequence[Tensor]) -> Factor:
+    def of(cls, bands: Sequence[Tensor]) -> BandedFactor:
         """Return the factor of positive definite covariances.
 
         Args:
@@ -39,7 +39,7 @@ class Factor(NamedTuple):
         return cls(torch.stack(factors, 1), torch.stack(below, 1))
 
     @classmethod
-    def joined(cls, parts: Sequence[Factor]) -> Factor:
+    def joined(cls, parts: Sequence[BandedFactor]) -> BandedFactor:
         """Return the factors of several batches as one."""
         return cls(*(torch.cat(blocks) for blocks in zip(*parts, strict=True)))
 
@@ -55,9 +55,9 @@ class Factor(NamedTuple):
             done.append(torch.linalg.solve_triangular(own, part - beside @ done[-1], upper=False))
         return torch.cat(done, dim=1)[:, : flat.shape[1]].unflatten(1, sums.shape[1:3])
 
-    def rows(self, part: slice) -> Factor:
+    def rows(self, part: slice) -> BandedFactor:
         """Return those of some of the B."""
-        return Factor(self.diagonal[part], self.below[part])
+        return BandedFactor(self.diagonal[part], self.below[part])
 
 
 def _blocks(bands: Sequence[Tensor]) -> tuple[Tensor, Tensor]:

@@ -61,7 +61,7 @@ def _is_own(part: object) -> bool:
     return type(part).__module__.startswith("ahnn.")
 
 
-class Recorded(FirstOrder):
+class RecordedStep(FirstOrder):
     """Steps by the gradient of such a loss; batches of another size, and failures, are left to autograd.
 
     Args:

@@ -19,7 +19,7 @@ from torch.nn.utils import parameters_to_vector
 from ahnn.dynamics import Dynamics
 from ahnn.dynamics.linearised import linearised
 from ahnn.training.levenberg_marquardt import SUFFICIENT
-from ahnn.training.maximum_posterior import Place, WideProblem, after, of_functions
+from ahnn.training.maximum_posterior import PosteriorPoint, WideProblem, after, of_functions
 
 ARRIVED = 0.05
 """Squared length of the step that is left, or decrease by the last one, that is not worth another step.
@@ -43,10 +43,12 @@ class Taken(NamedTuple):
     dynamics: Dynamics
     problem: WideProblem
     weights: Tensor
-    place: Place
+    place: PosteriorPoint
 
 
-def whole_step(problem: WideProblem, dynamics: Dynamics, start: Place) -> tuple[Dynamics, Place] | None:
+def whole_step(
+    problem: WideProblem, dynamics: Dynamics, start: PosteriorPoint
+) -> tuple[Dynamics, PosteriorPoint] | None:
     """Return dynamics whose functions took the step to the optimum, and the place where they are.
 
     None where functions cannot take it, or where it does not pay.
@@ -64,18 +66,18 @@ def whole_step(problem: WideProblem, dynamics: Dynamics, start: Place) -> tuple[
             break
         block = of_functions(best.problem, dynamics, begin.theta, best.weights)
         block = block._replace(gradient=here.block.gradient)
-        here = Place.of(here.theta, here.loss, here.degrees, block, here.prior)
+        here = PosteriorPoint.of(here.theta, here.loss, here.degrees, block, here.prior)
         best = best._replace(place=here)
     paid = best is not None and begin.objective - best.place.objective > SUFFICIENT * begin.remaining
     return (best.dynamics, best.place) if best is not None and paid else None
 
 
-def arrived(place: Place) -> bool:
+def arrived(place: PosteriorPoint) -> bool:
     """Return whether the step that is left is not worth taking."""
     return place.remaining <= ARRIVED * place.determined
 
 
-def lowest(problem: WideProblem, dynamics: Dynamics, origin: Tensor, here: Place) -> Taken | None:
+def lowest(problem: WideProblem, dynamics: Dynamics, origin: Tensor, here: PosteriorPoint) -> Taken | None:
     """Return the lowest place that steps with the matrix of `here` lead to; None if no step can be taken.
 
     Args:
@@ -104,7 +106,7 @@ def lowest(problem: WideProblem, dynamics: Dynamics, origin: Tensor, here: Place
     return best
 
 
-def mixed(places: Sequence[Place]) -> Tensor:
+def mixed(places: Sequence[PosteriorPoint]) -> Tensor:
     """Return parameters (P,) one step from the mixture of places whose gradient is the least."""
     *others, last = places
     theta, pull = last.theta, last.pull

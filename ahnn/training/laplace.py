@@ -31,7 +31,7 @@ from ahnn.training.evidence import by_evidence, log_evidence
 from ahnn.training.functions import ARRIVED, whole_step
 from ahnn.training.least_observable import least_told
 from ahnn.training.levenberg_marquardt import ATTEMPTS, LARGEST, SUFFICIENT, adapted
-from ahnn.training.maximum_posterior import Place, WideProblem, after, whole_problem, with_prior
+from ahnn.training.maximum_posterior import PosteriorPoint, WideProblem, after, whole_problem, with_prior
 from ahnn.training.normal_equations import Equations, damped_step, promised_decrease
 from ahnn.training.shooting import freedom
 from ahnn.uncertainty import Uncertainty
@@ -90,7 +90,7 @@ def _concluded(
 
 def approached(
     dynamics: Dynamics, train: Segment, steps: int, robust: RobustName
-) -> tuple[WideProblem, Place | None, float]:
+) -> tuple[WideProblem, PosteriorPoint | None, float]:
     """Take steps of the parameters; return problem and place where they end, and what the last one gained."""
     parameters = list(dynamics.parameters())
     sizes = [p.numel() for p in parameters]
@@ -113,16 +113,16 @@ def approached(
     return problem, here, gained
 
 
-def place(problem: WideProblem, theta: Tensor, sizes: Sequence[int]) -> Place | None:
+def place(problem: WideProblem, theta: Tensor, sizes: Sequence[int]) -> PosteriorPoint | None:
     """Return the problem to second order at theta, shape (P,); None if nothing depends on it."""
     loss, degrees, blocks = problem.equations(theta, sizes)
     if not blocks:
         return None
     (block,) = blocks
-    return Place.of(theta, loss, degrees, block, by_evidence(block.matrix, theta, sizes))
+    return PosteriorPoint.of(theta, loss, degrees, block, by_evidence(block.matrix, theta, sizes))
 
 
-def lower(problem: WideProblem, here: Place, damping: float) -> tuple[Tensor | None, float, float]:
+def lower(problem: WideProblem, here: PosteriorPoint, damping: float) -> tuple[Tensor | None, float, float]:
     """Return parameters (P,) after a step that lowers residuals and prior; a damping; the decrease.
 
     None for the parameters where no step lowers them.
@@ -180,7 +180,7 @@ def scatter(sums: Tensor, degrees: Tensor) -> float:
     return float(torch.maximum(found, 2 * typical**2))
 
 
-def uncertainty(here: Place, held_out: Equations, names: Sequence[str], noise: Noise) -> Uncertainty:
+def uncertainty(here: PosteriorPoint, held_out: Equations, names: Sequence[str], noise: Noise) -> Uncertainty:
     """Return the covariance at a place, as wide as the held-out measurements ask for.
 
     Args:

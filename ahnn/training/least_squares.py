@@ -27,7 +27,7 @@ SAMPLES = 1000
 """Samples whose residuals are computed at once: their layers then stay in a core's cache."""
 
 
-class Problem(Protocol):
+class LeastSquaresProblem(Protocol):
     """A sum of squares in the flat parameter vector theta, shape (P,)."""
 
     def loss(self, theta: Tensor) -> Tensor:

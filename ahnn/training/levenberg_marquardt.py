@@ -12,7 +12,7 @@ from torch.optim import Optimizer
 from ahnn.arguments import Positive, checked
 from ahnn.errors import UserError
 from ahnn.training.acceleration import Bends, accelerated
-from ahnn.training.least_squares import Problem
+from ahnn.training.least_squares import LeastSquaresProblem
 from ahnn.training.normal_equations import Block, damped_step, gradient_norm, promised_decrease
 from ahnn.training.objectives import Objective
 from ahnn.training.steppers import SecondOrder
@@ -66,7 +66,7 @@ class LevenbergMarquardt(Optimizer):
             raise UserError(message)
 
     @torch.no_grad()
-    def step(self, closure: Callable[[], tuple[Problem, Problem | None]]) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def step(self, closure: Callable[[], tuple[LeastSquaresProblem, LeastSquaresProblem | None]]) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Take one step and return the mean squared residual before it.
 
         Args:
@@ -103,7 +103,7 @@ class LevenbergMarquardt(Optimizer):
         return loss / degrees
 
     def _followed(
-        self, problem: Problem, theta: Tensor, blocks: Sequence[Block], straight: Tensor
+        self, problem: LeastSquaresProblem, theta: Tensor, blocks: Sequence[Block], straight: Tensor
     ) -> Tensor | None:
         """Return the step, accelerated if that is asked for and known; None where it is too long for that."""
         if not (self.acceleration and isinstance(problem, Bends)):

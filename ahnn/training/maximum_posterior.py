@@ -71,7 +71,7 @@ def with_prior(block: Block, prior: Prior, theta: Tensor) -> Block:
     return block._replace(matrix=matrix, gradient=block.gradient + precision * theta)
 
 
-class Place(NamedTuple):
+class PosteriorPoint(NamedTuple):
     """Residuals and prior to second order about some parameters.
 
     Attributes:
@@ -93,7 +93,7 @@ class Place(NamedTuple):
     pull: Tensor
 
     @classmethod
-    def of(cls, theta: Tensor, loss: Tensor, degrees: int, block: Block, prior: Prior) -> Place:
+    def of(cls, theta: Tensor, loss: Tensor, degrees: int, block: Block, prior: Prior) -> PosteriorPoint:
         """Return the place, its factor and gradient worked out."""
         factor = posterior_factor(block.matrix, prior)
         pull = factor.mT @ (block.gradient + prior.precision * theta)
@@ -119,12 +119,12 @@ class Place(NamedTuple):
         """Sum of squared residuals and of what the prior adds."""
         return float(self.loss + self.prior.penalty(self.theta))
 
-    def moved(self, theta: Tensor, loss: Tensor, gradient: Tensor) -> Place:
+    def moved(self, theta: Tensor, loss: Tensor, gradient: Tensor) -> PosteriorPoint:
         """Return another place where the matrix is the same, from J^T r there, shape (P,)."""
         pull = self.factor.mT @ (gradient + self.prior.precision * theta)
         return self._replace(theta=theta, loss=loss, pull=pull, block=self.block._replace(gradient=gradient))
 
-    def left(self, promised: float) -> Place:
+    def left(self, promised: float) -> PosteriorPoint:
         """Return the place with a step to the optimum that promises no more than this."""
         part = min(max(promised / self.remaining, 0.0), 1.0) if self.remaining > 0 else 0.0
         return self._replace(pull=part**0.5 * self.pull)

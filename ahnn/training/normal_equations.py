@@ -50,7 +50,7 @@ class Equations(NamedTuple):
     blocks: list[Block]
 
 
-class Rows(NamedTuple):
+class ResidualRows(NamedTuple):
     """Some of the residuals of a problem.
 
     Attributes:
@@ -78,7 +78,7 @@ def memory_of_parts(parameters: int) -> float:
 
 
 def accumulated(
-    rows: Callable[[slice], Rows], parts: Iterable[slice], theta: Tensor, degrees: int
+    rows: Callable[[slice], ResidualRows], parts: Iterable[slice], theta: Tensor, degrees: int
 ) -> Equations:
     """Return the equations of all parts, one at least, side by side, in one block.
 

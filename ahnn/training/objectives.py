@@ -20,7 +20,12 @@ from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.errors import UserError
 from ahnn.extensions import Table
-from ahnn.training.least_squares import LeastSquares, Problem, pointwise_problem, recursive_problem
+from ahnn.training.least_squares import (
+    LeastSquares,
+    LeastSquaresProblem,
+    pointwise_problem,
+    recursive_problem,
+)
 from ahnn.training.loss import Loss
 from ahnn.types import Window
 
@@ -38,7 +43,7 @@ class Objective(Protocol):
         """Return the weighted residuals of a batch, shape (B, ...)."""
         ...
 
-    def problem(self, dynamics: Dynamics, batch: Any) -> Problem:
+    def problem(self, dynamics: Dynamics, batch: Any) -> LeastSquaresProblem:
         """Return the same residuals as a problem in the parameters of the dynamics."""
         ...
 

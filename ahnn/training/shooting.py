@@ -41,7 +41,7 @@ from ahnn.shooting.initial_states import (
 from ahnn.shooting.normal_points import normal_points
 from ahnn.shooting.path_sensitivities import adjoints, path, sensitivities, steps_between
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
-from ahnn.training.normal_equations import Equations, Rows, accumulated
+from ahnn.training.normal_equations import Equations, ResidualRows, accumulated
 
 CELLS = 2.5e7
 """Numbers in the largest tensor of sensitivities; longer batches are cut into parts of segments."""
@@ -192,7 +192,7 @@ class ShootingProblem:
             return Equations(theta.new_tensor(HOPELESS), 1, [])
         here, now = self._linearised(theta)
 
-        def projected(part: slice) -> Rows:
+        def projected(part: slice) -> ResidualRows:
             return self._projected(theta, here.rows(part), now.rows(part), part)
 
         return accumulated(projected, self._parts(len(theta)), theta, self.count)
@@ -205,7 +205,7 @@ class ShootingProblem:
             self._linear = theta, here, linearised(trial, here.states, self.batch, self.steps)
         return self._linear[1:]
 
-    def _projected(self, theta: Tensor, here: Fitted, now: Linearised, part: slice) -> Rows:
+    def _projected(self, theta: Tensor, here: Fitted, now: Linearised, part: slice) -> ResidualRows:
         """Return residuals of some segments and their Jacobian in the complement of the starts.
 
         Nearly all that parameters do to a path a start undoes: float32 would round away the rest.
@@ -219,7 +219,7 @@ class ShootingProblem:
         rows = rows - (basis @ (basis.mT @ rows.unsqueeze(-1))).squeeze(-1)
         of_theta = (of_theta - basis @ (basis.mT @ of_theta)) * weight[:, None, None]
         jacobian = of_theta.flatten(0, 1).to(self.precision)
-        return Rows(limit.cost(here.sums).sum(), (rows * weight[:, None]).flatten(), jacobian)
+        return ResidualRows(limit.cost(here.sums).sum(), (rows * weight[:, None]).flatten(), jacobian)
 
     @torch.no_grad()
     def gradient(self, theta: Tensor) -> Tensor:

@@ -14,7 +14,7 @@ from torch.optim import Optimizer
 from ahnn.dynamics import Dynamics
 from ahnn.errors import UserError
 from ahnn.integrators import GaussLegendre4
-from ahnn.training.least_squares import Problem
+from ahnn.training.least_squares import LeastSquaresProblem
 from ahnn.training.objectives import Objective
 
 
@@ -92,7 +92,9 @@ class SecondOrder:
         return optimizer.step(lambda: problems(objective, dynamics, batch))
 
 
-def problems(objective: Objective, dynamics: Dynamics, batch: Any) -> tuple[Problem, Problem | None]:
+def problems(
+    objective: Objective, dynamics: Dynamics, batch: Any
+) -> tuple[LeastSquaresProblem, LeastSquaresProblem | None]:
     """Return the problem to step on, and the one that checks the step, if part of the batch is held back."""
     step, check = objective.divided(batch)
     return objective.problem(dynamics, step), None if check is None else objective.problem(dynamics, check)

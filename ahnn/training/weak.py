@@ -28,10 +28,10 @@ from ahnn.dynamics.variations import jacobian_along, varied
 from ahnn.jacobians import TOGETHER, pointwise_jacobian
 from ahnn.measurements import Segment
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
-from ahnn.training.banded import Factor
+from ahnn.training.banded import BandedFactor
 from ahnn.training.discrepancy import share
 from ahnn.training.equation_of_motion import equation_of_motion
-from ahnn.training.normal_equations import Equations, Rows, accumulated
+from ahnn.training.normal_equations import Equations, ResidualRows, accumulated
 from ahnn.training.weak_test_functions import bumps, integrated
 
 Function = Callable[[Tensor], Tensor]
@@ -103,18 +103,20 @@ class WeakProblem:
         self.factor = self._factor()
 
     @torch.no_grad()
-    def _factor(self) -> Factor:
+    def _factor(self) -> BandedFactor:
         """Return the factor of the covariances of the sums' noise, and of what the field misses."""
         field = self.motion.right(cast(HasField, self._exact).field)
         if self.relative:  # a field that is still wrong does not say how noise moves it
             nearest, *further = self._bands(slice(None), None)
             missed = self._missed(field, nearest.diagonal(dim1=-2, dim2=-1))
-            return Factor.of([nearest + torch.diag_embed(missed * self.tests.there.unsqueeze(-1)), *further])
+            return BandedFactor.of(
+                [nearest + torch.diag_embed(missed * self.tests.there.unsqueeze(-1)), *further]
+            )
 
-        def of(part: slice) -> Factor:
-            return Factor.of(self._bands(part, self._rates(part)))
+        def of(part: slice) -> BandedFactor:
+            return BandedFactor.of(self._bands(part, self._rates(part)))
 
-        return Factor.joined(each(of, slices(len(self.values), SEGMENTS), self.values.device))
+        return BandedFactor.joined(each(of, slices(len(self.values), SEGMENTS), self.values.device))
 
     def _bands(self, part: slice, rates: Tensor | None) -> list[Tensor]:
         """Return the covariances of some segments, as `Factor.of` takes them; 1 where a sum is not there."""
@@ -194,7 +196,7 @@ class WeakProblem:
     def _integrals_of(self, part: slice) -> Callable[[], Tensor]:
         return lambda: self.integrals(self.motion.right(cast(HasField, self._exact).field), part)
 
-    def _rows(self, theta: Tensor, field: Function, part: slice) -> Rows:
+    def _rows(self, theta: Tensor, field: Function, part: slice) -> ResidualRows:
         """Return the residuals of some segments and their Jacobian."""
         plain = self.integrals(field, part)
         weight = self.robust.weight(plain).sqrt()
@@ -209,4 +211,4 @@ class WeakProblem:
         jacobian = self.factor.rows(part).whiten(padded)
         jacobian = jacobian.mul_(weight.unsqueeze(-1).to(jacobian)).flatten(0, 2)
         # Sums of many residuals decide, whose matrix has no digits left in float32.
-        return Rows(self.robust.cost(plain).sum(), (weight * plain).flatten(), jacobian.to(theta))
+        return ResidualRows(self.robust.cost(plain).sum(), (weight * plain).flatten(), jacobian.to(theta))

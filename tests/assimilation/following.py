@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ahnn.assimilation import Assimilation, Reading, Sensor
+from ahnn.assimilation import Assimilation, Reading, StreamSensor
 from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.output_rows import Rows
 from ahnn.assimilation.session import Session
@@ -20,8 +20,8 @@ from ahnn_plugins.ukf import UnscentedKalmanFilter, online_process
 SPACE = Space("cart", ("q", "p"), Units("s", "m", "m/s", "J"))
 MEAN, P0, Q, SD, STEP = [1.0, 0.3], np.diag([0.5, 0.2]), np.diag([1e-3, 4e-3]), 0.1, 0.5
 SENSORS = {
-    "ruler": Sensor.of(Position(1, "m"), SD, SPACE),
-    "radar": Sensor.of(State(1, ("m", "m/s")), [0.3, 0.05], SPACE),
+    "ruler": StreamSensor.of(Position(1, "m"), SD, SPACE),
+    "radar": StreamSensor.of(State(1, ("m", "m/s")), [0.3, 0.05], SPACE),
 }
 
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ahnn
-from ahnn.assimilation import Assimilation, Process, Reading, Sensor
+from ahnn.assimilation import Assimilation, Process, Reading, StreamSensor
 from ahnn.assimilation.online import Diverged
 from ahnn.errors import UserError
 from ahnn.estimation import Gate, initial_belief
@@ -89,7 +89,7 @@ def test_it_equals_the_batch_filter_with_a_learned_flow(error):
     rows[0, 2, 1] = torch.nan
     q = torch.diag(torch.tensor([1e-4] * 3 + [1e-8] * 3, dtype=torch.float64))
     process = online_process(UnscentedKalmanFilter(), run.dynamics, 60.0, q, error)
-    sensors = {"gnss": Sensor.of(Position(), 0.1, run.space)}
+    sensors = {"gnss": StreamSensor.of(Position(), 0.1, run.space)}
     filtering = Assimilation(process, sensors, belief)
     for time, values in zip(times.tolist(), rows[0].tolist(), strict=True):
         estimate = filtering.update(Reading(time, tuple(values)))
@@ -173,7 +173,7 @@ def test_a_state_of_something_else_is_refused(tmp_path):
 def test_the_identity_of_a_filter_is_that_of_its_parts_and_not_of_its_objects():
     def identity(latitude):
         station = Several([GroundStation(latitude, 13.0), GroundStation(0.0, 0.0)])
-        sensors = {"net": Sensor.of(station, 0.1, SPACE)}
+        sensors = {"net": StreamSensor.of(station, 0.1, SPACE)}
         process = Process(UnscentedKalmanFilter(), coast, lambda _: Q, STEP)
         return Assimilation(process, sensors, initial_belief([MEAN], P0)).identity
 

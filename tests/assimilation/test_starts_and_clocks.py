@@ -10,7 +10,7 @@ from test_stream_of_lines import ORBIT
 from ahnn.assimilation.cells import BadLine
 from ahnn.assimilation.line_parser import Layout
 from ahnn.assimilation.start import belief_of
-from ahnn.assimilation.stream_clock import Clock
+from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.data.files import instant
 from ahnn.data.reference import Reference
 from ahnn.data.starts import starts
@@ -47,7 +47,7 @@ def test_a_start_is_read_from_values_files_and_messages(tmp_path):
 
 
 def test_epochs_count_from_time_zero_with_leap_seconds():
-    clock = Clock("min", instant("2016-12-31T23:00:00", utc=True), "UTC")
+    clock = StreamClock("min", instant("2016-12-31T23:00:00", utc=True), "UTC")
     table = Layout("time [UTC],sensor,q [m],p", SENSORS, clock)
     name = next(iter(SENSORS))
     assert table.reading(f"2017-01-01T00:00:00.5,{name},1,").time == pytest.approx(60 + 1.5 / 60, rel=1e-15)

@@ -14,7 +14,7 @@ from cases import make_case
 
 from ahnn.evaluation import report
 from ahnn.evaluation.sinks import TensorBoardSink
-from ahnn.evaluation.sinks.board import Board
+from ahnn.evaluation.sinks.board import EventBoard
 
 SECONDS = 120
 """Until it has started and read the folder; a few are enough."""
@@ -35,7 +35,7 @@ def ask(tmp_path):
     folder = tmp_path / "runs" / "mine"
     settings = {"seed": 7, "model": {"width": 64}}
     results = report(
-        make_case(folder), {}, {"val_loss": 0.5}, more=[TensorBoardSink(Board(folder), settings)]
+        make_case(folder), {}, {"val_loss": 0.5}, more=[TensorBoardSink(EventBoard(folder), settings)]
     )
     command = [sys.executable, "-c", SERVER, str(tmp_path / "runs")]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}

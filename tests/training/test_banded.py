@@ -6,7 +6,7 @@ import pytest
 import torch
 from helpers import close, generator
 
-from ahnn.training.banded import Factor
+from ahnn.training.banded import BandedFactor
 
 DOUBLE = {"dtype": torch.float64}
 
@@ -31,9 +31,9 @@ def test_blocks_whiten_as_the_whole_factor_does(count, band, size):
     sums = torch.randn(3, count * size, 4, generator=generator(2), **DOUBLE)
     colored = (lower @ sums).unflatten(1, (count, size))
     white = sums.unflatten(1, (count, size))
-    factor = Factor.of(bands)
+    factor = BandedFactor.of(bands)
     close(factor.whiten(colored), white, 1e-9)
     close(factor.whiten(colored.float()).double(), white, 1e-3)
     close(factor.rows(slice(1, 2)).whiten(colored[1:2]), white[1:2], 1e-9)
-    parts = [Factor.of([band[some] for band in bands]) for some in (slice(2), slice(2, 3))]
-    close(Factor.joined(parts).whiten(colored), white, 1e-9)
+    parts = [BandedFactor.of([band[some] for band in bands]) for some in (slice(2), slice(2, 3))]
+    close(BandedFactor.joined(parts).whiten(colored), white, 1e-9)

@@ -14,7 +14,7 @@ from helpers import close
 
 from ahnn.dynamics import HamiltonianDynamics, make_dynamics
 from ahnn.training import FirstOrder, LossOptions
-from ahnn.training.cuda_graph import Program, Recorded, can_record
+from ahnn.training.cuda_graph import Program, RecordedStep, can_record
 from ahnn.training.loss import Loss
 from ahnn.training.objectives import Derivative, Recursive
 from ahnn.types import Window
@@ -72,7 +72,7 @@ DYNAMICS = {
 )
 def test_the_traced_step_is_that_of_autograd(name, uneven):
     dynamics, loss = hamiltonian(torch.float64, **DYNAMICS[name]), Loss(4, LossOptions(delta=0.5)).double()
-    stepper, objective = Recorded(6, interpreted), Recursive(loss, 2)
+    stepper, objective = RecordedStep(6, interpreted), Recursive(loss, 2)
     batch = windows(torch.float64, uneven=uneven)
     assert_agree(stepper, objective, loss, dynamics, batch, 1e-12)
     with torch.no_grad():  # weights, windows and the unit of the loss are no constants of the graph
@@ -89,7 +89,7 @@ def test_other_dynamics_and_objectives():
     node = make_dynamics(
         "node", dof=2, scaling="block", network=network, integrator={"name": "euler"}
     ).double()
-    stepper = Recorded(6, interpreted)
+    stepper = RecordedStep(6, interpreted)
     assert_agree(stepper, Recursive(loss, 3), loss, node, windows(torch.float64, 3), 1e-12)
     assert_agree(stepper, Derivative(loss, 4), loss, node, windows(torch.float64, 4), 1e-12)
     assert len(stepper.programs) == 2
@@ -97,7 +97,7 @@ def test_other_dynamics_and_objectives():
 
 def test_batches_of_another_size_are_left_to_autograd():
     dynamics, loss = hamiltonian(torch.float64), Loss(4, LossOptions()).double()
-    stepper = Recorded(7, interpreted)
+    stepper = RecordedStep(7, interpreted)
     assert_agree(stepper, Recursive(loss, 2), loss, dynamics, windows(torch.float64), 0.0)
     assert not stepper.programs
 
@@ -108,7 +108,7 @@ def test_a_recording_that_fails_leaves_the_training_to_autograd(caplog):
         raise RuntimeError(message)
 
     dynamics, loss = hamiltonian(torch.float64, integrator="euler"), Loss(4, LossOptions()).double()
-    stepper, objective = Recorded(6, fails), Recursive(loss, 1)
+    stepper, objective = RecordedStep(6, fails), Recursive(loss, 1)
     with caplog.at_level(logging.WARNING):
         for _ in range(2):
             assert_agree(stepper, objective, loss, dynamics, windows(torch.float64), 0.0)

@@ -20,7 +20,7 @@ from ahnn.training.evidence import Prior
 from ahnn.training.functions import ARRIVED, mixed
 from ahnn.training.laplace import conclude
 from ahnn.training.maximum_posterior import (
-    Place,
+    PosteriorPoint,
     WideProblem,
     after,
     of_functions,
@@ -123,7 +123,7 @@ def test_a_mixture_of_places_solves_linear_equations():
     block = Block(torch.arange(4), torch.eye(4, **DOUBLE), torch.zeros(4, **DOUBLE))
     prior = Prior(torch.tensor([1e-12], **DOUBLE), (4,))
     theta, places = torch.zeros(4, **DOUBLE), []
-    start = Place.of(theta, theta.sum(), 100, block, prior)
+    start = PosteriorPoint.of(theta, theta.sum(), 100, block, prior)
     for _ in range(4):
         places.append(start.moved(theta, theta.sum(), curvature @ (theta - best)))
         theta = mixed(places)

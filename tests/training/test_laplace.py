@@ -13,7 +13,7 @@ from ahnn.shooting.robust import ROBUST
 from ahnn.training import LevenbergMarquardt, laplace
 from ahnn.training.evidence import Prior, by_evidence
 from ahnn.training.laplace import Noise, conclude, held_out_scale, scatter, uncertainty
-from ahnn.training.maximum_posterior import Place, WideProblem, with_prior
+from ahnn.training.maximum_posterior import PosteriorPoint, WideProblem, with_prior
 from ahnn.training.normal_equations import Block, Equations
 from ahnn.training.shooting import ShootingProblem
 
@@ -156,7 +156,9 @@ def place(**changes):
     block = Block(torch.arange(2), torch.eye(2, **DOUBLE), torch.ones(2, **DOUBLE))
     prior = Prior(torch.full((1,), 0.5, **DOUBLE), [2])
     theta, pull = torch.tensor([3.0, -1.0], **DOUBLE), torch.tensor([-2.0, 0.0], **DOUBLE)
-    known = Place(theta, torch.tensor(26.0, **DOUBLE), 8, block, prior, torch.eye(2, **DOUBLE), 1.5, pull)
+    known = PosteriorPoint(
+        theta, torch.tensor(26.0, **DOUBLE), 8, block, prior, torch.eye(2, **DOUBLE), 1.5, pull
+    )
     return known._replace(**changes)
 
 

@@ -28,7 +28,7 @@ from ahnn.training import (
     weak,
     weak_test_functions,
 )
-from ahnn.training.banded import Factor
+from ahnn.training.banded import BandedFactor
 from ahnn.training.curriculum import objective_of
 from ahnn.training.weak import Weak, WeakProblem
 from ahnn.training.weak_test_functions import bumps, integrated, quadrature
@@ -89,7 +89,7 @@ def test_the_integrals_of_an_orbit_are_exact_beside_the_noise():
     tests = bumps(times[:1], torch.ones(1, 721, dtype=torch.bool), instrument.width)
     field = torch.cat((system.velocity(truth[..., 3:]), system.force(truth[..., :3])), dim=-1)
     sums = integrated(tests.on_field, tests.stride, field) + integrated(tests.on_data, tests.stride, truth)
-    left = Factor.of(tests.covariances(6)).whiten((sums / deviations).unsqueeze(-1))
+    left = BandedFactor.of(tests.covariances(6)).whiten((sums / deviations).unsqueeze(-1))
     assert float(left.square().mean()) < 0.01
 
 
@@ -105,7 +105,7 @@ def test_the_noise_of_the_integrals_is_white():
     assert float((covariance - torch.eye(len(covariance))).abs().max()) < 0.1
     alone = [band * torch.eye(2) for band in problem.tests.covariances(2)]
     sums = problem._sums(model.field, slice(None))
-    white = Factor.of(alone).whiten((sums - sums.mean(0)).unsqueeze(-1))
+    white = BandedFactor.of(alone).whiten((sums - sums.mean(0)).unsqueeze(-1))
     assert float(white.square().mean()) > 1.1  # without the field's part they are too large
 
 
@@ -239,7 +239,7 @@ def test_a_wrong_field_counts_as_noise_by_the_share_that_is_wrong():
     theta = torch.tensor([2.06, 0.515], **DOUBLE)
     momenta = near.integrals(Swing(*theta.tolist()).field, slice(None))[..., 1:]
     close(momenta.abs().median(), torch.tensor(0.6745, **DOUBLE), 0.2)
-    plain = Factor.of(true.tests.covariances(2))
+    plain = BandedFactor.of(true.tests.covariances(2))
     sums = near._sums(Swing(*theta.tolist()).field, slice(None))
     assert float(plain.whiten(sums.unsqueeze(-1))[..., 1, 0].square().mean()) > 3
 

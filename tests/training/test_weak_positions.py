@@ -18,7 +18,7 @@ from ahnn.shooting.path_sensitivities import path
 from ahnn.systems import Molniya
 from ahnn.systems.truth import exact_flow
 from ahnn.training import LevenbergMarquardt
-from ahnn.training.banded import Factor
+from ahnn.training.banded import BandedFactor
 from ahnn.training.weak import Weak
 from ahnn.training.weak_test_functions import bumps, integrated
 
@@ -60,7 +60,7 @@ def test_the_integrals_of_rare_positions_are_exact_beside_the_noise():
     tests = bumps(300.0 * torch.arange(289, **DOUBLE)[None], torch.ones(1, 289, dtype=torch.bool), 3, order=2)
     sums = integrated(tests.on_field, tests.stride, system.force(truth))
     sums = sums + integrated(tests.on_data, tests.stride, truth)
-    left = Factor.of(tests.covariances(3)).whiten((sums / 0.1).unsqueeze(-1))
+    left = BandedFactor.of(tests.covariances(3)).whiten((sums / 0.1).unsqueeze(-1))
     assert float(left.square().mean()) < 0.01
 
 

@@ -12,7 +12,7 @@ from ahnn.data.doctor.orbits import orbit_findings
 from ahnn.data.doctor.samples import sample_findings, too_few
 from ahnn.data.doctor.velocities import velocity_findings
 from ahnn.data.files.content import Content, since_first
-from ahnn.data.files.reading import Reading, bytes_of, parsed
+from ahnn.data.files.reading import FileReading, bytes_of, parsed
 from ahnn.data.files.table import Fault, Place, Remark
 
 JUDGED = 200
@@ -39,7 +39,10 @@ class Examined(NamedTuple):
 
 
 def examine(
-    paths: Sequence[Path], reading: Reading, mass: float | Sequence[float] | None = None, gap: float = 10.0
+    paths: Sequence[Path],
+    reading: FileReading,
+    mass: float | Sequence[float] | None = None,
+    gap: float = 10.0,
 ) -> Examined:
     """Return all that is wrong with files.
 

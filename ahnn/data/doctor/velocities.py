@@ -36,7 +36,7 @@ FACTORS = {
 }
 
 
-class Compared(NamedTuple):
+class VelocityComparison(NamedTuple):
     """Stated velocities, derivatives of the positions at the same samples, and doubts of both, (K, n)."""
 
     stated: Array
@@ -60,12 +60,12 @@ def velocity_findings(content: Content, tracks: list[Track], mass: float | Seque
     long = [(track, one) for track, one in pairs if one is not None and len(one.stated) >= LEAST]
     short = [one for _, one in pairs if one is not None and len(one.stated) < LEAST]
     if short:
-        pooled = Compared(*(np.concatenate(parts) for parts in zip(*short, strict=True)))
+        pooled = VelocityComparison(*(np.concatenate(parts) for parts in zip(*short, strict=True)))
         long.append((tracks[0]._replace(rows=np.zeros(1, dtype=np.int64)), pooled))
     return [finding for c in range(n) for finding in of_component(content, c, long)]
 
 
-def compared(track: Track, n: int, scale: Array) -> Compared | None:
+def compared(track: Track, n: int, scale: Array) -> VelocityComparison | None:
     """Return stated and derived velocities of a track; None where it is too short.
 
     Args:
@@ -79,10 +79,10 @@ def compared(track: Track, n: int, scale: Array) -> Compared | None:
     stated = scale * track.values[:, n:]
     doubts = found.doubts + roughness(track.times, stated, found.at)
     known = np.isfinite(doubts).all(1)  # they hold all samples that the derivatives hold
-    return Compared(stated[found.at][known], found.values[known], doubts[known])
+    return VelocityComparison(stated[found.at][known], found.values[known], doubts[known])
 
 
-def of_component(content: Content, c: int, pairs: list[tuple[Track, Compared]]) -> list[Finding]:
+def of_component(content: Content, c: int, pairs: list[tuple[Track, VelocityComparison]]) -> list[Finding]:
     """Return a finding for each track whose velocity is wrong; a single one where nearly all are."""
     orbit = len(content.positions) == 3 and unit(content.units.position).dimension == LENGTH
     judged = [(track, ratio) for track, one in pairs if (ratio := misfit(one, c, orbit=orbit)) is not None]
@@ -95,7 +95,7 @@ def of_component(content: Content, c: int, pairs: list[tuple[Track, Compared]]) 
     return [finding(content, c, track.file, int(track.rows[0]), ratio) for track, ratio in wrong]
 
 
-def misfit(one: Compared, c: int, *, orbit: bool = False) -> float | None:
+def misfit(one: VelocityComparison, c: int, *, orbit: bool = False) -> float | None:
     """Return 1 where a velocity is right, else its ratio to the derivative (0: they are not proportional).
 
     None where nothing can be said. Components of an orbit are judged by its speed, too.

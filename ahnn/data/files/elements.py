@@ -44,7 +44,7 @@ UNUSED = (
 """SGP4 needs none of them."""
 
 
-class Elements(NamedTuple):
+class ElementSets(NamedTuple):
     """The two lines of a set, and where the first one stands."""
 
     place: Place
@@ -101,10 +101,10 @@ def content(
     return of_orbits(shifted, FRAME, first, weighed=weighed)
 
 
-def sets_of(text: str, file: str, note: Note) -> list[Elements]:
+def sets_of(text: str, file: str, note: Note) -> list[ElementSets]:
     """Return the sets of a text; lines that begin otherwise are names and remarks."""
     lines = [(row, line) for row, line in enumerate(text.split("\n"), 1) if line[:2] in ("1 ", "2 ")]
-    found: list[Elements] = []
+    found: list[ElementSets] = []
     pending: tuple[int, str] | None = None
     damaged: set[int] = set()
     for row, line in lines:
@@ -124,7 +124,7 @@ def sets_of(text: str, file: str, note: Note) -> list[Elements]:
             pending = None
         else:
             if not damaged & {pending[0], row}:
-                found.append(Elements(place._replace(row=pending[0]), (pending[1], line[:LENGTH])))
+                found.append(ElementSets(place._replace(row=pending[0]), (pending[1], line[:LENGTH])))
             pending = None
     if pending is not None:
         note(Fault(Place(file, pending[0]), "a line 2 behind it", "none"))
@@ -143,7 +143,7 @@ def fault_of(line: str, place: Place) -> Fault | None:
     return None
 
 
-def propagated(model: Any, one: Elements, times: NDArray[np.float64]) -> Track:
+def propagated(model: Any, one: ElementSets, times: NDArray[np.float64]) -> Track:
     """Return the orbit of a set; raises Fault where its lines hold no numbers or SGP4 gives up."""
     for name, line, columns, notation, most in FIELDS:
         text = one.lines[line][columns]
@@ -167,7 +167,7 @@ def propagated(model: Any, one: Elements, times: NDArray[np.float64]) -> Track:
     return Track(name, one.place.file, rows, times, np.concatenate((positions, velocities), axis=1))
 
 
-def epoch(one: Elements) -> int:
+def epoch(one: ElementSets) -> int:
     """Return the epoch of a set (`epochs.instant`); years from 57 on are of the last century."""
     text = one.lines[0][EPOCH]
     try:

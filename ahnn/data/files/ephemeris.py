@@ -95,7 +95,7 @@ class Ephemeris(NamedTuple):
 
 
 @dataclass
-class Block:
+class MessageBlock:
     """A segment as text.
 
     Attributes:
@@ -125,7 +125,7 @@ def check_version(text: str, place: Place) -> None:
         place.refuse(f"version {', '.join(VERSIONS)} of an OEM", repr(text))
 
 
-def ephemeris(block: Block, note: Note = refuse) -> Ephemeris:
+def ephemeris(block: MessageBlock, note: Note = refuse) -> Ephemeris:
     """Return the numbers of a block.
 
     Args:
@@ -172,7 +172,7 @@ def ephemeris(block: Block, note: Note = refuse) -> Ephemeris:
     )
 
 
-def useable(block: Block, moments: list[int], note: Note, *, utc: bool) -> list[bool]:
+def useable(block: MessageBlock, moments: list[int], note: Note, *, utc: bool) -> list[bool]:
     """Return which states are data: others, outside the useable span, serve the interpolation near its ends.
 
     Raises:
@@ -197,7 +197,7 @@ def useable(block: Block, moments: list[int], note: Note, *, utc: bool) -> list[
     return chosen
 
 
-def remarks(blocks: list[Block], *, covariances: bool = True) -> list[Remark]:
+def remarks(blocks: list[MessageBlock], *, covariances: bool = True) -> list[Remark]:
     """Return what of segments is not used.
 
     Args:
@@ -221,7 +221,7 @@ def remarks(blocks: list[Block], *, covariances: bool = True) -> list[Remark]:
     return found
 
 
-def covariance(block: Block, k: int, start: int, *, utc: bool) -> Covariance:
+def covariance(block: MessageBlock, k: int, start: int, *, utc: bool) -> Covariance:
     """Return the k-th covariance of a block; raises UserError for less than a lower triangle."""
     row, epoch, frame, cells = block.matrices[k]
     place = Place(block.place.file, row, "EPOCH")
@@ -251,7 +251,7 @@ def values(cells: list[str], names: tuple[str, ...], place: Place) -> list[float
     return found
 
 
-def contents(blocks: list[Block], *, weighed: bool, note: Note = refuse) -> list[Content]:
+def contents(blocks: list[MessageBlock], *, weighed: bool, note: Note = refuse) -> list[Content]:
     """Return each segment as a trajectory, its times from its first epoch.
 
     Args:

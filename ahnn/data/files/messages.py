@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ahnn.data.files import kinds, oem, oem_xml
-from ahnn.data.files.ephemeris import Block, Ephemeris, ephemeris, remarks
+from ahnn.data.files.ephemeris import Ephemeris, MessageBlock, ephemeris, remarks
 from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.files.table import Note, Place, refuse
 from ahnn.files import write_atomically
@@ -14,7 +14,7 @@ from ahnn.files import write_atomically
 SUFFIXES = (".oem", ".xml")
 
 
-def blocks_of(text: str, file: str, note: Note = refuse) -> list[Block]:
+def blocks_of(text: str, file: str, note: Note = refuse) -> list[MessageBlock]:
     """Return the segments of a message in XML, if it begins like that, or in keyword = value notation."""
     return oem_xml.blocks_of(text, file) if text.lstrip().startswith("<") else oem.blocks_of(text, file, note)
 

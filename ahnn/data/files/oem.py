@@ -7,13 +7,21 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from ahnn.data.files import epochs
-from ahnn.data.files.ephemeris import ACCELERATION, ALONE, HEADER, Block, Covariance, Ephemeris, check_version
+from ahnn.data.files.ephemeris import (
+    ACCELERATION,
+    ALONE,
+    HEADER,
+    Covariance,
+    Ephemeris,
+    MessageBlock,
+    check_version,
+)
 from ahnn.data.files.table import Fault, Note, Place, refuse
 
 VERSION = "CCSDS_OEM_VERS"
 
 
-def blocks_of(text: str, file: str, note: Note = refuse) -> list[Block]:
+def blocks_of(text: str, file: str, note: Note = refuse) -> list[MessageBlock]:
     """Return the segments of a message as text.
 
     Args:
@@ -30,12 +38,12 @@ def blocks_of(text: str, file: str, note: Note = refuse) -> list[Block]:
         Place(file, used[0][0] if used else 0).refuse(
             f"{VERSION} first", repr(used[0][1]) if used else "no line"
         )
-    blocks: list[Block] = []
+    blocks: list[MessageBlock] = []
     state = "header"
     for row, line in used:
         place = Place(file, row)
         if line == "META_START" and state in ("header", "data"):
-            blocks.append(Block(place))
+            blocks.append(MessageBlock(place))
             state = "meta"
         elif (line, state) in CHANGES:
             state = CHANGES[line, state]
@@ -78,7 +86,7 @@ def pair(line: str, place: Place) -> tuple[str, str]:
     return key, value
 
 
-def add_vector(block: Block, line: str, place: Place, note: Note) -> None:
+def add_vector(block: MessageBlock, line: str, place: Place, note: Note) -> None:
     """Add a state to a block, or note that it has too few numbers; accelerations behind it are not used."""
     cells = line.split()
     if "=" in line:
@@ -91,7 +99,7 @@ def add_vector(block: Block, line: str, place: Place, note: Note) -> None:
         note(Fault(place, expected, f"{len(cells)} values"))
 
 
-def add_covariance(block: Block, line: str, place: Place) -> None:
+def add_covariance(block: MessageBlock, line: str, place: Place) -> None:
     """Add a line of a covariance to a block; raises UserError for numbers before their epoch."""
     if "=" not in line:
         if not block.matrices:

@@ -14,8 +14,8 @@ from ahnn.data.files.ephemeris import (
     ALONE,
     COMPONENTS,
     HEADER,
-    Block,
     Ephemeris,
+    MessageBlock,
     check_version,
 )
 from ahnn.data.files.kinds import MESSAGES, refuse_message
@@ -38,7 +38,7 @@ def unit_of(tag: str) -> str:
     return "km**2" + {0: "", 1: "/s", 2: "/s**2"}[tag.count("DOT")] if tag in TRIANGLE else ""
 
 
-def blocks_of(text: str, file: str) -> list[Block]:
+def blocks_of(text: str, file: str) -> list[MessageBlock]:
     """Return the segments of a message as text.
 
     Raises:
@@ -60,7 +60,7 @@ class _Reader:
     """Handlers that collect the texts of elements, and hand them over where a group of them ends."""
 
     def __init__(self, file: str) -> None:
-        self.file, self.blocks, self.text = file, list[Block](), ""
+        self.file, self.blocks, self.text = file, list[MessageBlock](), ""
         self.texts: dict[str, str] = {}
         self.group, self.comments = "", False
         self.parser = expat.ParserCreate()
@@ -76,7 +76,7 @@ class _Reader:
         return Place(self.file, self.parser.CurrentLineNumber)
 
     @property
-    def block(self) -> Block:
+    def block(self) -> MessageBlock:
         """The segment that the parser is in; raises UserError outside of any."""
         return self.blocks[-1] if self.blocks else self.place.refuse("a <segment> around it", "none")
 
@@ -88,7 +88,7 @@ class _Reader:
         if tag == "oem":
             check_version(attributes.get("version", "2.0"), place)
         elif tag == "segment":
-            self.blocks.append(Block(place))
+            self.blocks.append(MessageBlock(place))
         elif tag in GROUPS:
             self.group, self.texts, self.row = tag, {}, self.parser.CurrentLineNumber
         elif tag not in (GROUPS[self.group] or (tag,) if self.group else STRUCTURE) and tag != "COMMENT":

@@ -12,7 +12,7 @@ from ahnn.data.files.table import Note, Place, Remark, read_csv, refuse
 from ahnn.data.files.tabular import of_sheet
 
 
-class Reading(NamedTuple):
+class FileReading(NamedTuple):
     """How files are read.
 
     Attributes:
@@ -33,7 +33,7 @@ def bytes_of(path: Path) -> tuple[bytes, bytes | None]:
     return raw, content_of(aside) if aside != path and aside.is_file() else None
 
 
-def parsed(path: Path, raw: bytes, aside: bytes | None, reading: Reading, note: Note = refuse) -> Content:
+def parsed(path: Path, raw: bytes, aside: bytes | None, reading: FileReading, note: Note = refuse) -> Content:
     """Return the content of a file.
 
     Args:
@@ -67,7 +67,7 @@ def parsed(path: Path, raw: bytes, aside: bytes | None, reading: Reading, note: 
     return turned(parts, [block.place for block in blocks], reading)
 
 
-def turned(parts: list[Content], places: list[Place], reading: Reading) -> Content:
+def turned(parts: list[Content], places: list[Place], reading: FileReading) -> Content:
     """Return the parts of a file in one frame; raises UserError where that is not possible."""
     if reading.frame is not None:
         parts = [frames.turned(part, reading.frame, at.file) for part, at in zip(parts, places, strict=True)]

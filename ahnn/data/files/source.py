@@ -11,7 +11,7 @@ from ahnn.arguments import Positive, Within, checked
 from ahnn.data.files import frame_names
 from ahnn.data.files.content import Content, since_first
 from ahnn.data.files.frame_names import ROTATING
-from ahnn.data.files.reading import Reading, bytes_of, parsed
+from ahnn.data.files.reading import FileReading, bytes_of, parsed
 from ahnn.data.files.recordings import Recordings
 from ahnn.data.files.table import Place
 from ahnn.errors import UserError
@@ -54,7 +54,7 @@ class Files(Recordings):
         unsound: bool = False,
     ) -> None:
         self.paths = [Path(p).expanduser() for p in ([path] if isinstance(path, str) else path)]
-        self.reading = Reading(mass is not None, frame, step, duration)
+        self.reading = FileReading(mass is not None, frame, step, duration)
         require_different(self.paths)
         digest = hashlib.sha256()
         contents = []

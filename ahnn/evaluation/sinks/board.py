@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 
-class Board:
+class EventBoard:
     """What `TensorBoardSink` needs of a logger, over torch's own writer.
 
     Args:

@@ -18,7 +18,7 @@ import numpy as np
 from ahnn.contents import read_whole
 from ahnn.systems.gravity.field import GravityField, Tide
 from ahnn.systems.gravity.harmonics import Coefficients
-from ahnn.systems.gravity.rows import VARIES, Coefficient, Index, Line, coefficients
+from ahnn.systems.gravity.rows import VARIES, Coefficient, CoefficientLine, Index, coefficients
 
 log = logging.getLogger(__name__)
 
@@ -54,13 +54,15 @@ def read_gfc(path: Path | str, epoch: str | None = None) -> GravityField:
     Raises:
         UserError: no such file, or what is wrong with it, with the row.
     """
-    file = Line(str(path), 0, [])
+    file = CoefficientLine(str(path), 0, [])
     try:
         text = read_whole(Path(path), LARGEST).decode("latin-1")
     except OSError as error:
         file.refuse("a file with a gravity field", error.strerror)
     text = text.replace("\r\n", "\n").replace("\r", "\n")
-    numbered = (Line(str(path), row, words.split()) for row, words in enumerate(text.split("\n"), 1))
+    numbered = (
+        CoefficientLine(str(path), row, words.split()) for row, words in enumerate(text.split("\n"), 1)
+    )
     lines = [line for line in numbered if line.words]
     ends = [k for k, line in enumerate(lines) if line.word(0) == "end_of_head"]
     if not ends:
@@ -76,14 +78,14 @@ def read_gfc(path: Path | str, epoch: str | None = None) -> GravityField:
     return assembled(found, degree, head, file)
 
 
-def header(lines: list[Line], file: Line) -> dict[str, Line]:
+def header(lines: list[CoefficientLine], file: CoefficientLine) -> dict[str, CoefficientLine]:
     """Return the lines of the header by their keyword; what stands before begin_of_head is a comment.
 
     Raises:
         UserError: a keyword that is missing, there twice, or with a value that cannot be read.
     """
     starts = [k for k, line in enumerate(lines) if line.word(0) == "begin_of_head"]
-    head: dict[str, Line] = {}
+    head: dict[str, CoefficientLine] = {}
     for line in lines[starts[0] + 1 if starts else 0 :]:
         name = MU if line.word(0) == "gravity_constant" else line.word(0)  # of other bodies
         if name not in (MU, RADIUS, DEGREE, "modelname", *KNOWN):
@@ -99,7 +101,7 @@ def header(lines: list[Line], file: Line) -> dict[str, Line]:
     return head
 
 
-def require_all(found: Mapping[Index, Any], degree: int, file: Line) -> None:
+def require_all(found: Mapping[Index, Any], degree: int, file: CoefficientLine) -> None:
     """Refuse a file that has not all coefficients up to its degree; raises UserError."""
     if sum(n <= degree for n, _ in found) == (degree + 1) * (degree + 2) // 2:
         return
@@ -109,7 +111,10 @@ def require_all(found: Mapping[Index, Any], degree: int, file: Line) -> None:
 
 
 def assembled(
-    found: Mapping[Index, Coefficient], degree: int, head: Mapping[str, Line], file: Line
+    found: Mapping[Index, Coefficient],
+    degree: int,
+    head: Mapping[str, CoefficientLine],
+    file: CoefficientLine,
 ) -> GravityField:
     """Return the field of coefficients and a header.
 
@@ -137,7 +142,7 @@ def assembled(
     return GravityField(name, mu / 1e9, radius / 1e3, cosines, sines, tide)
 
 
-def require_body(mu: float, radius: float, head: Mapping[str, Line]) -> None:
+def require_body(mu: float, radius: float, head: Mapping[str, CoefficientLine]) -> None:
     """Refuse a mass and a radius that no body has, as of numbers in km; raises UserError."""
     with np.errstate(over="ignore"):  # numbers that no body has, either
         density = np.float64(mu) / (4 / 3 * pi * NEWTON * np.float64(radius) ** 3)
@@ -152,7 +157,7 @@ def require_body(mu: float, radius: float, head: Mapping[str, Line]) -> None:
         log.warning("%s: a body of radius %g m; its numbers count as m and s", head[RADIUS].file, radius)
 
 
-def require_centred(cosines: Coefficients, sines: Coefficients, file: Line) -> None:
+def require_centred(cosines: Coefficients, sines: Coefficients, file: CoefficientLine) -> None:
     """Refuse coefficients that are no body's field about its own centre of mass; raises UserError."""
     if abs(cosines[0, 0] - 1) > MASS:
         file.refuse("C of n, m = (0, 0) = 1: the mass is that of the constant", f"{cosines[0, 0]:g}")

@@ -21,7 +21,7 @@ Coefficient = tuple[float, float]
 """C and S."""
 
 
-class Line(NamedTuple):
+class CoefficientLine(NamedTuple):
     """A line with the place that it has, for messages.
 
     Attributes:
@@ -60,7 +60,7 @@ class Line(NamedTuple):
         return self.number(3, "C"), self.number(4, "S")
 
 
-def coefficients(lines: list[Line], degree: int, epoch: str | None) -> dict[Index, Coefficient]:
+def coefficients(lines: list[CoefficientLine], degree: int, epoch: str | None) -> dict[Index, Coefficient]:
     """Return C and S of every row by degree and order.
 
     Args:
@@ -71,8 +71,8 @@ def coefficients(lines: list[Line], degree: int, epoch: str | None) -> dict[Inde
     Raises:
         UserError: what is wrong with a row.
     """
-    rows: dict[Index, Line] = {}
-    changes: list[tuple[Index, Line]] = []
+    rows: dict[Index, CoefficientLine] = {}
+    changes: list[tuple[Index, CoefficientLine]] = []
     widths: dict[str, int] = {}
     for line in lines:
         key, pair = line.word(0), _index(line, degree)
@@ -94,7 +94,7 @@ def coefficients(lines: list[Line], degree: int, epoch: str | None) -> dict[Inde
     return found
 
 
-def _index(line: Line, degree: int) -> Index:
+def _index(line: CoefficientLine, degree: int) -> Index:
     """Return degree and order of a row."""
     if line.word(0) not in (STATIC, VARIES, *CHANGES):
         line.refuse(f"a row {STATIC}, {VARIES}, {', '.join(CHANGES)}", line.word(0))
@@ -104,7 +104,7 @@ def _index(line: Line, degree: int) -> Index:
     return n, m
 
 
-def _years(line: Line, epoch: str | None) -> float:
+def _years(line: CoefficientLine, epoch: str | None) -> float:
     """Return the years from the reference epoch of a row, its last column YYYYMMDD, to an epoch."""
     if epoch is None:
         line.refuse("an epoch, YYYY-MM-DD, for coefficients that vary in time", "none")
@@ -120,7 +120,7 @@ def _years(line: Line, epoch: str | None) -> float:
     return (then - since).days / YEAR
 
 
-def _factor(line: Line, years: float) -> float:
+def _factor(line: CoefficientLine, years: float) -> float:
     """Return what the coefficients of a change are multiplied with."""
     key = line.word(0)
     if key in ("trnd", "dot"):

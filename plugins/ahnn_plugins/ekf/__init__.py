@@ -19,7 +19,7 @@ from torch.nn.functional import pad
 from ahnn.dynamics.transition import transition
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.conditioning import conditioned, present_noise
-from ahnn.estimation.estimator import Sensor
+from ahnn.estimation.estimator import SensorModel
 from ahnn.estimation.gate import Gate
 from ahnn.estimation.gaussian import GaussianFilter
 from ahnn.estimation.kernel import measured, require_states
@@ -31,10 +31,10 @@ from ahnn.jacobians import pointwise_jacobian
 from ahnn.measurements import residual
 from ahnn.types import Flow
 
-__all__ = ["ExtendedKalmanFilter", "Linearised"]
+__all__ = ["ExtendedKalmanFilter", "LinearisedKernel"]
 
 
-class Linearised(NamedTuple):
+class LinearisedKernel(NamedTuple):
     """Predictions and updates to first order about the mean."""
 
     @property
@@ -56,7 +56,7 @@ class Linearised(NamedTuple):
         law, singular = backward_law(joint)
         return Predicted(Belief(mean.to(belief.mean), joint[:, :size, :size]), None, False, law, singular)
 
-    def update(self, prior: Belief, y: Tensor, sensor: Sensor, time: float) -> Updated:
+    def update(self, prior: Belief, y: Tensor, sensor: SensorModel, time: float) -> Updated:
         """Return the belief given the components of y that are not NaN."""
         model, present = sensor.measurement, ~torch.isnan(y)
         predicted = measured(model, prior.mean.unsqueeze(1), time)[:, 0]
@@ -90,7 +90,7 @@ class ExtendedKalmanFilter(GaussianFilter):
         """What its rows are called."""
         return "ekf"
 
-    def kernel(self, belief: Belief) -> Linearised:
+    def kernel(self, belief: Belief) -> LinearisedKernel:
         """Return the linearisation, which has no constants."""
         del belief
-        return Linearised()
+        return LinearisedKernel()

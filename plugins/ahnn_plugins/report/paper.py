@@ -32,7 +32,7 @@ def filtered(model: str) -> str:
     return f"{model.rstrip('35')}KF{model[len(model.rstrip('35')) :]}"
 
 
-class Place(NamedTuple):
+class PaperCell(NamedTuple):
     """Where a number of the paper stands.
 
     Attributes:
@@ -65,7 +65,7 @@ class Printed(NamedTuple):
 
 
 @cache
-def printed() -> dict[Place, Printed]:
+def printed() -> dict[PaperCell, Printed]:
     """Return every number of the paper.
 
     Raises:
@@ -84,18 +84,18 @@ def printed() -> dict[Place, Printed]:
 def printed_value(system: str, model: str, start: str, quantity: str, *, ukf: bool = False) -> float | None:
     """Return a printed number of a model, its name in any capitals; None where the paper has none."""
     places = (
-        Place(system, model.upper(), ukf, known, quantity) for known in STARTS.values() if known == start
+        PaperCell(system, model.upper(), ukf, known, quantity) for known in STARTS.values() if known == start
     )
     return next((printed()[place].value for place in places if place in printed()), None)
 
 
-def read_numbers(text: str) -> dict[Place, Printed]:
+def read_numbers(text: str) -> dict[PaperCell, Printed]:
     """Return the numbers of a table of the columns `COLUMNS`.
 
     Raises:
         ValueError: other columns, a cell twice, an unknown name, or a value that is not above zero.
     """
-    found: dict[Place, Printed] = {}
+    found: dict[PaperCell, Printed] = {}
     for row in read_rows(text, COLUMNS):
         key, value = place(row), float(row["value_in_physical_units"])
         if key in found or not (math.isfinite(value) and value > 0):
@@ -114,7 +114,7 @@ def read_rows(text: str, columns: list[str]) -> list[dict[str, str]]:
     return [dict(zip(columns, row, strict=True)) for row in rows]
 
 
-def place(row: dict[str, str]) -> Place:
+def place(row: dict[str, str]) -> PaperCell:
     """Return where the number of a row stands; raises ValueError for a name that is unknown."""
     names = {filtered(model): (model, True) for model in MODELS} | {m: (m, False) for m in MODELS}
     quantity = row["quantity"].removeprefix("rmse_")
@@ -123,7 +123,7 @@ def place(row: dict[str, str]) -> Place:
         raise ValueError(message)
     try:
         model, with_filter = names[row["model"]]
-        return Place(SYSTEMS[row["table"]], model, with_filter, STARTS[row["scenario"]], quantity)
+        return PaperCell(SYSTEMS[row["table"]], model, with_filter, STARTS[row["scenario"]], quantity)
     except KeyError as error:
         message = f"expected a name of the paper; received {error}"
         raise ValueError(message) from error

@@ -15,7 +15,7 @@ STARTS: tuple[Start, ...] = ("true", "perturbed")
 SUB = (Head("ours"), Head("paper"), Head("floor"))
 
 
-class Layout(NamedTuple):
+class PaperLayout(NamedTuple):
     """How the paper prints a table: its number, its title, and its units."""
 
     number: int
@@ -24,10 +24,10 @@ class Layout(NamedTuple):
 
 
 LAYOUTS = {
-    "mass_spring": Layout(
+    "mass_spring": PaperLayout(
         1, "RMSE for the mass-spring system", {"position": (1e-4, "10⁻⁴ m"), "velocity": (1e-4, "10⁻⁴ m/s")}
     ),
-    "molniya": Layout(
+    "molniya": PaperLayout(
         2,
         "RMSE for the highly elliptic orbit",
         {"position": (1e2, "10² km"), "velocity": (1e-1, "10⁻¹ km/s")},

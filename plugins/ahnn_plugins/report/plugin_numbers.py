@@ -14,7 +14,7 @@ LONGEST = 12
 """Entries of a list that are shown."""
 
 
-class Judged(NamedTuple):
+class JudgedNumber(NamedTuple):
     """A mean beside the band where that of a consistent estimator lies."""
 
     name: str
@@ -23,14 +23,14 @@ class Judged(NamedTuple):
     high: float
 
 
-def judged(numbers: Any, name: str = "") -> Iterator[Judged]:
+def judged(numbers: Any, name: str = "") -> Iterator[JudgedNumber]:
     """Yield every mean with a band in nested numbers, by its path."""
     if not isinstance(numbers, dict):
         return
     band, mean = numbers.get(BAND), numbers.get("mean")
     if isinstance(mean, int | float) and isinstance(band, list) and len(band) == 2:
         if all(isinstance(limit, int | float) for limit in band):
-            yield Judged(name, float(mean), float(band[0]), float(band[1]))
+            yield JudgedNumber(name, float(mean), float(band[0]), float(band[1]))
         return
     for key, value in numbers.items():
         yield from judged(value, f"{name} / {key}" if name else str(key))

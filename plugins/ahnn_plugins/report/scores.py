@@ -10,7 +10,7 @@ from ahnn.evaluation.case import Row, Start, Who
 from ahnn.evaluation.titles import MODEL
 from ahnn.labels import quantity
 from ahnn_plugins.report.collection import Collection, Entry
-from ahnn_plugins.report.paper import MODELS, Place, Printed, printed
+from ahnn_plugins.report.paper import MODELS, PaperCell, Printed, printed
 from ahnn_plugins.report.score_samples import Sample
 
 QUANTITIES = ("position", "velocity", "energy")
@@ -74,7 +74,7 @@ class Board(NamedTuple):
     def printed(self, measure: Measure) -> Printed | None:
         """Return the paper's number in the place of a measure, where it is in the same unit."""
         found = printed().get(
-            Place(self.system, measure.model, measure.filtered, measure.start, measure.quantity)
+            PaperCell(self.system, measure.model, measure.filtered, measure.start, measure.quantity)
         )
         units = {quantity(entry.results.space, measure.quantity)[1] for entry in self.entries}
         return found if found is not None and units <= {found.unit} else None

@@ -22,7 +22,7 @@ from ahnn.estimation.consistency import deviations
 from ahnn.estimation.loop import StepModel, run, stepper
 from ahnn.estimation.results import FilterResult, ProcessNoise, SmootherResult
 from ahnn.estimation.state import initial_state
-from ahnn.estimation.step_noise import Grid, process_factor
+from ahnn.estimation.step_noise import StepGrid, process_factor
 from ahnn.measurements.base import Measurement
 from ahnn.numbers import Numbers
 from ahnn.types import Flow
@@ -99,7 +99,7 @@ def iterated_smoother(
     rows = checked_rows(measurements, "measurements", (batch, steps, len(measurement.names)), device)
     rows = rows.masked_fill(result.rejected.unsqueeze(-1), torch.nan)[there]
     begin = initial_state(_members(result.initial, there), start_time)
-    grid, chol_q = Grid.of(dt, steps, begin.time), process_factor(process_noise, result.initial)
+    grid, chol_q = StepGrid.of(dt, steps, begin.time), process_factor(process_noise, result.initial)
 
     def relinearised(about: SmootherResult) -> SmootherResult:
         def line(k: int) -> StepModel:

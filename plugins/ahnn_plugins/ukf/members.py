@@ -13,13 +13,13 @@ from ahnn.compiled_libraries import followed, plain
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.results import Predicted, Updated
 from ahnn_plugins.ukf.library import library
-from ahnn_plugins.ukf.parameters import Residual, Weights
+from ahnn_plugins.ukf.parameters import Residual, SigmaWeights
 
 SOUND, NO_MEMORY = 0, 2
 """What the functions of the library return."""
 
 
-def apply_to(weights: Weights, *tensors: Tensor) -> bool:
+def apply_to(weights: SigmaWeights, *tensors: Tensor) -> bool:
     """Return whether the library does these: plain float64 on the CPU, of which nobody wants a derivative."""
     if weights.downdate is not None or followed():
         return False
@@ -28,7 +28,7 @@ def apply_to(weights: Weights, *tensors: Tensor) -> bool:
     return known and library() is not None
 
 
-def draw(belief: Belief, weights: Weights) -> Tensor:
+def draw(belief: Belief, weights: SigmaWeights) -> Tensor:
     """Return the sigma points (B, 2 D + 1, D), see `sigma_points.draw`."""
     mean, (chol, step) = belief.mean.contiguous(), _members(belief.chol)
     batch, size = mean.shape
@@ -38,7 +38,7 @@ def draw(belief: Belief, weights: Weights) -> Tensor:
     return points
 
 
-def predict(propagated: Tensor, weights: Weights, chol_q: Tensor) -> Predicted:
+def predict(propagated: Tensor, weights: SigmaWeights, chol_q: Tensor) -> Predicted:
     """Return the predicted belief, see `square_root.predict`."""
     points, (q, step) = propagated.contiguous(), _members(chol_q)
     batch, _, size = points.shape
@@ -49,7 +49,7 @@ def predict(propagated: Tensor, weights: Weights, chol_q: Tensor) -> Predicted:
 
 
 def update(
-    prior: Belief, images: Tensor, y: Tensor, residual: Residual, weights: Weights, chol_r: Tensor
+    prior: Belief, images: Tensor, y: Tensor, residual: Residual, weights: SigmaWeights, chol_r: Tensor
 ) -> Updated:
     """Return the posterior, see `square_root.update`."""
     y, present = y.contiguous(), ~torch.isnan(y)
@@ -87,7 +87,7 @@ class Memory:
         weights: of the sigma points.
     """
 
-    def __init__(self, rows: Tensor, size: int, weights: Weights) -> None:
+    def __init__(self, rows: Tensor, size: int, weights: SigmaWeights) -> None:
         (batch, steps, width), new = rows.shape, rows.new_empty
         self.rows, self.weights, self.shape = rows.transpose(0, 1).contiguous(), weights, (batch, size, width)
         beliefs = [new(steps, batch, *((size,) * k)) for k in (1, 2, 1, 2)]

@@ -22,7 +22,7 @@ class UnscentedParameters(NamedTuple):
     kappa: float | Tensor = 0.0
 
 
-class Weights(NamedTuple):
+class SigmaWeights(NamedTuple):
     """Weights of 2 D + 1 sigma points; tensors are float64 of shape (B or 1, 1, 1).
 
     The last two fields rewrite the textbook covariance without its centre weight, which is negative for
@@ -64,7 +64,7 @@ class Residual(Protocol):
 class Predict(Protocol):
     """Moments of the propagated sigma points (B, S, D), plus additive process noise."""
 
-    def __call__(self, propagated: Tensor, weights: Weights, chol_q: Tensor) -> Predicted:
+    def __call__(self, propagated: Tensor, weights: SigmaWeights, chol_q: Tensor) -> Predicted:
         """Return the predicted belief."""
         ...
 
@@ -73,7 +73,13 @@ class Update(Protocol):
     """Condition a prior on the measurement row y (B, M), NaN where a component is missing."""
 
     def __call__(
-        self, prior: Belief, images: Tensor, y: Tensor, residual: Residual, weights: Weights, chol_r: Tensor
+        self,
+        prior: Belief,
+        images: Tensor,
+        y: Tensor,
+        residual: Residual,
+        weights: SigmaWeights,
+        chol_r: Tensor,
     ) -> Updated:
         """Return the posterior; images (B, S, M) are the measured sigma points of the prior."""
         ...
@@ -82,7 +88,7 @@ class Update(Protocol):
 class Read(Protocol):
     """Condition a prior on a row y (B, M) of the first M components of the state, without points."""
 
-    def __call__(self, prior: Belief, y: Tensor, weights: Weights, chol_r: Tensor) -> Updated | None:
+    def __call__(self, prior: Belief, y: Tensor, weights: SigmaWeights, chol_r: Tensor) -> Updated | None:
         """Return the posterior, or None where only points give it."""
         ...
 

@@ -15,15 +15,15 @@ from torch import Tensor
 
 from ahnn.errors import UserError
 from ahnn.estimation.belief import Belief
-from ahnn.estimation.estimator import Sensor
+from ahnn.estimation.estimator import SensorModel
 from ahnn.estimation.linalg import tria
 from ahnn.measurements import Measurement, Time, periods, residual
 from ahnn.types import Flow, TimeStep
-from ahnn_plugins.ukf.parameters import UnscentedParameters, Weights
+from ahnn_plugins.ukf.parameters import SigmaWeights, UnscentedParameters
 from ahnn_plugins.ukf.sigma_points import draw, unscented_weights
 
 
-class Affine(NamedTuple):
+class AffineModel(NamedTuple):
     """f(x) = slope x + offset + noise.
 
     Attributes:
@@ -43,7 +43,7 @@ class Affine(NamedTuple):
 
 def regression_weights(
     parameters: UnscentedParameters, size: int, device: torch.device | None = None
-) -> Weights:
+) -> SigmaWeights:
     """Return the weights of the sigma points for states of D components.
 
     Raises:
@@ -59,7 +59,7 @@ def regression_weights(
     return weights
 
 
-def regression(belief: Belief, centre: Tensor, outer: Tensor, weights: Weights) -> Affine:
+def regression(belief: Belief, centre: Tensor, outer: Tensor, weights: SigmaWeights) -> AffineModel:
     """Return the regression of a function over a belief.
 
     Args:
@@ -73,11 +73,11 @@ def regression(belief: Belief, centre: Tensor, outer: Tensor, weights: Weights) 
     plus, minus = deviations.chunk(2, dim=1)
     slope = torch.linalg.solve_triangular(belief.chol, (plus - minus).mT, upper=False, left=False)
     offset = centre + shift[:, 0] - (slope @ belief.mean.unsqueeze(-1)).squeeze(-1)
-    return Affine(slope, offset, plus + minus)
+    return AffineModel(slope, offset, plus + minus)
 
 
 def linear_flow(
-    flow: Flow, dt: float, belief: Belief, weights: Weights, chol_q: Tensor
+    flow: Flow, dt: float, belief: Belief, weights: SigmaWeights, chol_q: Tensor
 ) -> tuple[Flow, Tensor]:
     """Return the regression of a step of the flow, and the factor of its noise and Q together (B, D, D)."""
     points = draw(belief, weights)
@@ -90,7 +90,7 @@ def linear_flow(
     return line, tria(torch.cat((affine.rest, chol_q.mT), dim=1))
 
 
-def linear_sensor(sensor: Sensor, t: float, belief: Belief, weights: Weights) -> Sensor:
+def linear_sensor(sensor: SensorModel, t: float, belief: Belief, weights: SigmaWeights) -> SensorModel:
     """Return a sensor whose model is the regression of another's at a time, its noise added to R."""
     images = sensor.measurement(draw(belief, weights), t)
     outer = residual(sensor.measurement, images[:, 1:], images[:, :1])
@@ -102,7 +102,7 @@ def linear_sensor(sensor: Sensor, t: float, belief: Belief, weights: Weights) ->
 class _Line:
     """A measurement model that is a line of the states of B members; its differences are the model's."""
 
-    def __init__(self, affine: Affine, model: Measurement) -> None:
+    def __init__(self, affine: AffineModel, model: Measurement) -> None:
         self.affine, self.model, self.names, self.units = affine, model, model.names, model.units
         self.periods = periods(model)
 

@@ -9,7 +9,7 @@ from ahnn.errors import UserError
 from ahnn.estimation.belief import Belief
 from ahnn.numbers import as_float64
 from ahnn_plugins.ukf import members
-from ahnn_plugins.ukf.parameters import UnscentedParameters, Weights
+from ahnn_plugins.ukf.parameters import SigmaWeights, UnscentedParameters
 
 CROWDED = 100.0
 """Amplification of rounding, D / (D + lambda), beyond which it is watched: alpha < 0.1 for kappa = 0."""
@@ -17,7 +17,7 @@ CROWDED = 100.0
 
 def unscented_weights(
     parameters: UnscentedParameters, size: int, device: torch.device | None = None, *, batch: int = 1
-) -> Weights:
+) -> SigmaWeights:
     """Return the weights for states of D components.
 
     lambda = alpha² (D + kappa) - D, W_m0 = lambda / (D + lambda), W_c0 = W_m0 + 1 - alpha² + beta and
@@ -40,7 +40,7 @@ def unscented_weights(
     outer_sum = size / total
     crowded = outer_sum > CROWDED
     radicand = 1.0 + outer_sum * (beta - alpha**2)
-    return Weights(
+    return SigmaWeights(
         radius=total.sqrt(),
         outer=0.5 / total,
         mean_centre=mean_centre,
@@ -77,7 +77,7 @@ def _check_total(total: Tensor, alpha: Tensor, kappa: Tensor, size: int) -> None
         raise UserError(message)
 
 
-def draw(belief: Belief, weights: Weights) -> Tensor:
+def draw(belief: Belief, weights: SigmaWeights) -> Tensor:
     """Return the sigma points (B, 2 D + 1, D): the mean, then mean + radius L_i, then mean - radius L_i."""
     if members.apply_to(weights, *belief):
         return members.draw(belief, weights)

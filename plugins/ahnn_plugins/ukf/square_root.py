@@ -16,10 +16,10 @@ from ahnn.estimation.conditioning import conditioned, present_noise
 from ahnn.estimation.linalg import downdate, tria
 from ahnn.estimation.results import Predicted, Updated
 from ahnn_plugins.ukf import members
-from ahnn_plugins.ukf.parameters import Form, Residual, Weights
+from ahnn_plugins.ukf.parameters import Form, Residual, SigmaWeights
 
 
-def predict(propagated: Tensor, weights: Weights, chol_q: Tensor) -> Predicted:
+def predict(propagated: Tensor, weights: SigmaWeights, chol_q: Tensor) -> Predicted:
     """Return the belief whose moments are those of the propagated sigma points, plus Q.
 
     Args:
@@ -39,7 +39,7 @@ def predict(propagated: Tensor, weights: Weights, chol_q: Tensor) -> Predicted:
 
 
 def update(
-    prior: Belief, images: Tensor, y: Tensor, residual: Residual, weights: Weights, chol_r: Tensor
+    prior: Belief, images: Tensor, y: Tensor, residual: Residual, weights: SigmaWeights, chol_r: Tensor
 ) -> Updated:
     """Return the posterior given the components of y that are not NaN.
 
@@ -71,7 +71,7 @@ def update(
     return conditioned(prior, joint, innovation, y, repaired)
 
 
-def read(prior: Belief, y: Tensor, weights: Weights, chol_r: Tensor) -> Updated | None:
+def read(prior: Belief, y: Tensor, weights: SigmaWeights, chol_r: Tensor) -> Updated | None:
     """Return the posterior given the first components of the state, of which points tell nothing new.
 
     Args:
@@ -91,7 +91,7 @@ def read(prior: Belief, y: Tensor, weights: Weights, chol_r: Tensor) -> Updated 
 
 
 def joint_factor(
-    outer: Tensor, shift: Tensor, chol: Tensor, weights: Weights, noise_rows: Tensor
+    outer: Tensor, shift: Tensor, chol: Tensor, weights: SigmaWeights, noise_rows: Tensor
 ) -> tuple[Tensor, Tensor | None]:
     """Return the lower factor (B, N + D, N + D) of the joint covariance of an image and the state.
 
@@ -117,7 +117,7 @@ def joint_factor(
     return _lowered(joint, torch.nn.functional.pad(shift[:, 0], (0, chol.shape[-1])), weights)
 
 
-def _lowered(chol: Tensor, shift: Tensor, weights: Weights) -> tuple[Tensor, Tensor | None]:
+def _lowered(chol: Tensor, shift: Tensor, weights: SigmaWeights) -> tuple[Tensor, Tensor | None]:
     """Subtract what negative weights leave; where that is impossible leave it out and report a repair.
 
     Where it would leave a variance that is not positive, the factor is zero and no repair is reported, as in

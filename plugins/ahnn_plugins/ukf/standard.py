@@ -15,10 +15,10 @@ from torch import Tensor
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.linalg import cholesky_repaired
 from ahnn.estimation.results import Predicted, Updated
-from ahnn_plugins.ukf.parameters import Form, Residual, Weights
+from ahnn_plugins.ukf.parameters import Form, Residual, SigmaWeights
 
 
-def predict(propagated: Tensor, weights: Weights, chol_q: Tensor) -> Predicted:
+def predict(propagated: Tensor, weights: SigmaWeights, chol_q: Tensor) -> Predicted:
     """Return the belief whose moments are those of the propagated sigma points, plus Q.
 
     Args:
@@ -34,7 +34,7 @@ def predict(propagated: Tensor, weights: Weights, chol_q: Tensor) -> Predicted:
 
 
 def update(
-    prior: Belief, images: Tensor, y: Tensor, residual: Residual, weights: Weights, chol_r: Tensor
+    prior: Belief, images: Tensor, y: Tensor, residual: Residual, weights: SigmaWeights, chol_r: Tensor
 ) -> Updated:
     """Return the posterior given the components of y that are not NaN; arguments as in the other form."""
     present = ~torch.isnan(y)
@@ -68,7 +68,7 @@ def update(
     return Updated(Belief(mean, chol), innovation, deviation, nis, log_likelihood, singular, repairs)
 
 
-def _centred(outer: Tensor, centre: Tensor, weights: Weights) -> tuple[Tensor, Tensor]:
+def _centred(outer: Tensor, centre: Tensor, weights: SigmaWeights) -> tuple[Tensor, Tensor]:
     """Return the weighted mean (B, N), and the deviations (B, S, N) of all points from it.
 
     The mean is centre + W sum e_i, which equals the weighted sum because the weights add up to one, and does
@@ -78,7 +78,7 @@ def _centred(outer: Tensor, centre: Tensor, weights: Weights) -> tuple[Tensor, T
     return centre + shift[:, 0], torch.cat((-shift, outer - shift), dim=1)
 
 
-def _second_moment(left: Tensor, right: Tensor, weights: Weights) -> Tensor:
+def _second_moment(left: Tensor, right: Tensor, weights: SigmaWeights) -> Tensor:
     """Return sum_i Wc_i left_i right_iᵀ, shape (B, N, K)."""
     outer = weights.outer * (left[:, 1:].mT @ right[:, 1:])
     return outer + weights.covariance_centre * (left[:, :1].mT @ right[:, :1])

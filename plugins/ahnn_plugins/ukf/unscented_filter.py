@@ -16,14 +16,14 @@ from ahnn.estimation.covariances import Covariance
 from ahnn.estimation.estimator import Batch, Kernel, Smoothed
 from ahnn.estimation.gate import Gate
 from ahnn.estimation.gaussian import GaussianFilter
-from ahnn.estimation.loop import Stepper
+from ahnn.estimation.loop import FilterLoop
 from ahnn.estimation.results import FilterResult, ProcessNoise
 from ahnn.estimation.state import FilterState
 from ahnn.measurements.base import Measurement
 from ahnn.numbers import Numbers
 from ahnn.types import Flow
 from ahnn_plugins.ukf.iterated import iterated_smoother
-from ahnn_plugins.ukf.parameters import Form, UnscentedParameters, Weights
+from ahnn_plugins.ukf.parameters import Form, SigmaWeights, UnscentedParameters
 from ahnn_plugins.ukf.sigma_points import unscented_weights
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
 from ahnn_plugins.ukf.unscented_kernel import SigmaPoints
@@ -91,13 +91,13 @@ class UnscentedKalmanFilter(GaussianFilter):
             return SigmaPoints(unscented_weights(self.parameters, size, device, batch=batch), self.form)
         return SigmaPoints(_weights_of_numbers(self.parameters, size, device), self.form)
 
-    def stepper(self, kernel: Kernel, rows: Tensor, *, smoothing: bool) -> Stepper:
+    def stepper(self, kernel: Kernel, rows: Tensor, *, smoothing: bool) -> FilterLoop:
         """Return the steps of a run, whole ones where the library does them."""
         return WholeSteps(rows, cast(SigmaPoints, kernel), smoothing=smoothing)
 
 
 @cache
-def _weights_of_numbers(parameters: UnscentedParameters, size: int, device: torch.device) -> Weights:
+def _weights_of_numbers(parameters: UnscentedParameters, size: int, device: torch.device) -> SigmaWeights:
     # Kept tensors must serve gradients, in whatever mode they are asked for first.
     with torch.inference_mode(mode=False), torch.no_grad():
         return unscented_weights(parameters, size, device)

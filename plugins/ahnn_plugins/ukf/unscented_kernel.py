@@ -8,13 +8,13 @@ from typing import NamedTuple
 from torch import Tensor
 
 from ahnn.estimation.belief import Belief
-from ahnn.estimation.estimator import Sensor
+from ahnn.estimation.estimator import SensorModel
 from ahnn.estimation.kernel import measured, propagate
 from ahnn.estimation.results import Predicted, Updated
 from ahnn.estimation.rounding import Rounding
 from ahnn.measurements import Position, State, nearest, residual
 from ahnn.types import Flow
-from ahnn_plugins.ukf.parameters import Form, Weights
+from ahnn_plugins.ukf.parameters import Form, SigmaWeights
 from ahnn_plugins.ukf.sigma_points import draw
 from ahnn_plugins.ukf.unscented_smoother import backward_kernel
 
@@ -34,7 +34,7 @@ class SigmaPoints(NamedTuple):
         points: (B, S, D) after the flow, of the next prediction, where they are known already.
     """
 
-    weights: Weights
+    weights: SigmaWeights
     form: Form
     points: Tensor | None = None
 
@@ -59,7 +59,7 @@ class SigmaPoints(NamedTuple):
             mended = mended & ~predicted.repaired
         return predicted._replace(backward=backward, mended=mended)
 
-    def update(self, prior: Belief, y: Tensor, sensor: Sensor, time: float) -> Updated:
+    def update(self, prior: Belief, y: Tensor, sensor: SensorModel, time: float) -> Updated:
         """Return the belief given a row; one that reads the state needs no points."""
         model, size = sensor.measurement, y.shape[-1]
         if self.form.read is not None and type(model) in READINGS and size <= prior.mean.shape[-1]:

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from ahnn.estimation.results import Backward
 from ahnn.estimation.smoother import backward_law, smoother
-from ahnn_plugins.ukf.parameters import Weights
+from ahnn_plugins.ukf.parameters import SigmaWeights
 from ahnn_plugins.ukf.square_root import joint_factor
 
 unscented_smoother = smoother
@@ -14,7 +14,7 @@ unscented_smoother = smoother
 
 
 def backward_kernel(
-    propagated: Tensor, chol: Tensor, weights: Weights, chol_q: Tensor
+    propagated: Tensor, chol: Tensor, weights: SigmaWeights, chol_q: Tensor
 ) -> tuple[Backward, Tensor | None]:
     """Return the law of the state before a step given the state after it, see `backward_law`.
 

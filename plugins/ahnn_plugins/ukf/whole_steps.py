@@ -14,11 +14,11 @@ from torch import Tensor
 
 from ahnn.dynamics.flow_at_time import at
 from ahnn.estimation.belief import Belief
-from ahnn.estimation.estimator import Sensor
+from ahnn.estimation.estimator import SensorModel
 from ahnn.estimation.kernel import propagate, taken
 from ahnn.estimation.loop import StepModel, stepper
 from ahnn.estimation.state import FilterState
-from ahnn.estimation.step_records import Step
+from ahnn.estimation.step_records import StepRecord
 from ahnn.measurements import periods
 from ahnn_plugins.ukf import members
 from ahnn_plugins.ukf.sigma_points import draw
@@ -48,7 +48,7 @@ class WholeSteps:
 
     def __call__(
         self, k: int, state: FilterState, row: Tensor | None, model: StepModel, length: float, time: Tensor
-    ) -> tuple[FilterState, Step]:
+    ) -> tuple[FilterState, StepRecord]:
         """Return the state after step k, whole or not, and its record."""
         points = propagate(at(model.flow, state.time), self.points(state), length)
         done = self.step(k, state, points, time, model.chol_q, model.sensor)
@@ -64,8 +64,8 @@ class WholeSteps:
         return draw(state.belief, self.weights)
 
     def step(
-        self, k: int, state: FilterState, points: Tensor, time: Tensor, chol_q: Tensor, sensor: Sensor
-    ) -> tuple[FilterState, Step] | None:
+        self, k: int, state: FilterState, points: Tensor, time: Tensor, chol_q: Tensor, sensor: SensorModel
+    ) -> tuple[FilterState, StepRecord] | None:
         """Return the state after step k from the points (B, S, D) after the flow, and its record.
 
         Returns:
@@ -87,9 +87,9 @@ class WholeSteps:
         self.further = after.belief, further
         rejected = torch.zeros_like(updated.singular)
         told = (updated, rejected) if whole else (None, None)
-        return after, Step(predicted, after.belief, *told, None)
+        return after, StepRecord(predicted, after.belief, *told, None)
 
-    def _knows(self, state: FilterState, points: Tensor, chol_q: Tensor, sensor: Sensor) -> bool:
+    def _knows(self, state: FilterState, points: Tensor, chol_q: Tensor, sensor: SensorModel) -> bool:
         """Return whether the library does a step of these, and all members are alive."""
         status, q, told = self.seen
         if not (status is state.status and q is chol_q and told is sensor):

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from optuna.distributions import BaseDistribution
 
 
-class Space(NamedTuple):
+class SearchSpace(NamedTuple):
     """What is searched and what is fixed.
 
     Attributes:
@@ -49,7 +49,7 @@ class Space(NamedTuple):
         return repr(value)
 
 
-def parse(parser: OverridesParser, params: Mapping[str, Any], arguments: Sequence[str]) -> Space:
+def parse(parser: OverridesParser, params: Mapping[str, Any], arguments: Sequence[str]) -> SearchSpace:
     """Sort overrides into searched and fixed ones; the command line wins over the configuration.
 
     Args:
@@ -62,7 +62,7 @@ def parse(parser: OverridesParser, params: Mapping[str, Any], arguments: Sequenc
     """
     lines = [f"{key}={value}" for key, value in params.items()] + list(arguments)
     latest = {override.get_key_element(): override for override in parser.parse_overrides(lines)}
-    space = Space({}, {}, [])
+    space = SearchSpace({}, {}, [])
     for key, override in latest.items():
         if not override.is_sweep_override():
             space.fixed.append(override.input_line or f"{key}={override.get_value_element_as_str()}")

@@ -26,7 +26,7 @@ from ahnn.files import write_atomically
 if TYPE_CHECKING:
     import optuna
 
-    from hydra_plugins.ahnn_sweeper._space import Space
+    from hydra_plugins.ahnn_sweeper._space import SearchSpace
 
 logger = logging.getLogger(__name__)
 _IN_PROCESS = ("BasicLauncher", "JoblibLauncher", "LocalLauncher")
@@ -118,7 +118,7 @@ class AhnnOptunaSweeper(Sweeper):
             study, sweep_dir, self.hydra_context.config_loader, set(self.config.hydra.runtime.choices)
         )
 
-    def _space(self, arguments: Sequence[str]) -> "Space":
+    def _space(self, arguments: Sequence[str]) -> "SearchSpace":
         """Return the search space after a job was composed from one draw of it: a wrong key stops here."""
         import optuna
 
@@ -175,7 +175,7 @@ class AhnnOptunaSweeper(Sweeper):
             )
             raise UserError(message)
 
-    def _run(self, study: "optuna.Study", url: str, space: "Space") -> None:
+    def _run(self, study: "optuna.Study", url: str, space: "SearchSpace") -> None:
         """Launch trials until none is owed and none of another worker is running."""
         import time
 
@@ -198,7 +198,9 @@ class AhnnOptunaSweeper(Sweeper):
                     time.sleep(1.0)
                 progress.update()
 
-    def _launch(self, study: "optuna.Study", url: str, space: "Space", batch: "list[optuna.Trial]") -> None:
+    def _launch(
+        self, study: "optuna.Study", url: str, space: "SearchSpace", batch: "list[optuna.Trial]"
+    ) -> None:
         """Launch one batch; whatever becomes of it, each of its trials is finished or put back afterwards."""
         from hydra_plugins.ahnn_sweeper import _ledger
         from hydra_plugins.ahnn_sweeper._owner import Lease

@@ -19,7 +19,7 @@ import yaml
 import ahnn
 from ahnn.data.doctor import examine
 from ahnn.data.files import Files, read_oem
-from ahnn.data.files.reading import Reading
+from ahnn.data.files.reading import FileReading
 from ahnn.data.files.table import is_number
 from ahnn.systems.gravity.gfc import read_gfc
 from ahnn.types import Space, Units
@@ -276,7 +276,7 @@ def tabled(place: Path, name: str, row: int, value: float) -> None:
     rows = [[k * 0.1, math.cos(k * 0.1), -math.sin(k * 0.1)] for k in range(12)]
     rows[row][("t", "q", "v").index(name)] = value
     path = fixes(place / "mine.csv", rows, "t [s],q [m],v [m/s]")
-    examine([path], Reading(), None, 10.0)
+    examine([path], FileReading(), None, 10.0)
     files = Files("mine", str(path))
     files.check()
     found = [

@@ -14,7 +14,7 @@ import numpy as np
 
 from ahnn.data.doctor import examine
 from ahnn.data.files import Files
-from ahnn.data.files.reading import Reading
+from ahnn.data.files.reading import FileReading
 from ahnn.errors import UserError
 
 SI = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "ms": 1e-3, "m": 1.0, "km": 1e3, "cm": 1e-2, "1": 1.0,
@@ -85,7 +85,7 @@ def trained(path: Path, **options: object) -> Seen:
 
 def checked(path: Path, **options: object) -> Seen:
     """Return what the check reads and says; raises UserError for a fault."""
-    found = examine([path], Reading(**options))  # pyright: ignore[reportArgumentType]
+    found = examine([path], FileReading(**options))  # pyright: ignore[reportArgumentType]
     if found.faults or not found.contents:
         message = f"expected sound data; received {[one.what for one in found.faults][:3]}"
         raise UserError(message)

@@ -19,7 +19,7 @@ import ahnn
 from ahnn.data import Given
 from ahnn.data.doctor import examine
 from ahnn.data.files import Files
-from ahnn.data.files.reading import Reading
+from ahnn.data.files.reading import FileReading
 from ahnn.data.noise_floor import noise_floor
 from ahnn.dynamics import make_dynamics
 from ahnn.estimation import Gate, initial_belief
@@ -210,7 +210,7 @@ def tabled(place: Path, scale: Scale, seed: int) -> None:
         (place / name).mkdir()
         path = fixes(place / name / "mine.csv", rows, "id,t,q,v")
         files = Files("mine", str(path), mass=factor)
-        findings = examine([path], Reading(), None, 10.0).findings
+        findings = examine([path], FileReading(), None, 10.0).findings
         found.append((files.read(), [(one.level, one.row, one.column) for one in findings]))
     (one, said), _, (two, then) = found
     assert said == then, f"the check finds {then[:3]} for {said[:3]}"

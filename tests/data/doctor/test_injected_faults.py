@@ -9,7 +9,7 @@ import pytest
 
 from ahnn.data.doctor import examine
 from ahnn.data.files import Ephemeris, instant, write_oem
-from ahnn.data.files.reading import Reading
+from ahnn.data.files.reading import FileReading
 
 HEADER = ["id", "t [s]", "x [m]", "y [m]", "vx [m/s]", "vy [m/s]"]
 NAMES = [name.split()[0] for name in HEADER]
@@ -66,7 +66,7 @@ def test_each_of_ten_injected_faults_is_found_where_it_is(kind, tmp_path):
         row, column = inject(kind, rows, draw)
         path = tmp_path / f"{case}.csv"
         path.write_text(text(rows))
-        found = examine([path], Reading()).findings
+        found = examine([path], FileReading()).findings
         assert (str(path), row, column) in {(one.file, one.row, one.column) for one in found}, found
         warned = kind in ("nan", "empty", "gap") or (kind == "constant" and column in NAMES[4:])
         levels = {one.level for one in found if (one.row, one.column) == (row, column)}
@@ -88,19 +88,19 @@ def test_each_of_ten_injected_faults_is_found_where_it_is(kind, tmp_path):
 )
 def test_what_is_no_data_at_all_is_a_fault(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
-    assert examine([tmp_path / name], Reading()).faults
+    assert examine([tmp_path / name], FileReading()).faults
 
 
 def test_single_samples_are_a_fault_and_a_single_trajectory_is_warned_of(tmp_path):
     for samples, trajectories, expected in ((1, 3, ["fault"]), (2, 1, ["warning"]), (2, 2, [])):
         rows = "".join(f"{b},{k},{b + k}\n" for b in range(trajectories) for k in range(samples))
         (tmp_path / "a.csv").write_text(f"id,t,x\n{rows}")
-        assert [one.level for one in examine([tmp_path / "a.csv"], Reading()).findings] == expected
+        assert [one.level for one in examine([tmp_path / "a.csv"], FileReading()).findings] == expected
 
 
 def test_sound_files_have_no_findings(tmp_path):
     (tmp_path / "a.csv").write_text(text(swings()))
-    assert examine([tmp_path / "a.csv"], Reading()).findings == []
+    assert examine([tmp_path / "a.csv"], FileReading()).findings == []
 
 
 def test_all_faults_of_several_files_are_found_in_one_pass(tmp_path):
@@ -123,7 +123,7 @@ def test_all_faults_of_several_files_are_found_in_one_pass(tmp_path):
         path.write_text(text(rows))
         paths.append(path)
     (tmp_path / "broken.csv").write_text("t [s],x [miles]\n0,1\n")
-    found = examine([*paths, tmp_path / "broken.csv"], Reading()).findings
+    found = examine([*paths, tmp_path / "broken.csv"], FileReading()).findings
     places = {(one.file, one.row, one.column) for one in found}
     assert expected | {(str(tmp_path / "broken.csv"), 1, "x")} <= places
     assert {place for place in places if place[2] != "t"} == expected | {
@@ -136,7 +136,7 @@ def test_a_single_trajectory_in_other_units_is_named_by_its_first_row(tmp_path):
     for row in rows[SAMPLES:]:
         row[3] = repr(1000 * float(row[3]))
     (tmp_path / "a.csv").write_text(text(rows))
-    (found,) = examine([tmp_path / "a.csv"], Reading()).findings
+    (found,) = examine([tmp_path / "a.csv"], FileReading()).findings
     assert (found.level, found.row, found.column) == ("fault", SAMPLES + 2, "vy")
     assert "0.001 times the change of y per s" in found.what
 
@@ -152,7 +152,7 @@ def test_all_faults_of_a_message_are_found_in_one_pass(tmp_path):
     cells = lines[states[2]].split()
     lines[states[2]] = " ".join((*cells[:5], "fast", *cells[6:]))
     path.write_text("\n".join(lines) + "\n")
-    found = [(one.row, one.column) for one in examine([path], Reading()).faults]
+    found = [(one.row, one.column) for one in examine([path], FileReading()).faults]
     assert found == [(states[0] + 1, ""), (states[1] + 1, "EPOCH"), (states[2] + 1, "Y_DOT")]
 
 
@@ -163,7 +163,7 @@ def test_samples_in_two_trajectories_leak(tmp_path, shift, count):
     (tmp_path / "b.csv").write_text(text(copied))
     found = [
         one
-        for one in examine([tmp_path / "a.csv", tmp_path / "b.csv"], Reading()).findings
+        for one in examine([tmp_path / "a.csv", tmp_path / "b.csv"], FileReading()).findings
         if "samples" in one.what
     ]
     assert [(one.level, one.file, one.row) for one in found] == [("fault", str(tmp_path / "b.csv"), 2)]
@@ -176,7 +176,7 @@ def test_rest_and_single_equal_samples_are_no_leak(tmp_path):
         rows[SAMPLES + k][2:] = rows[k][2:]
     rest = [[name, f"{0.05 * k:.2f}", "0", "0", "0", "0"] for name in "cd" for k in range(20)]
     (tmp_path / "a.csv").write_text(text(rows + rest))
-    assert not [one for one in examine([tmp_path / "a.csv"], Reading()).findings if "samples" in one.what]
+    assert not [one for one in examine([tmp_path / "a.csv"], FileReading()).findings if "samples" in one.what]
 
 
 def test_noise_is_estimated(tmp_path):
@@ -184,7 +184,7 @@ def test_noise_is_estimated(tmp_path):
     for row in rows:
         row[2] = repr(float(row[2]) + 0.01 * draw.standard_normal())
     (tmp_path / "a.csv").write_text(text(rows))
-    (found,) = examine([tmp_path / "a.csv"], Reading()).findings
+    (found,) = examine([tmp_path / "a.csv"], FileReading()).findings
     assert (found.level, found.column) == ("note", "x")
     assert float(found.what.split()[3]) == pytest.approx(0.01, rel=0.4)
     assert found.what.endswith(" m")

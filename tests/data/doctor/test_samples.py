@@ -10,7 +10,7 @@ from ahnn.data.doctor import examine
 from ahnn.data.doctor.examine import diagnosis
 from ahnn.data.doctor.samples import gaps, missing, noise, sample_findings, too_wide
 from ahnn.data.files.content import Content
-from ahnn.data.files.reading import Reading
+from ahnn.data.files.reading import FileReading
 from ahnn.data.files.samples import Track
 from ahnn.data.files.unwrapped_angles import turns_of
 from ahnn.data.noise_floor import noise_floor
@@ -132,6 +132,6 @@ def test_files_of_other_columns_are_named_beside_the_first(tmp_path):
     for name, unit in (("a", "m"), ("b", "km"), ("c", "m")):
         rows = "".join(f"{s},{ord(name) + np.cos(s)}\n" for s in t)
         (tmp_path / f"{name}.csv").write_text(f"t [s],x [{unit}]\n{rows}")
-    found = examine([tmp_path / f"{name}.csv" for name in "abc"], Reading()).findings
+    found = examine([tmp_path / f"{name}.csv" for name in "abc"], FileReading()).findings
     assert [(one.level, one.file, one.row) for one in found] == [("fault", str(tmp_path / "b.csv"), 1)]
     assert found[0].what == f"expected the units of {tmp_path / 'a.csv'}; received others"

@@ -7,7 +7,7 @@ import pytest
 from entry import call
 
 from ahnn.data.doctor import examine
-from ahnn.data.files.reading import Reading
+from ahnn.data.files.reading import FileReading
 
 MU = 398600.4418
 
@@ -32,7 +32,7 @@ def checked(folder, t, states):
         for time, state in zip(t.tolist(), states.tolist(), strict=True)
     )
     (folder / "a.csv").write_text(f"t [s],x [km],y [km],z [km],vx [km/s],vy [km/s],vz [km/s]\n{rows}")
-    return [one for one in examine([folder / "a.csv"], Reading()).findings if one.column]
+    return [one for one in examine([folder / "a.csv"], FileReading()).findings if one.column]
 
 
 @pytest.mark.parametrize("per_period", [1.53, 2.2, 2.7, 3.1, 4.0, 10.0, 40.0])
@@ -95,7 +95,9 @@ def test_a_small_component_of_a_velocity_is_judged_by_the_whole(tmp_path):
 def test_a_position_that_never_changes_is_a_fault_before_a_training(tmp_path):
     rows = "".join(f"{b},{0.1 * k},{float(np.cos(k + b))!r},5.0\n" for b in range(3) for k in range(30))
     (tmp_path / "a.csv").write_text(f"id,t,x,y\n{rows}")
-    found = [(one.level, one.column, one.what) for one in examine([tmp_path / "a.csv"], Reading()).findings]
+    found = [
+        (one.level, one.column, one.what) for one in examine([tmp_path / "a.csv"], FileReading()).findings
+    ]
     assert ("fault", "y", "always 5") in found
 
 
@@ -119,5 +121,5 @@ def test_a_time_beyond_all_others_is_a_fault_and_no_traceback(tmp_path, time):
     path = tmp_path / "a.csv"
     times = [*map(str, range(20)), time]
     path.write_text("t [s],x [m],vx [m/s]\n" + "".join(f"{t},{k % 3},{k % 5}\n" for k, t in enumerate(times)))
-    faults = examine([path], Reading(True), 1.0).faults
+    faults = examine([path], FileReading(True), 1.0).faults
     assert any("absent samples" in fault.what or "a finite number up to" in fault.what for fault in faults)

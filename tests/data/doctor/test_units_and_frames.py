@@ -13,7 +13,7 @@ from ahnn.data import Files
 from ahnn.data.doctor import examine, orbits
 from ahnn.data.doctor.slopes import slopes, weights
 from ahnn.data.files.frames import TURN
-from ahnn.data.files.reading import Reading
+from ahnn.data.files.reading import FileReading
 from ahnn.errors import UserError
 
 ROOT = Path(__file__).parents[3]
@@ -88,7 +88,7 @@ def angles(tmp_path, values, name="a.csv"):
     path = tmp_path / name
     rows = [f"{0.1 * k:.1f},{value!r}" for k, value in enumerate(values.tolist())]
     path.write_text("\n".join(["t [s],q [rad]", *rows]) + "\n")
-    return [(one.level, one.row, one.column, one.what) for one in of_columns([path], Reading())]
+    return [(one.level, one.row, one.column, one.what) for one in of_columns([path], FileReading())]
 
 
 def of_columns(*given, **options):
@@ -112,10 +112,10 @@ def test_canonical_momenta_that_are_no_mass_times_velocity_are_only_warned_of(tm
     rows = zip(t.tolist(), np.cos(t).tolist(), (-3 * np.sin(t)).tolist(), strict=True)
     (tmp_path / "a.csv").write_text("t,q,p\n" + "\n".join(",".join(map(repr, row)) for row in rows) + "\n")
     path = [tmp_path / "a.csv"]
-    assert of_columns(path, Reading(weighed=True), mass=3.0) == []
-    (found,) = of_columns(path, Reading(weighed=True), mass=1.0)
+    assert of_columns(path, FileReading(weighed=True), mass=3.0) == []
+    (found,) = of_columns(path, FileReading(weighed=True), mass=1.0)
     assert (found.level, found.what) == ("warning", "p over the mass is 3 times the change of q per 1")
-    (found,) = of_columns(path, Reading())
+    (found,) = of_columns(path, FileReading())
     assert (found.level, found.what) == ("fault", "momenta of a mass that nobody states")
 
 

@@ -9,7 +9,7 @@ from entry import call
 from ahnn.data.doctor import examine
 from ahnn.data.doctor.samples import constant, noise
 from ahnn.data.doctor.velocities import (
-    Compared,
+    VelocityComparison,
     compared,
     misfit,
     velocity_findings,
@@ -17,7 +17,7 @@ from ahnn.data.doctor.velocities import (
 )
 from ahnn.data.files import Ephemeris, instant, write_oem
 from ahnn.data.files.content import Content
-from ahnn.data.files.reading import Reading
+from ahnn.data.files.reading import FileReading
 from ahnn.data.files.samples import Track
 from ahnn.types import Units
 
@@ -123,7 +123,9 @@ def test_a_column_of_a_message_has_no_row(tmp_path):
     start = instant("2024-03-01T12:00:00", utc=True)
     given = Ephemeris("1", "S", "EARTH", "EME2000", "UTC", start, t, np.hstack((q, v)))
     write_oem(tmp_path / "a.oem", [given])
-    faults = [one for one in examine([tmp_path / "a.oem"], Reading()).faults if one.column.startswith("v")]
+    faults = [
+        one for one in examine([tmp_path / "a.oem"], FileReading()).faults if one.column.startswith("v")
+    ]
     assert [(one.row, one.column) for one in faults] == [(0, "vx"), (0, "vy"), (0, "vz")]
 
 
@@ -172,13 +174,13 @@ def test_columns_that_never_change_take_three_samples_to_be_seen():
 def ratio(stated, derived, doubt):
     """What is said of 60 samples, which repeat the given ones."""
     stated, derived = (np.resize(np.asarray(part, dtype=float), 60)[:, None] for part in (stated, derived))
-    return misfit(Compared(stated, derived, np.full((60, 1), doubt)), 0)
+    return misfit(VelocityComparison(stated, derived, np.full((60, 1), doubt)), 0)
 
 
 def test_two_samples_tell_a_ratio_and_one_tells_none():
     three, one, little = np.full((2, 1), 3.0), np.ones((2, 1)), np.full((2, 1), 1e-9)
-    assert misfit(Compared(three, one, little), 0) == pytest.approx(3.0)
-    assert misfit(Compared(three[:1], one[:1], little[:1]), 0) is None
+    assert misfit(VelocityComparison(three, one, little), 0) == pytest.approx(3.0)
+    assert misfit(VelocityComparison(three[:1], one[:1], little[:1]), 0) is None
 
 
 @pytest.mark.parametrize(("share", "right"), [(0.079, True), (0.081, False)])

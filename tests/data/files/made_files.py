@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ahnn.data.files.reading import Reading, bytes_of, parsed
+from ahnn.data.files.reading import FileReading, bytes_of, parsed
 from ahnn.errors import UserError
 
 ORBIT = ["x [km]", "y [km]", "z [km]", "vx [km/s]", "vy [km/s]", "vz [km/s]"]
@@ -26,10 +26,10 @@ def csv_of(header, rows):
 def said(path, frame=None):
     """The content of a file, and all that is remarked on or noted."""
     notes = []
-    return parsed(path, *bytes_of(path), Reading(frame=frame), notes.append), notes
+    return parsed(path, *bytes_of(path), FileReading(frame=frame), notes.append), notes
 
 
 def refused(path):
     with pytest.raises(UserError) as caught:
-        parsed(path, *bytes_of(path), Reading())
+        parsed(path, *bytes_of(path), FileReading())
     return str(caught.value)

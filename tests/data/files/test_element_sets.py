@@ -7,7 +7,7 @@ import pytest
 from ahnn.data.doctor import examine
 from ahnn.data.files import elements
 from ahnn.data.files.kinds import kind_of
-from ahnn.data.files.reading import Reading
+from ahnn.data.files.reading import FileReading
 from ahnn.data.files.table import Place
 from ahnn.errors import UserError
 
@@ -80,7 +80,7 @@ def test_sets_of_other_epochs_begin_later():
     text = "\n".join((later, OTHER[1], FIRST, SECOND))
     found = elements.content(text, "a.tle", 60.0, 600.0, weighed=False)
     assert [track.times[0] for track in found.tracks] == [129600.0, 0.0]
-    assert found.epoch == elements.epoch(elements.Elements(Place("a.tle", 1), (FIRST, SECOND)))
+    assert found.epoch == elements.epoch(elements.ElementSets(Place("a.tle", 1), (FIRST, SECOND)))
 
 
 def test_what_decides_that_a_text_holds_element_sets():
@@ -129,7 +129,7 @@ def test_sgp4s_own_velocities_are_no_fault(tmp_path, inclination, eccentricity):
     motion = " 1.00270000" if eccentricity == "0003000" else " 0.50000000"
     second = f"{SECOND[:8]}{inclination}{SECOND[16:26]}{eccentricity}{SECOND[33:52]}{motion}{SECOND[63:68]}"
     (tmp_path / "a.txt").write_text(f"{FIRST}\n{signed(second)}\n")
-    found = examine([tmp_path / "a.txt"], Reading(step=300.0, duration=259200.0))
+    found = examine([tmp_path / "a.txt"], FileReading(step=300.0, duration=259200.0))
     assert [one for one in found.findings if one.level == "fault"] == []
 
 
@@ -138,5 +138,5 @@ def test_an_epoch_that_is_none_is_a_fault_of_the_check_too(tmp_path, text):
     pytest.importorskip("sgp4")
     path = tmp_path / "a.tle"
     path.write_text(f"{signed(f'{FIRST[:18]}{text}{FIRST[32:68]}')}\n{SECOND}\n")
-    found = examine([path], Reading(False, None, 60.0, 600.0))
+    found = examine([path], FileReading(False, None, 60.0, 600.0))
     assert any("a day of the year" in fault.what for fault in found.faults)

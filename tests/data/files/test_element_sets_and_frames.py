@@ -14,7 +14,7 @@ from made_files import ORBIT, csv_of, orbit
 from ahnn.data import Files
 from ahnn.data.doctor import examine
 from ahnn.data.files import Ephemeris, frames, instant, write_oem
-from ahnn.data.files.reading import Reading
+from ahnn.data.files.reading import FileReading
 from ahnn.errors import UserError
 from ahnn.evaluation import load_results
 from ahnn.loading import load
@@ -71,7 +71,7 @@ def test_faults_of_element_sets_leave_the_others(tmp_path):
     other = VANGUARD.replace("4753", "4759", 1)
     path = tmp_path / "a.txt"
     path.write_text(f"{VANGUARD}{other}2 00005 alone\n{VANGUARD}")
-    found = examine([path], Reading(step=60.0, duration=600.0))
+    found = examine([path], FileReading(step=60.0, duration=600.0))
     assert [(one.row, one.column) for one in found.faults[:3]] == [(5, "checksum"), (7, ""), (7, "")]
     assert [track.rows[0] for track in found.contents[0].tracks] == [2, 9]
     assert found.faults[-1].row == 9  # the same set twice: its samples leak

@@ -78,10 +78,10 @@ def test_the_epoch_of_an_element_set_has_two_digits_of_its_year():
         ("17001.5       ", "2017-01-01T12:00:00"),
     ):
         first = f"1 00005U 58002B   {text}  .00000023"
-        found = elements.epoch(elements.Elements(Place("a.tle", 1), (first, "")))
+        found = elements.epoch(elements.ElementSets(Place("a.tle", 1), (first, "")))
         assert found == instant(expected, utc=True)
 
 
 def test_an_epoch_of_no_numbers_is_a_fault_of_its_column():
     with pytest.raises(Fault, match=r"a.tle, row 3, column epoch: expected year and day"):
-        elements.epoch(elements.Elements(Place("a.tle", 3), ("1 00005U 58002B   00x79.78495062", "")))
+        elements.epoch(elements.ElementSets(Place("a.tle", 3), ("1 00005U 58002B   00x79.78495062", "")))

@@ -12,7 +12,7 @@ import ahnn
 from ahnn.data import Given
 from ahnn.data.doctor import examine
 from ahnn.data.files import Files
-from ahnn.data.files.reading import Reading
+from ahnn.data.files.reading import FileReading
 from ahnn.types import Space, Units
 
 TIMES = 0.1 * np.arange(120)
@@ -47,7 +47,7 @@ def test_a_table_of_wrapped_angles_is_read_as_one_that_goes_on(tmp_path, sign, u
     for row, phase in zip(found, (0.0, 2.0), strict=True):
         whole = sign * turning(phase)[0]
         assert np.abs(row - row[0] - (whole - whole[0])).max() < 1e-12
-    findings = examine([path], Reading(), None).findings
+    findings = examine([path], FileReading(), None).findings
     assert {one.level for one in findings} == {"note"}
     assert any("jumps by a turn, 10 times" in one.what for one in findings)
 

@@ -1,4 +1,4 @@
-"""An estimator: the extended Kalman filter, with the three functions of `ahnn.estimation.Recursive`."""
+"""An extended Kalman filter: the three functions of `ahnn.estimation.RecursiveEstimator`."""
 
 import math
 from collections.abc import Callable

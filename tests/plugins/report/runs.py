@@ -10,7 +10,7 @@ from ahnn.evaluation import Results, Row, Who
 from ahnn.evaluation.results import encoded
 from ahnn.metrics import Scores
 from ahnn.types import Space, Units
-from ahnn_plugins.report.paper import MODELS, Place, printed
+from ahnn_plugins.report.paper import MODELS, PaperCell, printed
 
 SPRING = Space("mass_spring", ("q", "p"), Units("s", "m", "m/s", "J"))
 ORBIT = Space("molniya", ("x", "y", "z", "px", "py", "pz"), Units("s", "km", "km/s", "km²/s²"))
@@ -48,9 +48,9 @@ def paper_rows(system: str, model: str, factor: float, *, filtered: bool = True)
             values = [
                 number.value * factor
                 for quantity in ("position", "velocity")
-                if (number := printed()[Place(system, model, with_filter, start, quantity)])
+                if (number := printed()[PaperCell(system, model, with_filter, start, quantity)])
             ]
-            energy = printed().get(Place(system, model, with_filter, start, "energy"))
+            energy = printed().get(PaperCell(system, model, with_filter, start, "energy"))
             estimator = "ukf" if with_filter else None
             found = scores(*values, energy.value * factor if energy else math.pi)
             rows.append(Row(Who("model", start, estimator), found))

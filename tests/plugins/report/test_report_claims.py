@@ -7,7 +7,7 @@ import math
 import pytest
 
 from ahnn_plugins.report.claims import CLAIMS
-from ahnn_plugins.report.paper import COLUMNS, MODELS, Place, filtered, printed, read_numbers
+from ahnn_plugins.report.paper import COLUMNS, MODELS, PaperCell, filtered, printed, read_numbers
 from ahnn_plugins.report.score_samples import Sample
 from ahnn_plugins.report.scores import Measure
 from ahnn_plugins.report.verdicts import Claim, Demand, judged
@@ -19,11 +19,13 @@ ROW = "table1_mass_spring,MLP,true_initial,rmse_position,0.009173,m\n"
 def test_the_paper_prints_ninety_numbers_and_each_doubt_is_about_one_of_them():
     numbers = printed()
     assert len(numbers) == 2 * 40 + 2 * 5
-    assert numbers[Place("mass_spring", "AHNN5", True, "perturbed", "velocity")].value == 3.7685e-4
-    assert numbers[Place("molniya", "NODE", False, "perturbed", "position")].value == 14374e2
-    assert numbers[Place("molniya", "AHNN5", False, "true", "velocity")].doubt.endswith("ten times too large")
-    assert numbers[Place("molniya", "HNN", False, "true", "energy")].unit == "km²/s²"
-    assert not numbers[Place("mass_spring", "MLP", False, "true", "position")].doubt
+    assert numbers[PaperCell("mass_spring", "AHNN5", True, "perturbed", "velocity")].value == 3.7685e-4
+    assert numbers[PaperCell("molniya", "NODE", False, "perturbed", "position")].value == 14374e2
+    assert numbers[PaperCell("molniya", "AHNN5", False, "true", "velocity")].doubt.endswith(
+        "ten times too large"
+    )
+    assert numbers[PaperCell("molniya", "HNN", False, "true", "energy")].unit == "km²/s²"
+    assert not numbers[PaperCell("mass_spring", "MLP", False, "true", "position")].doubt
     assert [filtered(m) for m in MODELS] == ["MLPKF", "NODEKF", "HNNKF", "AHNNKF3", "AHNNKF5"]
 
 
@@ -50,7 +52,7 @@ def test_a_damaged_table_of_the_paper_is_refused(text):
 def paper(claim):
     def number(measure):
         found = printed().get(
-            Place(claim.system, measure.model, measure.filtered, measure.start, measure.quantity)
+            PaperCell(claim.system, measure.model, measure.filtered, measure.start, measure.quantity)
         )
         return None if found is None else found.value
 

@@ -6,11 +6,11 @@ import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 
-from hydra_plugins.ahnn_sweeper._space import Space, parse
+from hydra_plugins.ahnn_sweeper._space import SearchSpace, parse
 from hydra_plugins.ahnn_sweeper.sweeper import _kept_below
 
 
-def space(params: dict[str, object], *arguments: str) -> Space:
+def space(params: dict[str, object], *arguments: str) -> SearchSpace:
     return parse(OverridesParser.create(), params, arguments)
 
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 from helpers import MOLNIYA, SPRING
 
-from ahnn.assimilation import Sensor
+from ahnn.assimilation import StreamSensor
 from ahnn.deviations import state_deviations
 from ahnn.errors import UserError
 from ahnn.measurements import Position, noise_deviations
@@ -57,7 +57,7 @@ def test_every_door_asks_for_squares_that_float64_holds(sd):
     space = SPRING.space
     for who, call in {
         "data.noise": lambda: noise_deviations(Position(1, "m"), sd, "data.noise"),
-        "sd": lambda: Sensor.of(Position(1, "m"), sd, space),
+        "sd": lambda: StreamSensor.of(Position(1, "m"), sd, space),
         "start_sd": lambda: state_deviations([sd, 1.0], space, "start_sd"),
     }.items():
         with pytest.raises(UserError, match=f"{who}: expected standard deviations whose squares float64"):

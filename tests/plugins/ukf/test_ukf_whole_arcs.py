@@ -14,7 +14,7 @@ from ahnn.estimation.arc_least_squares import Arc, followed
 from ahnn.estimation.argument_checks import checked_sensor
 from ahnn.estimation.batch_least_squares import batch_least_squares
 from ahnn.estimation.consistency import nees
-from ahnn.estimation.step_noise import Grid
+from ahnn.estimation.step_noise import StepGrid
 from ahnn.measurements import Position
 from ahnn_plugins.ukf import UnscentedParameters, unscented_filter, unscented_smoother
 from ahnn_plugins.ukf.iterated import iterated_smoother
@@ -150,7 +150,7 @@ def test_paths_are_followed_up_to_the_last_measurement(measured, steps):
 
     sensor = checked_sensor(Position(1), NOISE[1], belief, None)
     lengths = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
-    fit = followed(Arc(flow, Grid.of(lengths, 6, torch.zeros(())), rows, measured, sensor, belief), start)
+    fit = followed(Arc(flow, StepGrid.of(lengths, 6, torch.zeros(())), rows, measured, sensor, belief), start)
     assert asked == lengths[:steps]
     assert fit.states.shape == (2, steps + 1, 2)
     assert fit.moved.shape == (2, steps + 1, 2, 2)
