@@ -47,7 +47,7 @@ def make_setting(
     model = reading(measurement, system.space) if isinstance(measurement, str) else measurement
     default = system.noise.measurement if measurement == "position" else None
     given = default if measurement_sd is None else measurement_sd
-    sd = noise_deviations(model, given or None, "measurement_sd")
+    sd = noise_deviations(model, given, "measurement_sd")
     _try(model, system, updates[0] * system.dt)
     return Setting(model, sd, _start(system, start_sd), updates)
 
