@@ -222,7 +222,8 @@ def fits(value: Any, hint: Any) -> bool:
     if origin in (Union, UnionType):
         return any(fits(value, option) for option in inner)
     if hint in PLAIN:
-        return isinstance(value, PLAIN[hint]) and (hint is bool or not isinstance(value, bool))
+        wide = hint is float and isinstance(value, int) and abs(value) >= 2**63  # not for tensors
+        return isinstance(value, PLAIN[hint]) and (hint is bool or not isinstance(value, bool)) and not wide
     if origin in (list, tuple) or hint in (list, tuple):
         if not isinstance(value, list | tuple) or not inner:
             return isinstance(value, list | tuple)

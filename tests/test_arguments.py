@@ -49,6 +49,7 @@ def test_fitting_values_pass(good):
         ({"count": True}, r"group\.count: expected int; received True \(bool\)"),
         ({"count": None}, r"group\.count: expected int; received None"),
         ({"share": "high"}, r"group\.share: expected float; received 'high' \(str\)"),
+        ({"share": 10**20}, r"group\.share: expected float; received 100000000000000000000 \(int\)"),
         ({"name": 3}, r"group\.name: expected str; received 3"),
         ({"flag": 1}, r"group\.flag: expected bool; received 1"),
         ({"kind": "three"}, r"group\.kind: expected one of one, two; received 'three'"),

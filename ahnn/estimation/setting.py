@@ -7,10 +7,9 @@ from collections.abc import Sequence
 from typing import Any, Literal
 
 import torch
-from torch import Tensor
 
 from ahnn.arguments import Count, Positive, checked
-from ahnn.deviations import require_squares
+from ahnn.deviations import state_deviations
 from ahnn.errors import UserError
 from ahnn.estimation.scenario import Setting
 from ahnn.measurements import Measurement, noise_deviations, reading
@@ -25,7 +24,7 @@ def make_setting(
     *,
     measurement: Measurement | Literal["position", "state"],
     measurement_sd: Positive | list[Positive] | None,
-    start_sd: tuple[Positive, Positive] | None,
+    start_sd: list[Positive] | None,
     cadence: Count,
     times: Sequence[float] | None,
 ) -> Setting:
@@ -36,7 +35,7 @@ def make_setting(
         steps: of the shortest trajectory.
         measurement: a model, or the name of one that reads the state itself.
         measurement_sd: standard deviations of its noise; None takes the system's own for positions.
-        start_sd: of the initial positions and velocities; None takes the system's own.
+        start_sd: of the initial state (`state_deviations`); None takes the system's own.
         cadence: steps between two measurements.
         times: of the measurements, in place of a cadence.
 
@@ -49,7 +48,8 @@ def make_setting(
     given = default if measurement_sd is None else measurement_sd
     sd = noise_deviations(model, given, "measurement_sd")
     _try(model, system, updates[0] * system.dt)
-    return Setting(model, sd, _start(system, start_sd), updates)
+    start = system.deviations() if start_sd is None else state_deviations(start_sd, system.space, "start_sd")
+    return Setting(model, sd, start, updates)
 
 
 def _cadence(cadence: int, steps: int) -> tuple[int, ...]:
@@ -70,14 +70,6 @@ def _samples(times: Sequence[float], dt: float, steps: int) -> tuple[int, ...]:
         )
         raise UserError(message)
     return tuple(samples)
-
-
-def _start(system: System, given: Sequence[float] | None) -> Tensor:
-    """Return the standard deviations of the initial error, (D,)."""
-    if given is None:
-        return system.deviations()
-    values = torch.tensor(given, dtype=torch.float64).repeat_interleave(system.dof) * system.space.scales
-    return require_squares(values, "start_sd")
 
 
 def _try(measurement: Any, system: System, time: float) -> None:

@@ -58,8 +58,8 @@ class EstimatorEvaluation:
         measurement: what is measured: `position`, `state`, or a model of its own.
         measurement_sd: standard deviation of each measured component, or one for all; None takes the system's
             own for positions.
-        start_sd: standard deviations of the initial error [position, velocity], for P0; None takes the
-            system's own, those that perturbed starts are drawn with.
+        start_sd: standard deviations of the initial error, for P0: one for each component, or one for
+            positions and one for velocities; None takes the system's own, those of perturbed starts.
         process_noise: `fitted` to validation data; standard deviations [position, velocity] of the error
             of one step; `force_error`, relative and with memory, `{size: ..., memory: ...}` where one of
             them is given; or `parameter_error`: the learned parameters are states of the filter, known as
@@ -83,7 +83,7 @@ class EstimatorEvaluation:
         times: list[float] | None,
         measurement: Measurement | dict[str, Any] | Literal["position", "state"],
         measurement_sd: Positive | list[Positive] | None,
-        start_sd: tuple[Positive, Positive] | None,
+        start_sd: list[Positive] | None,
         process_noise: GivenNoise,
         novelty: Annotated[float, Within(0)] | None = None,
         gate: Annotated[float, Within(above=0, below=1)] | None,

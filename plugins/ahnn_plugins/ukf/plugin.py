@@ -43,7 +43,7 @@ class UKFEvaluation(EstimatorEvaluation):
         times: list[float] | None,
         measurement: Measurement | dict[str, Any] | Literal["position", "state"],
         measurement_sd: Positive | list[Positive] | None,
-        start_sd: tuple[Positive, Positive] | None,
+        start_sd: list[Positive] | None,
         process_noise: GivenNoise,
         novelty: Annotated[float, Within(0)] | None = None,
         alpha: Finite,

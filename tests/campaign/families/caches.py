@@ -20,7 +20,8 @@ def cases(draw, folder):
     """Yield damaged caches."""
     logging.getLogger("ahnn").setLevel(logging.ERROR)
     recipe = store.recipe(SPRING, 4, 0)
-    truth = store.load_or_make(folder, recipe, lambda: [generate(SPRING, 4, 0)])
+    truth = generate(SPRING, 4, 0)  # in memory: what a damaged file is mapped to changes with it
+    store.load_or_make(folder, recipe, lambda: [truth])
     (path,) = folder.glob("*.safetensors")
     good = path.read_bytes()
     while True:

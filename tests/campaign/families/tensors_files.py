@@ -99,15 +99,15 @@ def attempt(place: Path, what: dict, seed: int) -> None:
     size = n if what["kind"] == "positions" else 2 * n
     begin = 0
     for name, a, b in zip(("train", "val", "test"), ours, theirs, strict=True):
-        assert len(a.states) == len(b.states), f"{name}: {len(a.states)} and {len(b.states)} trajectories"
-        for k in range(len(a.states)):
+        assert len(a[0]) == len(b[0]), f"{name}: {len(a[0])} and {len(b[0])} trajectories"
+        for k in range(len(a[0])):
             whole = what["kind"] == "exact"
             same(f"{name} {k}, tensors beside files", seen(a, k, whole), seen(b, k, whole))
             truth = states[begin + k, :, :size]
             there = counted(truth, whole)
             known = times[begin + k][there], truth[there]
             same(f"{name} {k}, files beside the numbers", seen(b, k, whole), known)
-        begin += len(a.states)
+        begin += len(a[0])
 
 
 def drawn(what: dict, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

@@ -214,7 +214,7 @@ def test_the_consistency_is_judged_by_the_band_of_what_is_averaged(spring: Case)
         ("times=[0.105]", r"times: expected increasing multiples .* received \[0.105\]"),
         ("times=[0.0]", "times: expected increasing multiples"),
         ("times=[]", "times: expected increasing multiples"),
-        ("start_sd=[1.0]", "start_sd: expected a list of 2 float > 0"),
+        ("start_sd=[1.0]", "start_sd: expected 2 numbers > 0"),
         ("measurement_sd=nan", "measurement_sd: expected a list of float > 0 or float > 0 or None"),
         ("alpha=nan", r"alpha: expected float \(finite\); received nan"),
         ("patience=0", "patience: expected int >= 1; received 0"),
