@@ -1,10 +1,11 @@
-# `make run` trains and judges the default model; `make test` checks everything; `make reproduce`
-# runs the paper's tables at their smallest budget, with a report; `make bench` measures.
+# `make run` trains and judges the default model; `make test` checks everything with the quick tests, `make slow`
+# runs those of ten seconds and more; `make reproduce` runs the paper's tables at their smallest budget, with a
+# report; `make bench` measures.
 # Each sets up .venv by itself.
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test reproduce bench
+.PHONY: run test slow reproduce bench
 
 run: .venv/installed
 	$(BIN)/python -m ahnn.train
@@ -14,6 +15,9 @@ test: .venv/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
+
+slow: .venv/installed
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m slow -n 2 --dist loadfile
 
 reproduce: .venv/installed
 	$(BIN)/python -m ahnn.reproduce system=mass_spring budget=smoke

@@ -62,6 +62,7 @@ def assert_two_equal_one(folder: Path, *overrides: str) -> None:
     assert done.stderr.count("optimiser steps of 16 windows") == 1
 
 
+@pytest.mark.slow
 def test_two_processes_end_with_the_weights_of_one(tmp_path):
     assert_two_equal_one(tmp_path, "model=hnn", "loss.derivative=0.34")
 

@@ -103,6 +103,7 @@ def blocks(language):
                 yield pytest.param(text, id=f"{document.name}-{number}")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", [*blocks("python")])
 def test_a_snippet_runs(text, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -129,6 +130,7 @@ EXPORTED = "run_exported.py"
 EXAMPLES = sorted(path for path in (ROOT / "examples").glob("*.py") if path.name != EXPORTED)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.name)
 def test_an_example_runs_and_the_readme_shows_it(path):
     with untouched():

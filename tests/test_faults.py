@@ -41,6 +41,7 @@ def test_a_refused_command_removes_nothing_that_it_did_not_make(tmp_path, monkey
     assert (tmp_path / "empty").is_dir()
 
 
+@pytest.mark.slow
 def test_a_refused_command_leaves_a_finished_run_as_it_was(tmp_path):
     assert call("ahnn.train", *FIRST, f"run={tmp_path / 'run'}") == 0
     before = content(tmp_path)
@@ -50,6 +51,7 @@ def test_a_refused_command_leaves_a_finished_run_as_it_was(tmp_path):
         assert content(tmp_path) == before
 
 
+@pytest.mark.slow
 def test_two_runs_of_one_second_have_a_folder_each(tmp_path):
     both = [started(tmp_path, *FIRST) for _ in range(2)]
     said = [job.communicate(timeout=120)[0] for job in both]

@@ -69,6 +69,7 @@ def test_states_of_a_file_train_resume_and_are_known_again(tmp_path, capfd):
     assert "files" in capfd.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("whole", [True, False])
 def test_recorded_positions_are_measurements_and_chi_square_is_the_verdict(tmp_path, whole):
     data = swings(tmp_path / "swings.csv", 3, SD, whole=whole)
@@ -96,6 +97,7 @@ def test_recorded_positions_are_measurements_and_chi_square_is_the_verdict(tmp_p
     assert (folder / "figures" / "error.png").exists()
 
 
+@pytest.mark.slow
 def test_wrong_standard_deviations_are_named_before_a_training_and_below_its_table(tmp_path, capfd):
     data = swings(tmp_path / "swings.csv", 3, SD, whole=False)
     given = ["model=ahnn", "hamiltonian=mechanical", "recipe=measurements", f"data.noise={10 * SD}"]
@@ -109,6 +111,7 @@ def test_wrong_standard_deviations_are_named_before_a_training_and_below_its_tab
     assert rest.splitlines()[0] == "1"  # q1
 
 
+@pytest.mark.slow
 def test_a_model_of_recorded_positions_filters_as_well_as_its_covariance_says(tmp_path, capfd, caplog):
     data = swings(tmp_path / "swings.csv", 3, SD, whole=False)
     given = ["model=ahnn", "hamiltonian=mechanical", "recipe=measurements", f"data.noise={SD}"]

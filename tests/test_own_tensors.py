@@ -78,6 +78,7 @@ def test_training_sees_the_same(tmp_path, case, padded):
     assert one.remark() == other.remark()
 
 
+@pytest.mark.slow
 def test_the_same_numbers_make_the_same_run(tmp_path):
     columns, noise, asked = CASES["states with a noise of each component"]
     data = table(tmp_path / "swings.csv", columns, noise)

@@ -89,6 +89,7 @@ def test_finished_runs_are_kept_and_an_evaluation_that_was_cut_is_made_again(cop
     assert f"python -m ahnn.report {copied}" in table
 
 
+@pytest.mark.slow
 def test_a_training_that_was_cut_goes_on_to_the_same_bits(whole, tmp_path, monkeypatch, capsys):
     def cut(prepared):
         prepared.trainer.callbacks.append(CutAfter(13, ctrl_c=True))

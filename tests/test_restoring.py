@@ -116,6 +116,7 @@ def test_a_finished_run_has_no_steps_left(finished, tmp_path, capfd):
     assert ": 0 optimiser steps of 16 windows in 0 epochs, about 0 s" in capfd.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("optimizer", ["soap", "levenberg_marquardt"])
 def test_a_run_with_another_optimiser_goes_on_and_is_no_run_with_this_one(
     finished, tmp_path, capfd, optimizer

@@ -86,6 +86,7 @@ def test_work_that_keeps_its_state_does_not_begin_after_a_signal_that_a_library_
         pytest.fail("it began")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moment", [0.02, 0.1, 0.3, 1.0, 2.0])
 def test_ctrl_c_is_no_traceback_however_early(tmp_path, moment):
     job = started(tmp_path, *FIRST, "trainer.max_epochs=2000")
@@ -99,6 +100,7 @@ def test_ctrl_c_is_no_traceback_however_early(tmp_path, moment):
     assert starting or job.returncode in (130, -signal.SIGINT)
 
 
+@pytest.mark.slow
 def test_ctrl_c_in_a_search_says_that_the_search_goes_on(tmp_path):
     short = ["system.steps=60", "data.trajectories=20", "hydra/launcher=ahnn_process"]
     search = ["-m", "sweep=quick", *short, f"hydra.sweep.dir={tmp_path / 'sweep'}"]
@@ -113,6 +115,7 @@ def test_ctrl_c_in_a_search_says_that_the_search_goes_on(tmp_path):
     assert "from the beginning" not in said
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_ends_a_sweep_ends_all_of_it(tmp_path):
     jobs = ["-m", "seed=7,201", *FIRST, "trainer.max_epochs=2000", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
     job = started(tmp_path, *jobs)

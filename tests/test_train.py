@@ -72,6 +72,7 @@ def test_predictions_are_those_that_were_scored(run):
     assert metrics["rows"][0]["position"] == pytest.approx(position, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_the_table_shows_units_and_the_floor_in_80_columns(run, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     assert call("ahnn.evaluate", f"run={run}", "name=table") == 0

@@ -33,6 +33,7 @@ def noisy(sd, truth=ORBITS, seed=3):
     return Trajectories(truth.states + draw * torch.as_tensor(sd, dtype=torch.float64), truth.times)
 
 
+@pytest.mark.slow
 @given(st.floats(-6, 1))
 def test_the_noise_that_was_drawn_is_found(exponent):
     sd = 10.0**exponent * torch.tensor([1, 1, 1, 1e-3, 1e-3, 1e-3], dtype=torch.float64)

@@ -50,6 +50,7 @@ def test_outliers_are_named_where_the_training_counted_them(factor):
     assert "outliers" not in remedy(Spring(SPRING), batch, "student")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [80, 95, 110])
 def test_wrong_dynamics_are_no_noise_a_quarter_of_a_period_apart(every):
     """Where residuals in a row do not correlate, those further apart do."""

@@ -109,6 +109,7 @@ def test_the_normal_distribution_without_the_error_function():
     assert float((normal(z) / oracle - 1)[tail].abs().max()) < 1e-12
 
 
+@pytest.mark.slow
 def test_a_folder_has_all_that_runs_the_model_elsewhere(tmp_path, capsys):
     folder, name = tmp_path / "there" / "mine", names()[0]
     assert call("ahnn.export", f"pretrained={name}", f"output={folder}") == 0

@@ -119,6 +119,7 @@ def test_a_stream_may_come_through_a_pipe(run, tmp_path):
     assert len((tmp_path / "out.csv").read_text().splitlines()) == 2
 
 
+@pytest.mark.slow
 def test_a_folder_with_the_name_of_a_number_is_a_run(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("123", "0123", "1e3", "true"):

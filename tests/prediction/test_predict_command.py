@@ -110,6 +110,7 @@ def test_several_trainings_show_their_spread_and_a_picture(here, cache, capsys, 
     assert "one + other" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_start_with_standard_deviations_has_a_band_that_goes_along_with_it(here, cache, caplog):
     arguments = [MOLNIYA, START, "duration=1d", "step=1d", "output=orbit.csv"]
     assert call("ahnn.predict", *arguments, "start_sd=[1,0.001]") == 0

@@ -68,6 +68,7 @@ def test_the_gradient_in_reverse_is_that_of_the_normal_equations(started):
     close(problem.gradient(flat(model)), here.block.gradient, 1e-5)
 
 
+@pytest.mark.slow
 def test_functions_take_the_steps_to_the_optimum_that_parameters_cannot(started):
     model, problem, here = started
     found = conclude(model, problem.batch, batch_of(1, rows=10), 0)
@@ -105,6 +106,7 @@ def test_equations_of_functions_are_in_the_step_that_they_are_linear_in(started)
     )  # ordinary columns again
 
 
+@pytest.mark.slow
 def test_a_long_step_has_equations_of_its_own(monkeypatch):
     """Beside by three times as much paths bend so that one matrix leads nowhere."""
     model, batch = nearly(beside=0.2)
@@ -140,6 +142,7 @@ def test_steps_of_functions_that_do_not_pay_are_not_taken(started, monkeypatch):
     assert found.about["remaining"] > 20
 
 
+@pytest.mark.slow
 def test_functions_take_no_step_from_the_optimum(monkeypatch):
     model, batch = nearly()
     monkeypatch.setattr(functions, "ARRIVED", 1e6)

@@ -37,6 +37,7 @@ def flat(model):
     return parameters_to_vector(model.parameters()).detach()
 
 
+@pytest.mark.slow
 def test_the_covariance_is_that_of_repeated_experiments():
     """At the truth the step to the optimum is noise alone: in its covariance a chi-square of 2 each time."""
     total = 0.0

@@ -94,6 +94,7 @@ def reduced(problem, theta):
         return plain.flatten(), problem.robust.cost(plain).sum()
 
 
+@pytest.mark.slow
 @torch.no_grad()
 def test_starts_follow_a_long_step_to_where_they_fit_best():
     """Of other dynamics, and of other parameters: two steps with derivatives of before do not get there."""
@@ -203,6 +204,7 @@ def test_the_gradient_for_first_order_optimisers_is_that_of_the_best_starts(robu
     close(gradient, torch.stack(losses) / (2 * e), 1e-3)
 
 
+@pytest.mark.slow
 def test_outliers_do_not_move_a_robust_fit():
     _, batch = segment(rows=50, intervals=20, measurement=Position(1), missing=0.0)
     wild = torch.rand(batch.values.shape, generator=generator(9)) < 0.05

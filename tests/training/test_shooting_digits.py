@@ -41,6 +41,7 @@ def satellite(method="rk4", longest=60.0, rows=289):
     return dynamics, Segment(places + noise, times, Instrument(Position(3), deviations, longest, 3, 1.0))
 
 
+@pytest.mark.slow
 @torch.no_grad()
 def test_normal_equations_are_right_where_parameters_are_hard_to_see():
     dynamics, batch = satellite()
@@ -61,6 +62,7 @@ def test_normal_equations_are_right_where_parameters_are_hard_to_see():
     assert float((found / values - 1)[seen].abs().max()) < 5e-5  # float32 would leave 6e-4
 
 
+@pytest.mark.slow
 @torch.no_grad()
 def test_a_step_of_dopri8_between_measurements_five_minutes_apart_is_short_enough():
     found = []

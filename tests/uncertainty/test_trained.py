@@ -44,6 +44,7 @@ def test_a_training_on_measurements_leaves_the_covariance_of_its_weights(folder)
     assert (folder / "figures" / "band.png").is_file()
 
 
+@pytest.mark.slow
 def test_a_training_goes_on_from_the_parameters_before_the_step_of_functions(folder, tmp_path):
     more = [*TINY, "system.steps=60", f"weights={folder}", f"run={tmp_path / 'more'}"]
     assert call("ahnn.train", *more) == 0

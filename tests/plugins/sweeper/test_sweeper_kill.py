@@ -21,6 +21,7 @@ def kill_after(folder: Path, jobs: int, seconds: float, *arguments: str) -> None
     process.communicate()
 
 
+@pytest.mark.slow
 def test_a_killed_sweep_goes_on_where_it_was(tmp_path: Path):
     folder = tmp_path / "sweep"
     arguments = (*SEARCH, "hydra.sweeper.n_trials=8", "sleep=0.05")
@@ -42,6 +43,7 @@ def test_a_killed_sweep_goes_on_at_any_moment(tmp_path: Path, tenths: int):
     assert_none_lost_or_doubled(trials(folder), 8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("launcher", ["joblib", "ahnn_process"])
 def test_a_killed_job_is_retried_once_and_stops_nothing(tmp_path: Path, launcher: str):
     folder = tmp_path / "sweep"
@@ -95,6 +97,7 @@ def test_two_workers_share_sqlite(tmp_path: Path):
     workers_share(tmp_path / "sweep", 2, 12, f"hydra.sweeper.storage={storage}", storage=storage)
 
 
+@pytest.mark.slow
 def test_two_workers_share_postgresql(tmp_path: Path, postgres: str):
     workers_share(tmp_path / "sweep", 2, 9, f"hydra.sweeper.storage={postgres}", storage=postgres)
 
@@ -113,6 +116,7 @@ def test_four_workers_run_two_hundred_trials_on_postgresql(tmp_path: Path, postg
         workers_share(folder, 4, 200, *options, storage=postgres)
 
 
+@pytest.mark.slow
 def test_a_plain_grid_survives_a_failed_and_a_killed_job(tmp_path: Path):
     folder = tmp_path / "grid"
     arguments = ("hydra/launcher=ahnn_process", "hydra.launcher.n_jobs=2", "raising=[1]", "killed=[2]")

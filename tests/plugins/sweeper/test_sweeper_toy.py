@@ -12,6 +12,7 @@ import yaml
 from sweeps import APP, ROOT, SEARCH, assert_none_lost_or_doubled, states, sweep, trials
 
 
+@pytest.mark.slow
 def test_states_files_and_resume(tmp_path: Path):
     folder = tmp_path / "sweep"
     code, output = sweep(folder, *SEARCH, "hydra.sweeper.n_trials=4", "prune_above=0.8")

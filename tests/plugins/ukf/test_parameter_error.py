@@ -101,6 +101,7 @@ def test_columns_are_how_the_field_moves_along_directions():
     assert float(moved[:, 0].abs().max()) == 0.0
 
 
+@pytest.mark.slow
 def test_the_filter_of_a_model_is_consistent_that_knows_how_well_its_parameters_are_known(
     make_case: Callable[..., Case],
 ) -> None:

@@ -19,6 +19,7 @@ from ahnn.systems import Molniya
 from ahnn_plugins.ukf import UnscentedKalmanFilter
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("start", "whole"), [("true", (0.0, 1.0)), ("perturbed", (13.0, 17.0))])
 def test_exact_dynamics_on_125_orbits(start: str, whole: tuple[float, float]) -> None:
     system = Molniya(name="orbits", dt=60.0, steps=1440)

@@ -85,6 +85,7 @@ def test_rows_numbers_arrays_and_figures(spring: Case) -> None:
     assert set(findings.figures) == {"state", "error", "error_band", "consistency", "moving_average"}
 
 
+@pytest.mark.slow
 def test_fitted_process_noise_makes_the_filter_consistent_and_better_than_none(make_case: Callable) -> None:
     system = MassSpring(name="spring", dt=0.01, steps=600)
     case = make_case(system, Integrated(MassSpring(name="s", dt=0.01, steps=600, stiffness=5.05), RK4))
@@ -114,6 +115,7 @@ def test_a_force_error_is_fitted_or_given(spring: Case) -> None:
     assert given == {"from": "force_error", **told}
 
 
+@pytest.mark.slow
 def test_parameters_without_covariance_have_a_force_error_in_their_place(
     spring: Case, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -150,6 +152,7 @@ def test_smoother_has_its_own_rows_and_is_better(spring: Case) -> None:
         assert scores[who._replace(estimator="ukf_smoothed")].position < scores[who].position
 
 
+@pytest.mark.slow
 def test_estimators_of_whole_arcs_have_their_own_rows(make_case: Callable) -> None:
     short = make_case(dataclasses.replace(SPRING, steps=80), Integrated(STIFFER, RK4))
     findings = run(short, "least_squares=true", group="ukf_iterated")

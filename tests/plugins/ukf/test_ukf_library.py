@@ -194,6 +194,7 @@ def test_without_a_compiler_the_filter_goes_on(monkeypatch, tmp_path, recwarn, c
     assert not list(tmp_path.rglob("*.so"))
 
 
+@pytest.mark.slow
 def test_a_library_is_kept_and_one_that_is_damaged_or_of_others_is_not_used(monkeypatch, tmp_path):
     monkeypatch.setenv("AHNN_CACHE", str(tmp_path))
     assert library.__wrapped__() is not None
