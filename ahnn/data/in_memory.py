@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from ahnn.arguments import Positive, check_values, fits
 from ahnn.data.files.content import Content
@@ -90,29 +91,50 @@ def check_trajectories(given: Trajectories, space: Space) -> Trajectories:
     return trajectories
 
 
+def check_controls(given: Trajectories, space: Space, times: Tensor) -> Tensor | None:
+    """Return controls as float64, (B, T, m); None of a space without.
+
+    Raises:
+        UserError: another shape, or one that is missing where a time is known.
+    """
+    if given.controls is None and not space.controls:
+        return None
+    shape = (*times.shape, len(space.controls))
+    received = None if given.controls is None else as_float64(given.controls, "controls", times.device)
+    if received is None or not space.controls or received.shape != shape:
+        expected = f"shape {shape}, as space.controls names {', '.join(space.controls) or 'none'}"
+        message = f"controls: expected {expected}; received {described(received)}"
+        raise UserError(message)
+    wrong = ~(received.abs() <= LARGEST).all(-1) & times.isfinite()
+    if bool(wrong.any()):
+        b, k = (int(n) for n in wrong.nonzero()[0])
+        message = (
+            f"controls: expected {FINITE} at each time; received {received[b, k].tolist()} at sample {k} of "
+            f"trajectory {b}"
+        )
+        raise UserError(message)
+    return received.detach()
+
+
 def content_of(given: Trajectories, space: Space) -> Content:
     """Return trajectories as the content of a file; momenta that are all NaN are those of positions alone.
 
     Raises:
         UserError: what `check_trajectories` refuses.
     """
-    if given.controls is not None or space.controls:
-        message = (
-            "trajectories: expected states and times; received controls, which only simulated systems bring "
-            "to a training"
-        )
-        raise UserError(message)
     states, times, *_ = check_trajectories(given, space)
+    controls = check_controls(given, space, times)
     q, p = space.components[: space.dof], space.components[space.dof :]
     alone = bool(states[..., len(q) :].isnan().all())
     values = (states[..., : len(q)] if alone else states).numpy()
-    rows = np.arange(1, times.shape[1] + 1)
-    tracks = tuple(
-        Track("", f"trajectory {b}", rows[: len(known)], known, values[b, : len(known)])
-        for b, known in enumerate(row[np.isfinite(row)] for row in times.numpy())
-    )
+    rows, tracks = np.arange(1, times.shape[1] + 1), []
+    for b, row in enumerate(times.numpy()):
+        known = row[np.isfinite(row)]
+        own = None if controls is None else controls[b, : len(known)].numpy()
+        tracks.append(Track("", f"trajectory {b}", rows[: len(known)], known, values[b, : len(known)], own))
     units = Units(*map(_known, space.units))
-    return unwrapped(Content(q, () if alone else p, True, units, space.frame, tracks, time="times"))
+    about = {"time": "times", "controls": space.controls, "linear": given.linear}
+    return unwrapped(Content(q, () if alone else p, True, units, space.frame, (*tracks,), **about))
 
 
 def _known(text: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Annotated, Any, Protocol
 
@@ -91,7 +92,7 @@ class Given(Recordings):
 
     Args:
         trajectories: states (B, T, 2n) and times (B, T) or (T,), NaN where a sample is absent; momenta that
-            are all NaN, or left out, are unknown.
+            are all NaN, or left out, are unknown. Controls (B, T, m) of a space that names them.
         space: what the numbers mean.
         cut, gap, unsound: as `Recordings` has them.
 
@@ -113,4 +114,8 @@ class Given(Recordings):
 
     def recipe(self) -> dict[str, Any]:
         """Return the hash of the content."""
-        return {"given": self.space.name, "sha256": store.checksum(self.trajectories)}
+        given = {"given": self.space.name, "sha256": store.checksum(self.trajectories)}
+        if (controls := self.trajectories.controls) is None:
+            return given
+        own = hashlib.sha256(store.content(controls)).hexdigest()
+        return given | {"controls": own, "linear": self.trajectories.linear}

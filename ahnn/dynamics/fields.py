@@ -104,7 +104,7 @@ class HamiltonianDynamics(_Integrated):
         dof: degrees of freedom n.
         inertia: factor m of T = p^2 / 2m, used by `mechanical` and `central_body`; one for each coordinate
             with `mechanical`.
-        hamiltonian: generic, separable, mechanical or central_body.
+        hamiltonian: generic, separable, mechanical, central_body or mass_matrix.
         mu: gravitational parameter of `central_body`; None learns it.
         falloff: k of a learned V(q) = (R / r)^k N(q); 0 leaves open how it goes with the distance.
         inputs: cartesian, isotropic or radial positions, or angles.

@@ -75,6 +75,13 @@ class Forced(nn.Module):
         """The forces of which nothing is learned."""
         return [force for force in self.parts if not [*force.parameters()]]
 
+    @property
+    def forces_work(self) -> bool:
+        """Whether a force has no potential, so that the energy is not conserved."""
+        q = torch.zeros(1, self.dof, dtype=torch.float64)
+        at = Instant(q[:, :0], q[:, :0], q, q)
+        return any(force.potential(at) is None for force in self.parts)
+
     def fit(self, statistics: Statistics) -> None:
         """Set all constants from the training split, those of H from what known forces leave."""
         for force in self.parts:

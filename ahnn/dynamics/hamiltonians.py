@@ -18,12 +18,13 @@ from ahnn.dynamics.energies import CentralBody, Energy, NetworkEnergy, Quadratic
 from ahnn.dynamics.gradients import Layers
 from ahnn.dynamics.hessians import BothInputs, is_closed, network_derivatives
 from ahnn.dynamics.inputs import Cartesian, InputName, position_inputs
+from ahnn.dynamics.mass_matrix import MassMatrixHamiltonian
 from ahnn.dynamics.networks import Perceptron, make_network
 from ahnn.dynamics.scaling import Kind
 from ahnn.errors import UserError
 from ahnn.statistics import Statistics
 
-Structure = Literal["generic", "separable", "mechanical", "central_body"]
+Structure = Literal["generic", "separable", "mechanical", "central_body", "mass_matrix"]
 
 
 class GenericHamiltonian(nn.Module):
@@ -166,7 +167,7 @@ class SeparableHamiltonian(nn.Module):
         return torch.cat((self.velocity(p), self.force(q)), dim=-1)
 
 
-Hamiltonian = GenericHamiltonian | SeparableHamiltonian
+Hamiltonian = GenericHamiltonian | SeparableHamiltonian | MassMatrixHamiltonian
 
 
 @checked
@@ -185,10 +186,10 @@ def make_hamiltonian(
     """Return the learned Hamiltonian of a structure.
 
     Args:
-        structure: `generic` H(q, p), `separable` T(p) + V(q), `mechanical` p^2 / 2m + V(q), or
-            `central_body` p^2 / 2m - m mu / r + V(q).
+        structure: `generic` H(q, p), `separable` T(p) + V(q), `mechanical` p^2 / 2m + V(q), `central_body`
+            p^2 / 2m - m mu / r + V(q), or `mass_matrix` p^T M(q)^{-1} p / 2 + V(q).
         dof: degrees of freedom n.
-        mass: used by the last two; one for each coordinate with `mechanical`.
+        mass: of `mechanical`, for which it may be one for each coordinate, and of `central_body`.
         mu: gravitational parameter of `central_body`; None learns it.
         falloff: k of a learned V(q) = (R / r)^k N(q); 0 leaves open how it goes with the distance.
         inputs: cartesian, isotropic, radial or angles, for the positions.
@@ -205,10 +206,12 @@ def make_hamiltonian(
     if structure == "central_body" and dof < 2:
         message = "hamiltonian central_body: expected at least 2 degrees of freedom; received 1"
         raise UserError(message)
-    if falloff and (structure == "generic" or dof < 2):
-        needs = "0, since generic has no V(q)" if structure == "generic" else "0 in one dimension"
+    if falloff and (structure in ("generic", "mass_matrix") or dof < 2):
+        needs = "0 in one dimension" if dof < 2 else f"0, since {structure} has no V(q) of its own"
         message = f"falloff: expected {needs}; received {falloff:g}"
         raise UserError(message)
+    if structure == "mass_matrix":
+        return MassMatrixHamiltonian(dof, inputs=inputs, scaling=scaling, network=network, angular=angular)
     if structure == "generic":
         return GenericHamiltonian(dof, inputs=inputs, scaling=scaling, network=network, angular=angular)
     learned = NetworkEnergy(position_inputs(inputs, dof, scaling, angular), network, 0, falloff)

@@ -7,7 +7,7 @@ Hamiltonian then needs a single backward pass, and evaluation needs no autograd:
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, cast
 
 from torch import Tensor, nn
@@ -56,6 +56,21 @@ class Perceptron(nn.Module):
         hidden = list(cast(Iterable[nn.Linear], self.hidden))
         weights = [layer.weight for layer in hidden]
         return Layers(weights, [layer.bias for layer in hidden], self.output.weight[0], weights[0])
+
+    def linearised(self, z: Tensor) -> tuple[Tensor, Callable[[Tensor], Tensor]]:
+        """Return the outputs, shape (..., outputs), at z, and the way back of gradients from there."""
+        layers, slopes = [*cast("Iterable[nn.Linear]", self.hidden)], []
+        for layer in layers:
+            z, slope = self.activation.value_and_slope(layer(z))
+            slopes.append(slope)
+
+        def back(gradient: Tensor) -> Tensor:
+            found = gradient @ self.output.weight
+            for layer, slope in zip(layers[::-1], slopes[::-1], strict=True):
+                found = (found * slope) @ layer.weight
+            return found
+
+        return self.output(z), back
 
     def gradient(self, z: Tensor) -> Tensor:
         """Return the gradient of the single output with respect to z, shape (..., inputs)."""

@@ -6,7 +6,9 @@ from collections.abc import Iterable, Mapping
 from typing import Any, cast
 
 from ahnn.evaluation.bands import band_figure, banded
+from ahnn.evaluation.baselines import worth
 from ahnn.evaluation.case import Case, EvaluationPlugin, Findings, Row
+from ahnn.evaluation.conservation import energy_trend, time_test
 from ahnn.evaluation.force_bound import force_bound
 from ahnn.evaluation.forecast import forecast
 from ahnn.evaluation.goodness_of_fit import explain
@@ -31,6 +33,7 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
     """
     findings = open_loop(case)
     findings.tell(case.remark)
+    add_verdict(case, findings)
     if case.measured is not None:
         flow = cast(Any, case.flow)
         explained = explain(flow, case.measured, case.robust)
@@ -56,6 +59,21 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
         findings.arrays |= {f"{name}/{key}": value for key, value in more.arrays.items()}
         findings.figures |= {f"{name}/{key}": drawn for key, drawn in more.figures.items() if figures}
     return findings
+
+
+def add_verdict(case: Case, findings: Findings) -> None:
+    """Add what the prediction is worth, and whether the data conserve what the model conserves."""
+    found = worth(case, findings.arrays[f"{case.start}_start"])
+    findings.tell(found.sentence())
+    findings.numbers["worth"] = found.numbers()
+    if case.measured is not None:
+        return
+    if (trend := energy_trend(case)) is not None:
+        findings.tell(trend.sentence(case.space.units.time))
+        findings.numbers["energy_trend"] = trend._asdict()
+    if (timed := time_test(case)) is not None:
+        findings.tell(timed.sentence())
+        findings.numbers["time_test"] = timed._asdict()
 
 
 def add_band(case: Case, uncertainty: Uncertainty, findings: Findings, *, figures: bool) -> None:

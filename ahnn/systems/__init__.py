@@ -6,9 +6,12 @@ A system is one class in one file and one YAML in conf/system.
 from __future__ import annotations
 
 from ahnn.systems.base import FilterNoise, Range, System, Units, uniform
+from ahnn.systems.cart_pole import CartPole
+from ahnn.systems.chain_pendulum import ChainPendulum
 from ahnn.systems.driven_pendulum import DrivenPendulum
 from ahnn.systems.henon_heiles import HenonHeiles
 from ahnn.systems.kepler import Kepler
+from ahnn.systems.mass_matrix import MassMatrixSystem
 from ahnn.systems.mass_spring import MassSpring
 from ahnn.systems.molniya import Molniya
 from ahnn.systems.molniya_gravity import MolniyaGravity
@@ -16,10 +19,13 @@ from ahnn.systems.pendulum import Pendulum
 from ahnn.systems.truth import exact_flow
 
 __all__ = [
+    "CartPole",
+    "ChainPendulum",
     "DrivenPendulum",
     "FilterNoise",
     "HenonHeiles",
     "Kepler",
+    "MassMatrixSystem",
     "MassSpring",
     "Molniya",
     "MolniyaGravity",

@@ -1,4 +1,4 @@
-"""What the columns of a file mean: time, trajectory, positions, and velocities or momenta."""
+"""What the columns of a file mean: time, trajectory, positions, velocities or momenta, and controls."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ahnn.data.files.table import Header, Place
 
 TIMES, IDS = ("t", "time"), ("id", "trajectory")
 Kind = Literal["velocities", "momenta"]
-ROLES = ("time", "id", "positions", "velocities", "momenta")
+ROLES = ("time", "id", "positions", "velocities", "momenta", "controls")
 SIDECAR = "Name the columns in a sidecar, docs/data.md"
 NAMES: dict[Kind, tuple[str, ...]] = {
     "velocities": (
@@ -28,6 +28,8 @@ PLACED = re.compile(r"(position|pos|r|q)(?P<of>.*)")
 """Positions that say so: their velocity is vx where they are rx or position_x."""
 DEVIATIONS = "sd_"
 """How the names of standard deviations begin, which a training is told as data.noise."""
+CONTROL = re.compile(r"u\d*|(control|input|torque|command|cmd)(_?\w+)?")
+"""Names of numbers that are set from outside, where there are positions beside them."""
 NO_POSITION = re.compile(
     r"[vpw]_?([xyzq]?_?\d*)|d_?[xyzq]_?\d*|omega.*|.*dot|.*(vel|velocity|mom|momentum)|(vel|mom|speed).*"
     r"|d.+dt|a_?[xyz]|.*acc|acc.*|(std|sigma|err|cov|var)_.*|.*_(sd|std|sigma|err)|.*'"
@@ -45,6 +47,7 @@ class Roles(NamedTuple):
         positions: of the n positions.
         rates: of the n velocities or momenta, in the order of the positions; none where they are unknown.
         kind: what the rates are.
+        controls: of the numbers that are set from outside.
     """
 
     time: int
@@ -52,20 +55,23 @@ class Roles(NamedTuple):
     positions: tuple[int, ...]
     rates: tuple[int, ...]
     kind: Kind
+    controls: tuple[int, ...] = ()
 
     def of(self, column: int) -> str:
         """Return what a column is."""
         if column in (self.time, self.id):
             return "time" if column == self.time else "id"
         rate = "velocity" if self.kind == "velocities" else "momentum"
-        return "position" if column in self.positions else rate if column in self.rates else "not used"
+        groups = {"position": self.positions, rate: self.rates, "control": self.controls}
+        return next((role for role, columns in groups.items() if column in columns), "not used")
 
 
 def roles(header: Header, named: dict[str, Any], place: Place) -> Roles:
     """Return the roles of columns, as a sidecar names them or by their names, in small letters or capitals.
 
     By name `t` or `time` is the time and `id` or `trajectory` tells trajectories apart; `rates_of` says which
-    are velocities and momenta, and standard deviations begin with `sd_`. All others are positions.
+    are velocities and momenta, standard deviations begin with `sd_`, `CONTROL` says which are controls,
+    and all others are positions.
 
     Args:
         header: of the file.
@@ -84,6 +90,9 @@ def roles(header: Header, named: dict[str, Any], place: Place) -> Roles:
         expected = f"one column {' or '.join(TIMES)} and at most one {' or '.join(IDS)}"
         place.refuse(expected, ", ".join(names), SIDECAR)
     rest = [i for i in range(len(names)) if i not in (*time, *ids) and not is_deviation(names[i])]
+    controls = [i for i in rest if CONTROL.fullmatch(names[i].lower())]
+    controls = controls if len(controls) < len(rest) else []
+    rest = [i for i in rest if i not in controls]
     moving = {i: found for i in rest if (found := partner(names, i, rest)) is not None}
     positions = tuple(i for i in rest if i not in moving)
     rates = {position: i for i, (position, _) in moving.items()}
@@ -101,7 +110,8 @@ def roles(header: Header, named: dict[str, Any], place: Place) -> Roles:
             remedy = f"If it is something else: {SIDECAR[0].lower()}{SIDECAR[1:]}"
             place._replace(column=names[i]).refuse(f"its {kinds[0]} beside {known}", "none", remedy)
     ordered = tuple(rates[i] for i in positions) if rates else ()
-    return Roles(time[0], ids[0] if ids else None, positions, ordered, kinds[0] if kinds else "velocities")
+    kind = kinds[0] if kinds else "velocities"
+    return Roles(time[0], ids[0] if ids else None, positions, ordered, kind, tuple(controls))
 
 
 def is_deviation(name: str) -> bool:
@@ -172,6 +182,5 @@ def of_sidecar(names: tuple[str, ...], named: dict[str, Any], place: Place) -> R
     ):
         expected = "one time, at most one id, positions, and as many velocities or momenta"
         place.refuse(expected, ", ".join(f"{role}: {named[role]}" for role in named))
-    return Roles(
-        found["time"][0], next(iter(found.get("id", [])), None), tuple(positions), tuple(rates), kind
-    )
+    whose, controls = next(iter(found.get("id", [])), None), tuple(found.get("controls", []))
+    return Roles(found["time"][0], whose, tuple(positions), tuple(rates), kind, controls)

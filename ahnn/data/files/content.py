@@ -16,7 +16,7 @@ class Column(NamedTuple):
 
     Attributes:
         name: of the column.
-        role: time, id, position, velocity, momentum or left out.
+        role: time, id, position, velocity, momentum, control or left out.
         unit: of its numbers, or the clock of its epochs; "" without.
     """
 
@@ -39,6 +39,8 @@ class Content(NamedTuple):
         time: name of the column of the times.
         head: number of the line that names the columns; 0 where none does.
         columns: what each column was taken for; none where the format says it.
+        controls: names of the columns of numbers set from outside; tracks have them.
+        linear: whether controls are interpolated linearly between samples; else they are held.
     """
 
     positions: tuple[str, ...]
@@ -52,6 +54,8 @@ class Content(NamedTuple):
     time: str = "EPOCH"
     head: int = 0
     columns: tuple[Column, ...] = ()
+    controls: tuple[str, ...] = ()
+    linear: bool = False
 
 
 def joined(parts: list[Content], places: list[Place]) -> Content:

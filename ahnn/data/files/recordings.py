@@ -90,8 +90,9 @@ class Recordings(ABC):
 
     def _trajectories(self, contents: list[Content]) -> Trajectories:
         """Return all tracks as states, momenta from velocities and the mass."""
-        dof = self.space.dof
-        tracks = [filled(track, self.gap) for content in contents for track in content.tracks]
+        dof, linear = self.space.dof, contents[0].linear
+        every = (track for content in contents for track in content.tracks)
+        tracks = [filled(track, self.gap, linear=linear) for track in every]
         for track in tracks:
             if not len(trimmed(track).times):
                 place = Place(track.file, int(track.rows[0]) if len(track.rows) else 0)
@@ -105,7 +106,7 @@ class Recordings(ABC):
         whole = [part._replace(values=widened(part, dof) * factor) for part in parts]
         self.names = tuple(part.name for part in parts)
         log.info("%s: %s", self.space.name, described(self.space, parts, contents[0]))
-        return stacked(whole)
+        return stacked(whole, linear=linear)
 
 
 def widened(track: Track, dof: int) -> Any:
@@ -119,8 +120,9 @@ def described(space: Space, tracks: list[Track], content: Content) -> str:
     lengths = sorted({int(np.isfinite(track.values).any(1).sum()) for track in tracks})
     samples = f"{lengths[0]:,}" if lengths[0] == lengths[-1] else f"{lengths[0]:,} to {lengths[-1]:,}"
     kind = "momenta" if content.momenta else "velocities"
-    rates = f", {kind} {', '.join(content.rates)}" if content.rates else " alone"
+    rest = f", {kind} {', '.join(content.rates)}" if content.rates else " alone"
+    rest += f", controls {', '.join(content.controls)}" if content.controls else ""
     return (
         f"{len(tracks)} {'trajectory' if len(tracks) == 1 else 'trajectories'} of {samples} samples, time in "
-        f"{space.units.time}, positions {', '.join(content.positions)} in {space.units.position}{rates}"
+        f"{space.units.time}, positions {', '.join(content.positions)} in {space.units.position}{rest}"
     )

@@ -30,6 +30,7 @@ class Track(NamedTuple):
         rows: (T,) numbers of the lines.
         times: (T,).
         values: (T, C), NaN where a number is missing.
+        controls: (T, m), those of each sample on; None where nothing is controlled.
     """
 
     name: str
@@ -37,10 +38,13 @@ class Track(NamedTuple):
     rows: NDArray[np.int64]
     times: Array
     values: Array
+    controls: Array | None = None
 
     def part(self, chosen: NDArray[Any] | slice) -> Track:
         """Return some of the samples."""
-        return self._replace(rows=self.rows[chosen], times=self.times[chosen], values=self.values[chosen])
+        controls = None if self.controls is None else self.controls[chosen]
+        parts = self.rows[chosen], self.times[chosen], self.values[chosen], controls
+        return Track(self.name, self.file, *parts)
 
 
 def by_id(ids: Sequence[str], track: Track) -> list[Track]:
@@ -82,10 +86,11 @@ def ordered(track: Track, column: str, note: Note = refuse) -> Track:
     return track.part(good)
 
 
-def filled(track: Track, gap: float) -> Track:
+def filled(track: Track, gap: float, *, linear: bool = False) -> Track:
     """Return a track with absent samples inside its gaps, about as far apart as the others.
 
     On a grid every point that is missing is a gap; otherwise a step is one that is `gap` times the median.
+    Controls go on through a gap, held or interpolated linearly.
 
     Raises:
         UserError: a gap so long that it separates two trajectories.
@@ -109,7 +114,13 @@ def filled(track: Track, gap: float) -> Track:
     values = np.full((len(times), track.values.shape[1]), np.nan)
     rows = np.zeros(len(times), dtype=np.int64)
     times[ends], values[ends], rows[ends] = track.times, track.values, track.rows
-    return track._replace(rows=rows, times=times, values=values)
+    controls = track.controls
+    if controls is not None and linear:
+        columns = [np.interp(times, track.times, column) for column in controls.T]
+        controls = np.stack(columns, axis=1)
+    elif controls is not None:
+        controls = controls[np.searchsorted(ends, np.arange(len(times)), side="right") - 1]
+    return track._replace(rows=rows, times=times, values=values, controls=controls)
 
 
 def cut(track: Track, samples: int | None) -> list[Track]:
@@ -124,12 +135,16 @@ def trimmed(track: Track) -> Track:
     return track.part(slice(chosen[0], chosen[-1] + 1) if len(chosen) else slice(0, 0))
 
 
-def stacked(tracks: Sequence[Track]) -> Trajectories:
+def stacked(tracks: Sequence[Track], *, linear: bool = False) -> Trajectories:
     """Return tracks as trajectories on a common number of rows, NaN behind the end of shorter ones."""
     longest = max(len(track.times) for track in tracks)
     times = torch.full((len(tracks), longest), math.nan, dtype=torch.float64)
     states = torch.full((len(tracks), longest, tracks[0].values.shape[1]), math.nan, dtype=torch.float64)
+    size = 0 if tracks[0].controls is None else tracks[0].controls.shape[1]
+    controls = torch.full((len(tracks), longest, size), math.nan, dtype=torch.float64)
     for b, track in enumerate(tracks):
         times[b, : len(track.times)] = torch.from_numpy(track.times)
         states[b, : len(track.times)] = torch.from_numpy(track.values)
-    return Trajectories(states, times)
+        if track.controls is not None:
+            controls[b, : len(track.times)] = torch.from_numpy(track.controls)
+    return Trajectories(states, times, controls if size else None, linear)

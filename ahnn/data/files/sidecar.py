@@ -14,7 +14,10 @@ from ahnn.files import write_atomically
 from ahnn.manifest import require_own
 
 SUFFIXES = (".yaml", ".yml")
-KEYS = ("units", "columns", "frame")
+KEYS = ("units", "columns", "frame", "controls")
+LINEAR = "linear"
+BETWEEN = ("held", LINEAR)
+"""What controls are between samples."""
 
 
 class Sidecar(NamedTuple):
@@ -24,11 +27,13 @@ class Sidecar(NamedTuple):
         units: from names of columns to units.
         columns: from roles to names of columns.
         frame: in which the positions are given.
+        controls: what they are between samples, one of `BETWEEN`.
     """
 
     units: dict[str, str] = {}  # noqa: RUF012 - never written to
     columns: dict[str, Any] = {}  # noqa: RUF012 - never written to
     frame: str = ""
+    controls: str = BETWEEN[0]
 
 
 def beside(path: Path) -> Path:
@@ -41,7 +46,7 @@ def parse(text: str, file: str) -> Sidecar:
     """Return a sidecar from its text.
 
     Raises:
-        UserError: no YAML, or keys other than `units`, `columns` and `frame`.
+        UserError: no YAML, or keys other than `KEYS`.
     """
     try:
         content = plain_yaml(text)
@@ -51,10 +56,13 @@ def parse(text: str, file: str) -> Sidecar:
     for key, value in given.items():
         if key not in KEYS:
             Place(file).refuse(f"keys {', '.join(KEYS)}", repr(key) + nearest(str(key), KEYS))
-        if not isinstance(value, str if key == "frame" else dict):
+        if not isinstance(value, str if key in ("frame", "controls") else dict):
             Place(file).refuse(f"{key}: {'a name' if key == 'frame' else 'names with values'}", repr(value))
+        if key == "controls" and value not in BETWEEN:
+            Place(file).refuse(f"controls: {' or '.join(BETWEEN)}", repr(value))
     units = {str(name): str(value) for name, value in given.get("units", {}).items()}
-    return Sidecar(units, given.get("columns", {}), given.get("frame", ""))
+    rest: dict[str, Any] = {key: value for key, value in given.items() if key != "units"}
+    return Sidecar(units, **rest)
 
 
 def with_units(header: Header, sidecar: Sidecar, place: Place) -> Header:
@@ -77,7 +85,9 @@ def with_units(header: Header, sidecar: Sidecar, place: Place) -> Header:
 def written(path: Path, said: Sidecar) -> bytes:
     """Return the sidecar of a file that this program writes."""
     about = f"# Units, columns and frame of {path.name}\n"
-    return f"{about}{yaml.safe_dump(said._asdict(), sort_keys=False)}".encode()
+    usual = {"controls": BETWEEN[0]}.items()
+    plain = {key: value for key, value in said._asdict().items() if (key, value) not in usual}
+    return f"{about}{yaml.safe_dump(plain, sort_keys=False)}".encode()
 
 
 def require_place(path: Path) -> None:

@@ -22,7 +22,8 @@ from ahnn.types import Space
 class Files(Recordings):
     """Trajectories in files; nothing is known of their equations.
 
-    Times, positions and velocities or momenta are columns with units behind their names (docs/data.md).
+    Times, positions, velocities or momenta, and controls are columns with units behind their names
+    (docs/data.md).
 
     Args:
         name: of the data, in folders and tables.
@@ -97,7 +98,7 @@ def together(paths: list[Path], contents: list[Content]) -> Content:
     if not contents:
         message = "system.path: expected a file or several; received none"
         raise UserError(message)
-    for name in ("positions", "rates", "momenta", "units", "frame"):
+    for name in ("positions", "rates", "momenta", "units", "frame", "controls", "linear"):
         first = getattr(contents[0], name)
         for path, content in zip(paths, contents, strict=True):
             if (received := getattr(content, name)) != first:
@@ -121,4 +122,4 @@ def space_of(name: str, content: Content, mass: float | Sequence[float] | None) 
         message = f"system.mass: expected one, or one for each of {content.positions}; received {inertia}"
         raise UserError(message)
     parts = (*content.positions, *momenta), content.units, inertia, content.frame
-    return Space(name, *parts, mechanical=not turning)
+    return Space(name, *parts, mechanical=not turning, controls=content.controls)

@@ -13,7 +13,7 @@ from ahnn.data.files.content import Column, Content
 from ahnn.data.files.frame_names import canonical
 from ahnn.data.files.frames import TO_TT
 from ahnn.data.files.samples import Array, Track, by_id, ordered
-from ahnn.data.files.sidecar import Sidecar, with_units
+from ahnn.data.files.sidecar import LINEAR, Sidecar, with_units
 from ahnn.data.files.table import (
     FINITE,
     LARGEST,
@@ -61,17 +61,30 @@ def of_sheet(sheet: Sheet, sidecar: Sidecar, *, weighed: bool, note: Note = refu
     columns = [numbers(sheet, column, note) for column in (*found.positions, *found.rates)]
     values = np.stack(columns, axis=1) * (*by.positions, *by.rates)
     name = header.names[found.time]
-    whole = Track("", file, sheet.rows, times * by.time, values)
+    whole = Track("", file, sheet.rows, times * by.time, values, controls_of(sheet, found, note))
     tracks = tuple(ordered(track, name, note) for track in trajectories(sheet, found.id, whole, note))
     positions, rates = (tuple(header.names[i] for i in columns) for columns in (found.positions, found.rates))
     momenta, head, frame = found.kind == "momenta", place.row, canonical(sidecar.frame)
+    controls, linear = tuple(header.names[i] for i in found.controls), sidecar.controls == LINEAR
     units = [clock if i == found.time and clock else unit or "" for i, unit in enumerate(header.units)]
     columns = tuple(
         Column(name, found.of(i), unit)
         for i, (name, unit) in enumerate(zip(header.names, units, strict=True))
     )
-    content = Content(positions, rates, momenta, by.units, frame, tracks, epoch, clock, name, head, columns)
-    return unwrapped(content, note)
+    about = epoch, clock, name, head, columns, controls, linear
+    return unwrapped(Content(positions, rates, momenta, by.units, frame, tracks, *about), note)
+
+
+def controls_of(sheet: Sheet, found: Roles, note: Note) -> Array | None:
+    """Return the controls of each row, (T, m), as the file has them; each must be there."""
+    if not found.controls:
+        return None
+    columns = [numbers(sheet, column, note) for column in found.controls]
+    for column, values in zip(found.controls, columns, strict=True):
+        for k in np.flatnonzero(np.isnan(values)):
+            where = Place(sheet.place.file, int(sheet.rows[k]), sheet.header.names[column])
+            note(Fault(where, "a control in each row", "none", "Repeat the one that is held"))
+    return np.stack(columns, axis=1)
 
 
 def say_unused(header: Header, found: Roles, place: Place, note: Note) -> None:

@@ -1,0 +1,127 @@
+"""What a prediction is worth: its relative error beside those of persistence and of a linear map."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from ahnn.evaluation.case import Case
+from ahnn.numbers import in_percent
+from ahnn.types import Trajectories
+
+WORTHLESS = 0.9
+"""Fraction of the better baseline's error from which a model says no more than that baseline."""
+LINEAR = 0.05
+"""Relative error up to which a model is of use though a linear map is better, on linear motion."""
+PAIRS = 200_000
+"""Steps that a linear map is fitted to, at most."""
+
+
+class Worth(NamedTuple):
+    """Relative errors: rms over trajectories, samples and components, in standard deviations of the data.
+
+    Attributes:
+        model: of the prediction.
+        persistence: of a state that stays what it was.
+        linear: of the affine map of a step that fits the training data best; None where steps differ, or
+            where no whole states are known.
+    """
+
+    model: float
+    persistence: float
+    linear: float | None
+
+    @property
+    def worthless(self) -> bool:
+        """Whether a baseline does as well, or the mean of the data."""
+        known = [1.0, self.persistence]
+        if self.linear is not None and self.model > LINEAR:
+            known.append(self.linear)
+        return not self.model < WORTHLESS * min(known)
+
+    def sentence(self) -> str:
+        """Return the finding as a note under the table."""
+        linear = "" if self.linear is None else f", a linear map {amount(self.linear)}"
+        others = f"persistence {amount(self.persistence)}{linear}"
+        if self.worthless:
+            return (
+                f"WORTHLESS: relative error {amount(self.model)} of the spread of the data, as without "
+                f"a model ({others}). Train longer, or take another model"
+            )
+        return f"relative error {amount(self.model)} of the spread of the data ({others})"
+
+    def numbers(self) -> dict[str, Any]:
+        """Return plain values for metrics.json."""
+        return {**self._asdict(), "worthless": self.worthless}
+
+
+def amount(error: float) -> str:
+    """Return a relative error in percent; what is no number diverges."""
+    return in_percent(error) if error < 100 else "over 10,000 %" if math.isfinite(error) else "infinite"
+
+
+def worth(case: Case, prediction: Tensor) -> Worth:
+    """Return what a prediction (B, T, D) of the test trajectories of a case is worth.
+
+    What was not measured does not count.
+    """
+    truth = case.test.states
+    still = truth[:, :1].expand_as(truth)
+    mapped = linear_prediction(case)
+    return Worth(
+        relative_error(prediction, truth),
+        relative_error(still, truth),
+        None if mapped is None else relative_error(mapped, truth),
+    )
+
+
+def relative_error(prediction: Tensor, truth: Tensor) -> float:
+    """Return the rms error of predictions (B, T, D) in standard deviations of each component; inf if lost."""
+    known = truth.isfinite()
+    count = known.sum((0, 1))
+    there = count > 0
+    middle = truth.nanmean((0, 1))
+    spread = torch.where(known, truth - middle, 0.0).square().sum((0, 1)) / count
+    error = torch.where(known, prediction - truth, 0.0).square().sum((0, 1)) / count
+    moving = there & (spread > 0)
+    found = float((error[moving] / spread[moving]).mean().sqrt()) if bool(moving.any()) else math.nan
+    return found if math.isfinite(found) else math.inf
+
+
+def linear_prediction(case: Case) -> Tensor | None:
+    """Return what the affine map of a step predicts, (B, T, D); None where there is none.
+
+    Of controlled motion the map takes the controls, too.
+    """
+    if isinstance(case.dt, Tensor) or not bool(case.train.present.any()):
+        return None
+    before, after = pairs(case.train)
+    size = case.test.states.shape[-1]
+    if len(before) < before.shape[1] + 1:
+        return None
+    scale = before.abs().amax(0).clamp(min=1e-300)
+    design = torch.cat((before / scale, torch.ones_like(before[:, :1])), dim=1)
+    found = torch.linalg.lstsq(design, after, driver="gelsd").solution
+    matrix, shift = found[:-1] / scale[:, None], found[-1]
+    x = case.test.states[:, 0]
+    along = [x]
+    for k in range(case.test.states.shape[1] - 1):
+        row = x if case.test.controls is None else torch.cat((x, case.test.controls[:, k]), dim=1)
+        x = row[:, : len(matrix)] @ matrix + shift
+        along.append(x)
+    predicted = torch.stack(along, dim=1)
+    return predicted if predicted.shape[-1] == size else None
+
+
+def pairs(trajectories: Trajectories) -> tuple[Tensor, Tensor]:
+    """Return states, with controls beside them, where steps begin, (R, D + m), and where they end, (R, D)."""
+    states, present = trajectories.states, trajectories.present
+    chosen = (present[:, :-1] & present[:, 1:]).nonzero()
+    b, k = chosen[:: max(1, len(chosen) // PAIRS)].T
+    before = states[b, k]
+    if trajectories.controls is not None:
+        before = torch.cat((before, trajectories.controls[b, k]), dim=1)
+    return before, states[b, k + 1]

@@ -1,0 +1,98 @@
+"""A chain of pendulums in the plane, each link an angle from the downward vertical."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import torch
+from torch import Generator, Tensor
+
+from ahnn.arguments import Count, Positive, Range
+from ahnn.errors import UserError
+from ahnn.systems.base import FilterNoise, Units, uniform
+from ahnn.systems.mass_matrix import MassMatrixSystem
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class ChainPendulum(MassMatrixSystem):
+    """Point masses on rigid rods, one below the other; two are the double pendulum, which is chaotic.
+
+    M_ij = m_{>= max(i, j)} l_i l_j cos(q_i - q_j) and V = -sum_i m_{>= i} g l_i cos q_i, where m_{>= i} is
+    the mass from link i on (Finzi, Wang & Wilson 2020, arXiv:2010.13581, have the same in Cartesian form).
+
+    Attributes:
+        links: how many.
+        masses, lengths: of the links in kg and m, from the top; None takes 1 for each.
+        gravity: acceleration in m/s^2.
+        q0, v0: ranges of the initial angles in rad and of their rates in rad/s.
+    """
+
+    links: Count = 2
+    masses: list[Positive] | None = None
+    lengths: list[Positive] | None = None
+    gravity: Positive = 9.81
+    q0: Range = (-1.5, 1.5)
+    v0: Range = (0.0, 0.0)
+
+    units = Units(time="s", position="rad", velocity="rad/s", energy="J")
+    noise = FilterNoise(position=1e-3, velocity=1e-3, measurement=1e-3)
+
+    def __post_init__(self) -> None:
+        """Refuse parameters that make no chain; raises UserError."""
+        super().__post_init__()
+        for name in ("masses", "lengths"):
+            if (given := getattr(self, name)) is not None and len(given) != self.links:
+                message = f"{name}: expected one for each of {self.links} links; received {given}"
+                raise UserError(message)
+
+    @property
+    def dof(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """One for each link."""
+        return self.links
+
+    @property
+    def components(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Angles, then momenta."""
+        return tuple(f"{kind}{k + 1}" for kind in ("q", "p") for k in range(self.links))
+
+    def numbers(self, given: Sequence[float] | None, like: Tensor) -> Tensor:
+        """Return one number for each link, (n,)."""
+        return torch.ones(self.links).to(like) if given is None else torch.tensor(given).to(like)
+
+    def couplings(self, like: Tensor) -> Tensor:
+        """Return m_{>= max(i, j)} l_i l_j, (n, n)."""
+        below = self.numbers(self.masses, like).flip(0).cumsum(0).flip(0)
+        last = torch.arange(self.links, device=like.device)
+        length = self.numbers(self.lengths, like)
+        return below[torch.maximum(last[:, None], last)] * length[:, None] * length
+
+    def weights(self, like: Tensor) -> Tensor:
+        """Return m_{>= i} g l_i, (n,)."""
+        return self.couplings(like).diagonal() / self.numbers(self.lengths, like) * self.gravity
+
+    def mass_matrix(self, q: Tensor) -> Tensor:
+        """Return M, shape (..., n, n), at the angles q, shape (..., n)."""
+        return self.couplings(q) * (q.unsqueeze(-1) - q.unsqueeze(-2)).cos()
+
+    def mass_slopes(self, q: Tensor) -> Tensor:
+        """Return dM/dq_k, shape (..., n, n, n), at the angles q, shape (..., n)."""
+        slope = self.couplings(q) * (q.unsqueeze(-1) - q.unsqueeze(-2)).sin()  # -dM_ij/dq_i = dM_ij/dq_j
+        by = torch.eye(self.links).to(q)
+        return slope.unsqueeze(-3) * (by[:, None, :] - by[:, :, None])
+
+    def potential(self, q: Tensor) -> Tensor:
+        """Return V in J, shape (...), at the angles q, shape (..., n)."""
+        return -(self.weights(q) * q.cos()).sum(-1)
+
+    def force(self, q: Tensor) -> Tensor:
+        """Return -dV/dq in N m, shape (..., n), at the angles q, shape (..., n)."""
+        return -self.weights(q) * q.sin()
+
+    def initial_states(self, count: int, generator: Generator) -> Tensor:
+        """Draw angles and their rates uniformly, shape (count, 2n)."""
+        size = count * self.links
+        q, v = (uniform(part, size, generator).reshape(count, self.links) for part in (self.q0, self.v0))
+        return self.states(q, v)
