@@ -22,7 +22,7 @@ from ahnn.prediction.arguments import clock_along, lengths_of, paths_of, starts_
 from ahnn.prediction.propagation import Knowledge, Prediction, predicted
 from ahnn.rollouts import rollout
 from ahnn.types import Space
-from ahnn.uncertainty import Domain, Uncertainty, rollout_covariances
+from ahnn.uncertainty import Domain, Uncertainty, learned_constants, rollout_covariances
 from ahnn.uncertainty.posterior import FILE
 
 if TYPE_CHECKING:
@@ -189,6 +189,16 @@ class Run:
             known = known._replace(start=factor)
         times = as_float64(times, "times")
         return predicted(self._exact, x.double(), times, self.dt, known, description)
+
+    @property
+    def constants(self) -> dict[str, tuple[float, float]]:
+        """Learned numbers that mean something by themselves, such as friction: value and standard deviation.
+
+        The deviation is NaN where the covariance of the parameters is not known.
+        """
+        spread = None if self.uncertainty is None else self.uncertainty.spread
+        found = learned_constants(self._exact, spread)
+        return {one.name: (one.value, one.deviation) for one in found}
 
     @cached_property
     def config(self) -> dict[str, Any]:

@@ -227,6 +227,10 @@ class CentralBody(nn.Module):
         """The gravitational parameter; a known one keeps all its digits in any precision of the weights."""
         return self.log_mu.exp() if self.known_mu is None else self.known_mu
 
+    def constants(self) -> dict[str, Tensor]:
+        """Return a learned mu."""
+        return {"mu": self.log_mu.exp()} if self.known_mu is None else {}
+
     def fit(self, statistics: Statistics) -> None:
         """Set mu, if it is learned, and the unit of the remainder from the sampled forces.
 

@@ -92,9 +92,9 @@ class TimeTest(NamedTuple):
 
 
 def conserves(flow: Any) -> bool:
-    """Return whether a flow conserves the energy that it has."""
+    """Return whether a flow conserves its energy: no force beside the Hamiltonian does work."""
     field = getattr(flow, "field", None)
-    return hasattr(flow, "energy") and not (isinstance(field, Forced) and field.forces_work)
+    return not (isinstance(field, Forced) and field.forces_work)
 
 
 def energy_trend(case: Case) -> Trend | None:
@@ -109,13 +109,15 @@ def energy_trend(case: Case) -> Trend | None:
         return None
     cut = [x[:, : parts * length].reshape(-1, length) for x in (energy, times)]
     slopes, middles = slope(*cut)
-    above = float(middles.nanmean() - energy[energy.isfinite()].min())
-    slopes = slopes[slopes.isfinite()] / above if above > 0 else slopes[:0]
-    if len(slopes) < PIECES:
+    above = middles - energy[energy.isfinite()].min()
+    known = slopes.isfinite() & above.isfinite()
+    slopes, above, weight = slopes[known], above[known], float(above[known].square().sum())
+    if len(slopes) < PIECES or not weight > 0:
         return None
+    rate = float((slopes * above).sum()) / weight  # of slopes in proportion to the energy
+    left = (slopes - rate * above).square().sum() / (len(slopes) - 1)
     span = float((times.nan_to_num(nan=-torch.inf).amax(1) - times[:, 0]).median())
-    rate = float(slopes.mean())
-    return Trend(rate, float(slopes.std()) / len(slopes) ** 0.5, rate * span)
+    return Trend(rate, (float(left) / weight) ** 0.5, rate * span)
 
 
 def slope(values: Tensor, times: Tensor) -> tuple[Tensor, Tensor]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any, cast
 
+from torch import nn
+
 from ahnn.evaluation.bands import band_figure, banded
 from ahnn.evaluation.baselines import worth
 from ahnn.evaluation.case import Case, EvaluationPlugin, Findings, Row
@@ -16,7 +18,7 @@ from ahnn.evaluation.open_loop import open_loop
 from ahnn.evaluation.residual_diagnosis import remedy
 from ahnn.evaluation.trajectory_figures import open_loop_figures
 from ahnn.measurements import Segment
-from ahnn.uncertainty import Uncertainty
+from ahnn.uncertainty import Uncertainty, learned_constants
 
 
 def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bool = True) -> Findings:
@@ -34,6 +36,7 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
     findings = open_loop(case)
     findings.tell(case.remark)
     add_verdict(case, findings)
+    add_constants(case, findings)
     if case.measured is not None:
         flow = cast(Any, case.flow)
         explained = explain(flow, case.measured, case.robust)
@@ -74,6 +77,15 @@ def add_verdict(case: Case, findings: Findings) -> None:
     if (timed := time_test(case)) is not None:
         findings.tell(timed.sentence())
         findings.numbers["time_test"] = timed._asdict()
+
+
+def add_constants(case: Case, findings: Findings) -> None:
+    """Add learned numbers that mean something by themselves, with their standard deviations where known."""
+    spread = None if case.uncertainty is None else case.uncertainty.spread
+    flow: Any = case.flow
+    if isinstance(flow, nn.Module) and (found := learned_constants(cast(Any, flow), spread)):
+        findings.tell(f"learned: {', '.join(map(str, found))}")
+        findings.numbers["constants"] = {one.name: one.numbers() for one in found}
 
 
 def add_band(case: Case, uncertainty: Uncertainty, findings: Findings, *, figures: bool) -> None:

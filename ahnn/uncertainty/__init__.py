@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ahnn.uncertainty.bands import rollout_covariances, rollout_sensitivities, sampled_rollouts
+from ahnn.uncertainty.constants import Constant, learned_constants
 from ahnn.uncertainty.domain import BEYOND, Domain, domain_of, find_domain, growth
 from ahnn.uncertainty.force import force_deviation
 from ahnn.uncertainty.forecast import forecast_columns
@@ -10,6 +11,7 @@ from ahnn.uncertainty.posterior import Uncertainty, load_uncertainty, save_uncer
 
 __all__ = [
     "BEYOND",
+    "Constant",
     "Domain",
     "Uncertainty",
     "domain_of",
@@ -17,6 +19,7 @@ __all__ = [
     "force_deviation",
     "forecast_columns",
     "growth",
+    "learned_constants",
     "load_uncertainty",
     "rollout_covariances",
     "rollout_sensitivities",

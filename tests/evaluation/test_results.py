@@ -69,7 +69,8 @@ def test_the_file_of_a_report_is_read_again(tmp_path, capsys):
     results = report(make_case(tmp_path), plugins, {"val_loss": math.nan}, figures=False)
     assert same(load_results(tmp_path), results)
     content = json.loads((tmp_path / "metrics.json").read_text())
-    assert content["plugins"] == {"rows": {"a": "inf"}}
+    assert content["plugins"]["rows"] == {"a": "inf"}
+    assert content["plugins"]["worth"]["worthless"] is False
     assert [row["name"] for row in content["rows"]][:2] == ["model of mine"] * 2
     assert content["rows"][0]["position"] == results.row(MODEL).scores.position
     assert {"ahnn", "commit", "command", "host", "threads", "torch", "python", "date"} <= set(

@@ -78,6 +78,11 @@ class Actuation(Force):
             return (self.unit * self.weight).expand(*q.shape[:-1], *self.shape)
         return self.unit * self.network(self.positions(q)).unflatten(-1, self.shape)
 
+    def constants(self) -> dict[str, Tensor]:
+        """Return a learned constant G, (n, m)."""
+        learned = self.of == "constant" and self.known is None
+        return {"matrix": self.unit * self.weight} if learned else {}
+
     def forward(self, at: Instant) -> Tensor:
         """Return G u, shape (..., n)."""
         return (self.matrix(at.q) @ at.u.unsqueeze(-1)).squeeze(-1)

@@ -62,6 +62,10 @@ class Force(nn.Module, ABC):
 
         return torch.cat(by, dim=-1) @ vmap(jacrev(of_row))(torch.cat(at, dim=-1)).mT
 
+    def constants(self) -> dict[str, Tensor]:
+        """Return learned numbers that mean something by themselves, by name, as the parameters give them."""
+        return {}
+
     def potential(self, at: Instant) -> Tensor | None:
         """Return the potential energy of a force that has one, shape (...); by default it has none."""
         del at

@@ -66,6 +66,12 @@ class Forcing(Force):
             return torch.tensor(self.known, dtype=torch.float64).to(like)
         return self.unit * self.amplitudes
 
+    def constants(self) -> dict[str, Tensor]:
+        """Return learned amplitudes a and b, (n,) each."""
+        if self.known is not None:
+            return {}
+        return dict(zip(("cosine", "sine"), self.unit * self.amplitudes, strict=True))
+
     def forward(self, at: Instant) -> Tensor:
         """Return the force, shape (..., n)."""
         phase, (a, b) = self.frequency * at.t, self.amplitude(at.q)

@@ -84,6 +84,11 @@ class Friction(Force):
             return torch.tensor(self.known, dtype=torch.float64)
         return self.log_coefficient.exp()
 
+    def constants(self) -> dict[str, Tensor]:
+        """Return learned constant coefficients, (n,)."""
+        learned = self.of == "constant" and self.known is None
+        return {"coefficient": self.coefficients()} if learned else {}
+
     def matrix(self, q: Tensor) -> Tensor:
         """Return R, shape (..., n, n), at the positions q, shape (..., n)."""
         if self.of == "constant":
