@@ -104,9 +104,10 @@ class HamiltonianDynamics(_Integrated):
         dof: degrees of freedom n.
         inertia: factor m of T = p^2 / 2m, used by `mechanical` and `central_body`; one for each coordinate
             with `mechanical`.
-        hamiltonian: generic, separable, mechanical, central_body or mass_matrix.
+        hamiltonian: generic, separable, mechanical, central_body, mass_matrix or pairs.
         mu: gravitational parameter of `central_body`; None learns it.
         falloff: k of a learned V(q) = (R / r)^k N(q); 0 leaves open how it goes with the distance.
+        dimensions: coordinates of a body, for `pairs`.
         inputs: cartesian, isotropic or radial positions, or angles.
         scaling: minmax, block or none.
         network: width, depth, activation.
@@ -124,6 +125,7 @@ class HamiltonianDynamics(_Integrated):
         hamiltonian: Structure,
         mu: float | None,
         falloff: float = 0.0,
+        dimensions: int | None = None,
         inputs: InputName,
         scaling: Kind,
         network: dict[str, Any],
@@ -133,8 +135,8 @@ class HamiltonianDynamics(_Integrated):
         controls: int = 0,
     ) -> None:
         options: dict[str, Any] = {"inputs": inputs, "scaling": scaling, "network": network}
-        options |= {"angular": angular}
-        field: nn.Module = make_hamiltonian(hamiltonian, dof, mass=inertia, mu=mu, falloff=falloff, **options)
+        options |= {"angular": angular, "mu": mu, "falloff": falloff, "dimensions": dimensions}
+        field: nn.Module = make_hamiltonian(hamiltonian, dof, mass=inertia, **options)
         assumed = [f"{hamiltonian} Hamiltonian, {inputs} inputs"]
         if forces:
             field = Forced(field, forces, dof, controls)

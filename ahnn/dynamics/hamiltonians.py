@@ -12,7 +12,7 @@ from typing import Any, Literal, cast
 import torch
 from torch import Tensor, nn
 
-from ahnn.arguments import NonNegative, Positive, checked
+from ahnn.arguments import Count, NonNegative, Positive, checked
 from ahnn.dynamics import fused_steps
 from ahnn.dynamics.energies import CentralBody, Energy, NetworkEnergy, Quadratic, energy_units
 from ahnn.dynamics.gradients import Layers
@@ -20,11 +20,12 @@ from ahnn.dynamics.hessians import BothInputs, is_closed, network_derivatives
 from ahnn.dynamics.inputs import Cartesian, InputName, position_inputs
 from ahnn.dynamics.mass_matrix import MassMatrixHamiltonian
 from ahnn.dynamics.networks import Perceptron, make_network
+from ahnn.dynamics.pairs import PairPotential
 from ahnn.dynamics.scaling import Kind
 from ahnn.errors import UserError
 from ahnn.statistics import Statistics
 
-Structure = Literal["generic", "separable", "mechanical", "central_body", "mass_matrix"]
+Structure = Literal["generic", "separable", "mechanical", "central_body", "mass_matrix", "pairs"]
 
 
 class GenericHamiltonian(nn.Module):
@@ -178,6 +179,7 @@ def make_hamiltonian(
     mass: Positive | list[Positive],
     mu: Positive | None,
     falloff: NonNegative = 0.0,
+    dimensions: Count | None = None,
     inputs: InputName,
     scaling: Kind,
     network: dict[str, Any],
@@ -187,11 +189,13 @@ def make_hamiltonian(
 
     Args:
         structure: `generic` H(q, p), `separable` T(p) + V(q), `mechanical` p^2 / 2m + V(q), `central_body`
-            p^2 / 2m - m mu / r + V(q), or `mass_matrix` p^T M(q)^{-1} p / 2 + V(q).
+            p^2 / 2m - m mu / r + V(q), `mass_matrix` p^T M(q)^{-1} p / 2 + V(q), or `pairs`, p^2 / 2m and
+            a potential of the distances of bodies.
         dof: degrees of freedom n.
-        mass: of `mechanical`, for which it may be one for each coordinate, and of `central_body`.
+        mass: of `mechanical` and `pairs`, for which it may be one for each coordinate, and of `central_body`.
         mu: gravitational parameter of `central_body`; None learns it.
         falloff: k of a learned V(q) = (R / r)^k N(q); 0 leaves open how it goes with the distance.
+        dimensions: coordinates of a body, for `pairs`.
         inputs: cartesian, isotropic, radial or angles, for the positions.
         scaling: minmax, block or none.
         network: width, depth, activation.
@@ -203,6 +207,15 @@ def make_hamiltonian(
     if mu is not None and structure != "central_body":
         message = f"mu: expected None, since {structure} has no central body; received {mu}"
         raise UserError(message)
+    if (dimensions is None) != (structure != "pairs"):
+        expected = (
+            "coordinates of a body" if structure == "pairs" else f"None, since {structure} has no bodies"
+        )
+        message = f"dimensions: expected {expected}; received {dimensions}"
+        raise UserError(message)
+    if dimensions is not None:
+        own = {"dimensions": dimensions, "falloff": falloff, "network": network}
+        return SeparableHamiltonian(Quadratic(mass), PairPotential(dof, mass, **own))
     if structure == "central_body" and dof < 2:
         message = "hamiltonian central_body: expected at least 2 degrees of freedom; received 1"
         raise UserError(message)

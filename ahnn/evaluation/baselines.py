@@ -21,7 +21,9 @@ PAIRS = 200_000
 
 
 class Worth(NamedTuple):
-    """Relative errors: rms over trajectories, samples and components, in standard deviations of the data.
+    """Relative errors: rms over samples and components, in standard deviations of the data.
+
+    A mean over the trajectories, as the errors of the table.
 
     Attributes:
         model: of the prediction.
@@ -79,16 +81,22 @@ def worth(case: Case, prediction: Tensor) -> Worth:
 
 
 def relative_error(prediction: Tensor, truth: Tensor) -> float:
-    """Return the rms error of predictions (B, T, D) in standard deviations of each component; inf if lost."""
+    """Return the error of predictions (B, T, D), as the table has it: a mean over trajectories of the rms.
+
+    Components count in their standard deviations; an error that is no number is infinite.
+    """
     known = truth.isfinite()
     count = known.sum((0, 1))
     there = count > 0
     middle = truth.nanmean((0, 1))
     spread = torch.where(known, truth - middle, 0.0).square().sum((0, 1)) / count
-    error = torch.where(known, prediction - truth, 0.0).square().sum((0, 1)) / count
     moving = there & (spread > 0)
-    found = float((error[moving] / spread[moving]).mean().sqrt()) if bool(moving.any()) else math.nan
-    return found if math.isfinite(found) else math.inf
+    if not bool(moving.any()):
+        return math.inf
+    error = torch.where(known, prediction - truth, 0.0).square()[..., moving] / spread[moving]
+    each = (error.sum((1, 2)) / known[..., moving].sum((1, 2))).sqrt()
+    found = float(each.nanmean())
+    return found if math.isfinite(found) and bool(prediction[known].isfinite().all()) else math.inf
 
 
 def linear_prediction(case: Case) -> Tensor | None:

@@ -147,12 +147,17 @@ class Row(NamedTuple):
 
 @dataclass
 class Findings:
-    """What an evaluation reports: rows, numbers, arrays and figures, each under its own name."""
+    """What an evaluation reports: rows, numbers, arrays and figures, each under its own name.
+
+    Attributes:
+        notes: findings without a row of their own, which go to the first one of the evaluation.
+    """
 
     rows: list[Row] = field(default_factory=list)
     numbers: dict[str, Any] = field(default_factory=dict)
     arrays: dict[str, Tensor] = field(default_factory=dict)
     figures: dict[str, Figure] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
 
     def tell(self, finding: str) -> None:
         """Add a finding to the note of the first row; "" adds nothing."""

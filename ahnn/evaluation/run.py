@@ -59,6 +59,8 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
         more = plugin(case)
         findings.rows += distinct(more.rows, findings.rows, name)
         findings.numbers[name] = more.numbers
+        for note in more.notes:
+            findings.tell(note)
         findings.arrays |= {f"{name}/{key}": value for key, value in more.arrays.items()}
         findings.figures |= {f"{name}/{key}": drawn for key, drawn in more.figures.items() if figures}
     return findings

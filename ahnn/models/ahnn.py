@@ -21,6 +21,7 @@ class AHNN(AbstractModel):
         hamiltonian: generic, separable, mechanical or central_body.
         mu: gravitational parameter of `central_body`; None learns it.
         falloff: k of a learned V(q) = (R / r)^k N(q); 0 leaves open how it goes with the distance.
+        dimensions: coordinates of a body, for hamiltonian=pairs.
         inputs: cartesian, isotropic or radial positions, or angles.
         scaling: minmax, block or none.
         network: width, depth, activation.
@@ -40,6 +41,7 @@ class AHNN(AbstractModel):
         hamiltonian: Structure,
         mu: float | None,
         falloff: float = 0.0,
+        dimensions: int | None = None,
         inputs: InputName,
         scaling: Kind,
         network: dict[str, Any],
@@ -51,6 +53,7 @@ class AHNN(AbstractModel):
         controls: int = 0,
     ) -> None:
         options = {"inertia": inertia, "hamiltonian": hamiltonian, "mu": mu, "falloff": falloff}
+        options |= {} if dimensions is None else {"dimensions": dimensions}
         options |= {"inputs": inputs, "scaling": scaling, "network": network, "integrator": integrator}
         if inputs == "angles":
             options |= {"angular": angular}

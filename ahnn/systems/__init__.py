@@ -9,12 +9,13 @@ from ahnn.systems.base import FilterNoise, Range, System, Units, uniform
 from ahnn.systems.cart_pole import CartPole
 from ahnn.systems.chain_pendulum import ChainPendulum
 from ahnn.systems.driven_pendulum import DrivenPendulum
+from ahnn.systems.generalised_coordinates import MassMatrixSystem
 from ahnn.systems.henon_heiles import HenonHeiles
 from ahnn.systems.kepler import Kepler
-from ahnn.systems.mass_matrix import MassMatrixSystem
 from ahnn.systems.mass_spring import MassSpring
 from ahnn.systems.molniya import Molniya
 from ahnn.systems.molniya_gravity import MolniyaGravity
+from ahnn.systems.n_body import NBody
 from ahnn.systems.pendulum import Pendulum
 from ahnn.systems.truth import exact_flow
 
@@ -29,6 +30,7 @@ __all__ = [
     "MassSpring",
     "Molniya",
     "MolniyaGravity",
+    "NBody",
     "Pendulum",
     "Range",
     "System",

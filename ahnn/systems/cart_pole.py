@@ -13,7 +13,7 @@ from torch import Generator, Tensor
 from ahnn.arguments import Count, NonNegative, Positive, Range
 from ahnn.dynamics.forces import Actuation, Force
 from ahnn.systems.base import FilterNoise, Units, uniform
-from ahnn.systems.mass_matrix import MassMatrixSystem
+from ahnn.systems.generalised_coordinates import MassMatrixSystem
 
 
 @final

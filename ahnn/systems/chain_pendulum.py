@@ -12,7 +12,7 @@ from torch import Generator, Tensor
 from ahnn.arguments import Count, Positive, Range
 from ahnn.errors import UserError
 from ahnn.systems.base import FilterNoise, Units, uniform
-from ahnn.systems.mass_matrix import MassMatrixSystem
+from ahnn.systems.generalised_coordinates import MassMatrixSystem
 
 
 @final

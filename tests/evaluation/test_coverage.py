@@ -87,8 +87,10 @@ def test_norms_are_those_of_positions_and_velocities():
 
 def test_an_evaluation_tells_and_draws_the_band(tmp_path):
     findings = evaluate(case_of(tmp_path, known(0.02)), {})
-    assert findings.rows[0].note.splitlines()[1].startswith(
-        "its bands of 1, 2 and 3 standard deviations hold 100, 100, 100 %"
+    assert (
+        findings.rows[0]
+        .note.splitlines()[1]
+        .startswith("its bands of 1, 2 and 3 standard deviations hold 100, 100, 100 %")
     )
     assert "(right ones 0 to 100, 0 to 100, " in findings.rows[0].note
     assert findings.numbers["uncertainty"]["coverage"] == [1, 1, 1]

@@ -56,7 +56,7 @@ def test_baselines_are_those_computed_by_hand(tmp_path):
     found = worth(case, prediction)
     spread = (truth - truth.mean((0, 1))).square().mean((0, 1))
     for guess, error in ((prediction, found.model), (truth[:, :1].expand_as(truth), found.persistence)):
-        by_hand = ((guess - truth).square().mean((0, 1)) / spread).mean().sqrt()
+        by_hand = ((guess - truth).square().mean(1) / spread).mean(1).sqrt().mean()
         assert error == pytest.approx(float(by_hand), rel=1e-12)
     assert found.linear == pytest.approx(0.0, abs=1e-9)  # a spring is linear
     assert not found.worthless

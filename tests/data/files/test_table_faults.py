@@ -85,7 +85,7 @@ def test_a_fault_is_named_with_its_place(tmp_path, fault):
         ("a: [", "data.yaml: expected YAML"),
         (
             "unit: {x: km}",
-            "data.yaml: expected keys units, columns, frame, controls; received 'unit'; did you mean 'units'?",
+            "expected keys units, columns, frame, controls; received 'unit'; did you mean 'units'?",
         ),
         ("units: {z: km}", "expected a column 'z' (units)"),
         ("units: {x: m}", "column x: expected [m], as in the sidecar; received [km]. Say it once"),

@@ -156,12 +156,8 @@ def test_smoother_has_its_own_rows_and_is_better(spring: Case) -> None:
 def test_estimators_of_whole_arcs_have_their_own_rows(make_case: Callable) -> None:
     short = make_case(dataclasses.replace(SPRING, steps=80), Integrated(STIFFER, RK4))
     findings = run(short, "least_squares=true", group="ukf_iterated")
-    assert {row.who.estimator for row in findings.rows} == {
-        "ukf",
-        "ukf_smoothed",
-        "ukf_iterated",
-        "batch_least_squares",
-    }
+    named = {"ukf", "ukf_smoothed", "ukf_iterated", "batch_least_squares"}
+    assert {row.who.estimator for row in findings.rows} == named
     told = findings.numbers["filters"]
     assert told["ukf_iterated"]["floor"]["true"]["unsettled"] == 0
     fit = told["batch_least_squares"]["floor"]["perturbed"]

@@ -1,0 +1,179 @@
+"""A potential that adds up over pairs of bodies: V = sum over i < j of m_i m_j phi(|q_i - q_j|), phi learned.
+
+It is the same for bodies that change places, and where all of them are moved or turned. What was learned of a
+few bodies holds for more of them (`for_bodies`).
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Sequence
+from typing import Any, cast
+
+import torch
+from torch import Tensor, nn
+
+from ahnn.dynamics.energies import Quadratic, energy_units
+from ahnn.dynamics.gradients import recorded_gradient
+from ahnn.dynamics.hessians import is_closed
+from ahnn.dynamics.networks import make_network
+from ahnn.dynamics.parameter_jacobians import layers_at, reversed_rows, with_value, write_rows
+from ahnn.errors import UserError
+from ahnn.statistics import Statistics
+
+
+class PairPotential(nn.Module):
+    """sum of m_i m_j phi(r_ij), phi(r) = unit (R / r)^k N(log r), R the least distance of the training.
+
+    Args:
+        dof: degrees of freedom n, `dimensions` for each body: (x_1, y_1, x_2, y_2, ...).
+        mass: of the coordinates, one for all or n.
+        dimensions: of the space.
+        falloff: k.
+        network: width, depth, activation of N.
+
+    Raises:
+        UserError: no whole number of bodies, two at least, or coordinates of one body with several masses.
+    """
+
+    middle: Tensor
+    spread: Tensor
+    nearest: Tensor
+    unit: Tensor
+
+    def __init__(
+        self,
+        dof: int,
+        mass: float | Sequence[float],
+        *,
+        dimensions: int,
+        falloff: float,
+        network: dict[str, Any],
+    ) -> None:
+        super().__init__()
+        self.dimensions, self.falloff = dimensions, falloff
+        self.masses = body_masses(dof, mass, dimensions)
+        self.network = make_network(1, 1, network)
+        for name in ("middle", "spread", "nearest", "unit"):
+            self.register_buffer(name, torch.ones(()))
+
+    def fit(self, statistics: Statistics) -> None:
+        """Set the range of distances, and the energy of a pair as the unit."""
+        distances = self.distances(statistics.positions)[1]
+        logs = torch.stack((distances.min(), distances.max())).log()
+        self.middle.copy_(logs.mean())
+        self.spread.copy_((logs[1] - logs[0]).clamp(min=1e-3) / 2)
+        self.nearest.copy_(logs[0].exp())
+        self.unit.copy_(energy_units(statistics)[0] / float(self.products(statistics.positions).mean()))
+
+    def pairs(self, like: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the numbers i < j of the bodies of all pairs, (P,) each."""
+        first, second = torch.triu_indices(len(self.masses), len(self.masses), 1, device=like.device)
+        return first, second
+
+    def products(self, like: Tensor) -> Tensor:
+        """Return m_i m_j of all pairs, (P,)."""
+        first, second = self.pairs(like)
+        masses = torch.tensor(self.masses).to(like)
+        return masses[first] * masses[second]
+
+    def distances(self, q: Tensor) -> tuple[Tensor, Tensor]:
+        """Return q_i - q_j, (..., P, d), and their lengths, (..., P), of all pairs at q, (..., n)."""
+        bodies = q.unflatten(-1, (len(self.masses), self.dimensions))
+        first, second = self.pairs(q)
+        between = bodies[..., first, :] - bodies[..., second, :]
+        return between, between.norm(dim=-1)
+
+    def forward(self, q: Tensor) -> Tensor:
+        """Return V, shape (...), at q, shape (..., n)."""
+        r = self.distances(q)[1]
+        value = self.network(self.scaled(r)).squeeze(-1) * (self.nearest / r) ** self.falloff
+        return self.unit * (self.products(q) * value).sum(-1)
+
+    def scaled(self, r: Tensor) -> Tensor:
+        """Return the inputs of the network, (..., 1), at the distances r."""
+        return ((r.log() - self.middle) / self.spread).unsqueeze(-1)
+
+    def gradient(self, q: Tensor) -> Tensor:
+        """Return dV/dq, shape (..., n), at q, shape (..., n)."""
+        r = self.distances(q)[1]
+        z = self.scaled(r)
+        value, rise = (part.squeeze(-1) for part in (self.network(z), self.network.gradient(z)))
+        slope = rise / self.spread - self.falloff * value
+        return (self.pulls(q) @ slope.unsqueeze(-1)).squeeze(-1)
+
+    def pulls(self, q: Tensor) -> Tensor:
+        """Return dV/dq per dN/dlog r - k N of each pair, shape (..., n, P), at q, shape (..., n)."""
+        between, r = self.distances(q)
+        first, second = self.pairs(q)
+        count = len(self.masses)
+        signs = nn.functional.one_hot(first, count) - nn.functional.one_hot(second, count)
+        size = self.unit * self.products(q) * (self.nearest / r) ** self.falloff / r.square()
+        return torch.einsum("pb,...p,...pd->...bdp", signs.to(q), size, between).flatten(-3, -2)
+
+    @property
+    def has_rows(self) -> bool:
+        """Whether the derivatives of the network by its parameters are known in closed form."""
+        return is_closed(self.network)
+
+    def write_rows(self, theta: Tensor, q: Tensor, factors: Tensor, out: Tensor) -> None:
+        """Write factors (B, n) times d(dV/dq)/dtheta to `out`, (B, n, P), theta (P,) its parameters."""
+        network, r = self.network, self.distances(q)[1]
+        assert is_closed(network)
+        layers, kernels = layers_at(network, theta), network.activation.kernels
+        assert kernels is not None
+        z = self.scaled(r).flatten(0, 1).to(theta)
+        _, records = recorded_gradient(z.T.contiguous().T, layers, kernels)
+        on_rise, on_value = theta.new_ones(len(z), 1, 1) / self.spread.to(theta), theta.new_ones(len(z), 1)
+        stage, _ = reversed_rows(on_rise, records, layers.weights)
+        last = torch.addmm(layers.biases[-1], records[-1].entered, layers.weights[-1].T)
+        rows = theta.new_empty(len(z), 1, len(theta))
+        write_rows([with_value(stage, -self.falloff * on_value, kernels.value(last))], rows)
+        rows[..., -1] = -self.falloff
+        by = (factors.unsqueeze(-1) * self.pulls(q)).to(theta)
+        out.copy_(by @ rows.view(*r.shape, -1))
+
+    def seen(self, q: Tensor) -> Tensor:
+        """Return the logarithms of all distances, scaled and in increasing order, shape (..., P)."""
+        return self.scaled(self.distances(q)[1]).squeeze(-1).sort(-1).values
+
+
+def body_masses(dof: int, mass: float | Sequence[float], dimensions: int) -> list[float]:
+    """Return a mass for each body; raises UserError where the coordinates are not those of bodies."""
+    if dof % dimensions or dof < 2 * dimensions:
+        message = (
+            f"hamiltonian pairs: expected {dimensions} coordinates for each of two bodies or more; received "
+            f"{dof}. model.dimensions says how many a body has"
+        )
+        raise UserError(message)
+    each = [float(mass)] * dof if isinstance(mass, int | float) else [*mass]
+    bodies = [each[k : k + dimensions] for k in range(0, dof, dimensions)]
+    if len(each) != dof or any(len({*own}) > 1 for own in bodies):
+        message = f"hamiltonian pairs: expected one mass for all coordinates of a body; received {mass}"
+        raise UserError(message)
+    return [own[0] for own in bodies]
+
+
+def for_bodies(dynamics: nn.Module, masses: Sequence[float]) -> nn.Module:
+    """Return dynamics of pairs for other bodies than those they were learned from.
+
+    Args:
+        dynamics: `HamiltonianDynamics` with hamiltonian=pairs.
+        masses: of the bodies, two or more.
+
+    Raises:
+        UserError: dynamics of another structure, or masses that are none.
+    """
+    found: Any = copy.deepcopy(dynamics)
+    field = getattr(found, "field", None)
+    potential = getattr(field, "potential", None)
+    if not isinstance(potential, PairPotential):
+        message = f"for_bodies: expected dynamics with hamiltonian=pairs; received {type(dynamics).__name__}"
+        raise UserError(message)
+    if len(masses) < 2 or not all(0 < mass < math.inf for mass in masses):
+        message = f"masses: expected two finite ones > 0 or more; received {list(masses)}"
+        raise UserError(message)
+    potential.masses = [float(mass) for mass in masses]
+    cast(Any, field).kinetic = Quadratic([m for m in potential.masses for _ in range(potential.dimensions)])
+    return found

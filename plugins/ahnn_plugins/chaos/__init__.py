@@ -1,0 +1,158 @@
+"""How long a prediction of chaotic motion holds, in Lyapunov times, and what is right of it afterwards.
+
+No model follows a chaotic path for ever: an error grows by a factor e in a Lyapunov time. So a forecast is
+judged by its valid time in that unit (Pathak et al. 2018, Phys. Rev. Lett. 120, 024102), and beyond it by
+whether it visits the states that the motion visits.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple, final
+
+import torch
+from torch import Tensor
+
+from ahnn.arguments import Count, Positive, checked
+from ahnn.dynamics.flow_at_time import at
+from ahnn.errors import UserError
+from ahnn.evaluation import Case, Findings
+from ahnn.jacobians import differenced
+from ahnn.rollouts import rollout
+from ahnn.systems import System, exact_flow
+from ahnn.types import Flow, Space
+
+__all__ = ["Chaos", "Horizons", "horizons", "lyapunov_exponents", "overlap"]
+
+DIFFERENCE = 1e-5
+"""Half width of central differences, in standard deviations of a component."""
+QUARTILES = (0.25, 0.5, 0.75)
+
+
+class Horizons(NamedTuple):
+    """Valid times of predictions.
+
+    Attributes:
+        times: (B,) until the error passes the threshold; the end of the trajectory where it never does.
+        ended: (B,) bool, whether it passes.
+    """
+
+    times: Tensor
+    ended: Tensor
+
+
+@final
+@checked
+class Chaos:
+    """Valid time of the prediction from the true start in Lyapunov times, and statistics beyond it.
+
+    Args:
+        threshold: error, rms over components in standard deviations of the data, at which a prediction ends.
+        bins: of the histograms of each component.
+    """
+
+    def __init__(self, threshold: Positive, bins: Count) -> None:
+        self.threshold, self.bins = threshold, bins
+
+    def check(self, truth: System | None, space: Space, steps: int) -> None:
+        """Raise UserError for controlled motion, whose growth of errors is that of the controls, too."""
+        del truth, steps
+        if space.controls:
+            message = f"plugins.chaos: expected motion without controls; received {', '.join(space.controls)}"
+            raise UserError(message)
+
+    def __call__(self, case: Case) -> Findings:
+        """Return horizons and Lyapunov exponents, the median of each trajectory's, and overlaps."""
+        truth = case.test.states
+        if case.fitted is not None or isinstance(case.dt, Tensor) or not bool(case.test.present.all()):
+            return Findings(numbers={}, notes=["chaos: needs whole states at even times, without gaps"])
+        flow = case.flow if case.truth is None else exact_flow(case.truth)
+        clock = case.test.clock(getattr(case.flow, "clock", 0))
+        prediction = rollout(case.flow, truth[:, 0], case.dt, truth.shape[1], clock=clock)
+        spread = truth.std((0, 1))
+        rates = lyapunov_exponents(flow, truth, case.test.times, case.dt, spread)
+        found = horizons(prediction, truth, case.test.times, spread, self.threshold)
+        late = truth.shape[1] // 2
+        same = overlap(prediction[:, late:], truth[:, late:], self.bins)
+        return findings(case.space.units.time, rates, found, same)
+
+
+def findings(unit: str, rates: Tensor, found: Horizons, same: float) -> Findings:
+    """Return numbers, and a sentence for the table."""
+    rate = float(rates.mean())
+    lasting = int((~found.ended).sum())
+    quartiles = [float(found.times.quantile(part)) for part in QUARTILES]
+    numbers: dict[str, Any] = {
+        "exponent": rate,
+        "exponents": rates.tolist(),
+        "horizon": quartiles,
+        "horizon_in_lyapunov_times": [rate * time for time in quartiles],
+        "not_ended": lasting,
+        "trajectories": len(rates),
+        "overlap": same,
+    }
+    low, middle, high = (rate * time for time in quartiles)
+    more = f"; {lasting} of {len(rates)} hold to the end" if lasting else ""
+    note = (
+        f"predictions hold for {middle:.2g} Lyapunov times in the median, quartiles {low:.2g} and {high:.2g} "
+        f"(one is {1 / rate:.3g} {unit}){more}; in the second half they share {100 * same:.0f} % of the "
+        "distribution of the states"
+        if rate > 0
+        else "no error grows exponentially: the motion is not chaotic"
+    )
+    return Findings(numbers=numbers, notes=[note])
+
+
+@torch.no_grad()
+def lyapunov_exponents(flow: Flow, states: Tensor, times: Tensor, dt: float, spread: Tensor) -> Tensor:
+    """Return the largest exponent of each trajectory over its length, (B,), per unit of time.
+
+    A deviation is carried along the states by the Jacobians of the steps and scaled back after each
+    (Benettin et al. 1980, Meccanica 15, 9).
+
+    Args:
+        flow: accurate to rounding.
+        states: (B, T, D) of the trajectories.
+        times: (B, T) of the samples.
+        dt: length of a step.
+        spread: (D,) unit of each component.
+    """
+    count, samples, size = states.shape
+    draw = torch.Generator().manual_seed(0)
+    along = torch.randn(count, size, generator=draw, dtype=torch.float64).to(states)
+    along, growth = along / along.norm(dim=-1, keepdim=True), states.new_zeros(count)
+    for k in range(samples - 1):
+        from_here = at(flow, float(times[0, k]))
+        jacobian = differenced(from_here, states[:, k], dt, DIFFERENCE * spread)[1]
+        along = ((jacobian * spread / spread[:, None]) @ along.unsqueeze(-1)).squeeze(-1)
+        size_now = along.norm(dim=-1, keepdim=True)
+        growth, along = growth + size_now.squeeze(-1).log(), along / size_now
+    return growth / (dt * (samples - 1))
+
+
+def horizons(prediction: Tensor, truth: Tensor, times: Tensor, spread: Tensor, threshold: float) -> Horizons:
+    """Return how long predictions (B, T, D) stay within a threshold of the truth."""
+    error = ((prediction - truth) / spread).square().mean(-1).sqrt()
+    beyond = ~(error <= threshold)
+    ended = beyond.any(1)
+    last = torch.where(ended, beyond.to(torch.int8).argmax(1), truth.shape[1] - 1)
+    rows = torch.arange(len(times))
+    return Horizons(times[rows, last] - times[:, 0], ended)
+
+
+def overlap(prediction: Tensor, truth: Tensor, bins: int) -> float:
+    """Return what histograms of predicted and true states (..., D) have in common, a mean over components.
+
+    1 where both visit the same states as often, 0 where they have none in common.
+    """
+    shared = []
+    for ours, theirs in zip(prediction.flatten(0, -2).T, truth.flatten(0, -2).T, strict=True):
+        low, high = float(theirs.min()), float(theirs.max())
+        if not high > low:
+            continue
+        counts = [
+            torch.histc(part.clamp(low, high)[(part >= low) & (part <= high)], bins, low, high) / len(part)
+            for part in (ours.nan_to_num(nan=math.inf), theirs)
+        ]
+        shared.append(float(torch.minimum(*counts).sum()))
+    return sum(shared) / len(shared) if shared else math.nan
