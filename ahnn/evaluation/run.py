@@ -13,6 +13,7 @@ from ahnn.evaluation.case import Case, EvaluationPlugin, Findings, Row
 from ahnn.evaluation.conservation import energy_trend, time_test
 from ahnn.evaluation.force_bound import force_bound
 from ahnn.evaluation.forecast import forecast
+from ahnn.evaluation.friction_test import friction_test
 from ahnn.evaluation.goodness_of_fit import explain
 from ahnn.evaluation.open_loop import open_loop
 from ahnn.evaluation.residual_diagnosis import remedy
@@ -72,6 +73,10 @@ def add_verdict(case: Case, findings: Findings) -> None:
     findings.tell(found.sentence())
     findings.numbers["worth"] = found.numbers()
     if case.measured is not None:
+        beside = friction_test(case.flow, case.measured)
+        if beside is not None:
+            findings.tell(beside.sentence(case.space.units.time))
+            findings.numbers["friction_test"] = beside._asdict()
         return
     if (trend := energy_trend(case)) is not None:
         findings.tell(trend.sentence(case.space.units.time))

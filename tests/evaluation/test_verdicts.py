@@ -14,7 +14,9 @@ from ahnn.dynamics.fields import HamiltonianDynamics
 from ahnn.evaluation import evaluate
 from ahnn.evaluation.baselines import linear_prediction, relative_error, worth
 from ahnn.evaluation.conservation import conserves, energy_trend, time_test
+from ahnn.evaluation.friction_test import friction_test
 from ahnn.evaluation.open_loop import Integrated
+from ahnn.measurements import Instrument, Segment, reading
 from ahnn.rollouts import rollout
 from ahnn.systems import Pendulum
 from ahnn.types import Trajectories
@@ -150,3 +152,31 @@ def test_trajectories_that_run_in_step_say_nothing_of_time(tmp_path):
     one = trajectories(SPRING, 1, 0)
     together = Trajectories(one.states.expand(12, -1, -1).clone(), one.times.expand(12, -1))
     assert time_test(make_case(tmp_path, test=together)) is None
+
+
+def seen(states, noise, draw=0):
+    """Measurements of the angles, every fourth sample."""
+    angles = states.states[:, ::2, :1]
+    off = noise * torch.randn(
+        angles.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(draw)
+    )
+    instrument = Instrument(
+        reading("position", FREE.space), torch.tensor([noise], dtype=torch.float64), FREE.dt, 1, 1.0
+    )
+    return Segment(angles + off, states.times[:, ::2], instrument)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.05, 0.2])
+def test_measurements_ask_for_the_friction_that_there_is(friction):
+    found = friction_test(Integrated(FREE, RK4), seen(driven(friction=friction, count=40), 0.01))
+    assert found is not None
+    assert abs(found.rate - friction) < 4 * found.error + 0.02 * friction
+    assert found.found == (friction > 0)
+    assert ("forces=friction" in found.sentence("s")) == (friction > 0)
+
+
+def test_wrong_gravity_is_no_friction():
+    wrong = dataclasses.replace(FREE, gravity=9.5)
+    found = friction_test(Integrated(wrong, RK4), seen(driven(count=40), 0.01))
+    assert found is not None
+    assert not found.found

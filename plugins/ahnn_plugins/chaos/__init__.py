@@ -85,6 +85,7 @@ def findings(unit: str, rates: Tensor, found: Horizons, same: float) -> Findings
     numbers: dict[str, Any] = {
         "exponent": rate,
         "exponents": rates.tolist(),
+        "horizons": found.times.tolist(),
         "horizon": quartiles,
         "horizon_in_lyapunov_times": [rate * time for time in quartiles],
         "not_ended": lasting,
