@@ -20,7 +20,7 @@ from ahnn.dynamics.hessians import BothInputs, is_closed, network_derivatives
 from ahnn.dynamics.inputs import Cartesian, InputName, position_inputs
 from ahnn.dynamics.mass_matrix import MassMatrixHamiltonian
 from ahnn.dynamics.networks import Perceptron, make_network
-from ahnn.dynamics.pairs import PairPotential
+from ahnn.dynamics.pair_potential import PairPotential
 from ahnn.dynamics.scaling import Kind
 from ahnn.errors import UserError
 from ahnn.statistics import Statistics

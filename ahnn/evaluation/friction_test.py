@@ -22,7 +22,7 @@ from ahnn.shooting.robust import ROBUST
 INTERVALS = 12
 """Of the segments that friction is looked for in, so short that wrong dynamics still follow them."""
 MOST = 0.3
-"""Fraction of the excess of chi-square from which it is friction: other errors of a model look a little like it."""
+"""Fraction of the excess of chi-square from which it is friction: other errors look a little like it."""
 SMALL = 0.05
 """Decay over such a segment by which chi-square is compared."""
 

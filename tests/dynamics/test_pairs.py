@@ -9,7 +9,7 @@ from helpers import close, generator
 from ahnn.data.generate import generate
 from ahnn.dynamics.derivatives import field_jacobian, mapped_field_jacobian
 from ahnn.dynamics.fields import HamiltonianDynamics
-from ahnn.dynamics.pairs import for_bodies
+from ahnn.dynamics.pair_potential import for_bodies
 from ahnn.errors import UserError
 from ahnn.statistics import Statistics
 from ahnn.systems import NBody
