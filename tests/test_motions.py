@@ -18,10 +18,10 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import ahnn
-from ahnn.clock import Clock
+from ahnn.clock import Clock, extended, reduced
 from ahnn.data import Given
 from ahnn.data.generate import generate
-from ahnn.dynamics.flow_at_time import at, wrapped
+from ahnn.dynamics.flow_at_time import at, steered, wrapped
 from ahnn.dynamics.forces import FORCES
 from ahnn.errors import UserError
 from ahnn.estimation import initial_belief
@@ -153,6 +153,47 @@ def test_filters_follow_a_force_that_depends_on_time(name):
     assert float((frozen.means - data.states[:, 1:]).norm()) > 5 * float(errors.norm())
     with pytest.raises(UserError, match="expected the time at which a step begins"):
         wrapped(flow, lambda inner: inner)(data.states[:, 0], 0.05)
+
+
+@pytest.mark.parametrize("name", ["ukf", "ekf"])
+def test_filters_follow_controls_that_are_known(name):
+    """Each member has controls of its own, and those of another lead it astray."""
+    system = PushedSpring(name="p", dt=0.05, steps=200)
+    data, sd = generate(system, 30, 0), 1e-2
+    assert data.controls is not None
+    noise = sd * torch.randn(30, 200, 1, generator=generator(1), dtype=torch.float64)
+    off = sd * torch.randn(30, 2, generator=generator(2), dtype=torch.float64)
+    belief = initial_belief(data.states[:, 0] + off, sd**2 * torch.eye(2, dtype=torch.float64))
+    own = UnscentedKalmanFilter() if name == "ukf" else ExtendedKalmanFilter()
+    q = 1e-14 * torch.eye(2, dtype=torch.float64)
+    rows, r = data.states[:, 1:, :1] + noise, sd**2 * torch.eye(1, dtype=torch.float64)
+    arguments = (belief, rows, reading("position", system.space), q, r, 0.05)
+    flow = steered(exact_flow(system), data.times[0], data.controls)
+    result = own.run(flow, *arguments)
+    errors = result.means - data.states[:, 1:]
+    deviations = result.covariances.diagonal(dim1=-2, dim2=-1).sqrt()
+    assert 0.8 < float((errors / deviations).square().mean().sqrt()) < 1.2
+    wrong = steered(exact_flow(system), data.times[0], data.controls.flip(0))
+    assert float((own.run(wrong, *arguments).means - data.states[:, 1:]).norm()) > 5 * float(errors.norm())
+
+
+def test_known_controls_are_held_or_interpolated_between_samples():
+    flow = exact_flow(PushedSpring(name="p", dt=0.05, steps=20))
+    x, times = torch.tensor([[0.3, -0.2]], dtype=torch.float64), [0.0, 0.1, 0.2]
+    held, ramp = (steered(flow, times, [[1.0], [3.0], [5.0]], linear=linear) for linear in (False, True))
+    for where, u, rate in ((0.05, 1.0, 0.0), (0.1, 3.0, 0.0), (9.0, 5.0, 0.0)):
+        clock = Clock(torch.tensor([[where, u]]).double(), torch.tensor([[1.0, rate]]).double())
+        close(at(held, where)(x, 0.05), reduced(flow(extended(x, clock), 0.05), 2), 1e-14)
+    clock = Clock(torch.tensor([[0.05, 2.0]]).double(), torch.tensor([[1.0, 20.0]]).double())
+    close(at(ramp, 0.05)(x, 0.05), reduced(flow(extended(x, clock), 0.05), 2), 1e-14)
+    with pytest.raises(UserError, match="expected the time at which a step begins"):
+        held(x, 0.05)
+    with pytest.raises(
+        UserError, match=r"steered: expected times \(T,\) that increase and controls \(T, 1\)"
+    ):
+        steered(flow, times, [[1.0], [3.0]])
+    with pytest.raises(UserError, match="steered: expected a flow with controls"):
+        steered(exact_flow(ForcedOscillator(name="f", dt=0.05, steps=2)), times, [[1.0], [3.0], [5.0]])
 
 
 def test_a_training_learns_how_controls_push(tmp_path, capsys):

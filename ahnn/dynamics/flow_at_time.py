@@ -11,8 +11,11 @@ from torch import Tensor
 from ahnn.clock import Clock, extended, reduced
 from ahnn.dynamics.transition import transition
 from ahnn.errors import UserError
+from ahnn.numbers import Numbers, as_float64
 from ahnn.rollouts import clock_of, stepped
 from ahnn.types import Flow, TimeStep
+
+NO_TIME = "flow: expected the time at which a step begins, on which forces depend; received none"
 
 
 def at(flow: Flow, time: float | Tensor) -> Flow:
@@ -33,21 +36,27 @@ class Bound(NamedTuple):
     Attributes:
         flow: which depends on time.
         time: at which its steps begin.
+        controls: values and rates there, (m,) each, or (B, m); None where it depends on time alone.
     """
 
     flow: Flow
     time: float
+    controls: tuple[Tensor, Tensor] | None = None
 
     def clock(self, x: Tensor) -> Clock:
-        """Return the clock of states (B, 2n); raises UserError for a flow with controls."""
-        if clock_of(self.flow) > 1:
+        """Return the clock of states (B, 2n); raises UserError for controls that are not known."""
+        if clock_of(self.flow) > 1 and self.controls is None:
             message = (
-                "flow: expected forces of state and time in an estimator; received some of controls, which "
-                "only a rollout is given"
+                "flow: expected forces of state and time in an estimator; received some of controls. "
+                "`ahnn.dynamics.flow_at_time.steered` makes them known"
             )
             raise UserError(message)
         t = x.new_full((len(x), 1), self.time)
-        return Clock(t, torch.ones_like(t))
+        known = Clock(t, torch.ones_like(t))
+        if self.controls is None:
+            return known
+        u, slope = (of_members(part.to(x), len(x)) for part in self.controls)
+        return Clock(torch.cat((known.values, u), dim=-1), torch.cat((known.rates, slope), dim=-1))
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the states (B, 2n) after dt."""
@@ -56,7 +65,75 @@ class Bound(NamedTuple):
     def transition(self, x: Tensor, dt: float) -> tuple[Tensor, Tensor]:
         """Return the states (B, 2n) after dt, and the state transitions (B, 2n, 2n)."""
         after, moved = transition(self.flow, extended(x, self.clock(x)), dt)
-        return reduced(after, 1), reduced(reduced(moved, 1).mT, 1).mT
+        count = clock_of(self.flow)
+        return reduced(after, count), reduced(reduced(moved, count).mT, count).mT
+
+
+def of_members(values: Tensor, count: int) -> Tensor:
+    """Return controls (m,) or (B, m) for `count` states, so many in a row for each of B members."""
+    if values.ndim == 1:
+        return values.expand(count, -1)
+    return values.repeat_interleave(count // len(values), dim=0)
+
+
+class Steered(NamedTuple):
+    """A flow whose controls are known over time: it depends on time alone.
+
+    Attributes:
+        flow: with m controls.
+        times: (T,) of the samples of the controls.
+        clock_of_samples: of these samples, with controls (T, m), or (B, T, m) for B members.
+    """
+
+    flow: Flow
+    times: Tensor
+    clock_of_samples: Clock
+
+    @property
+    def clock(self) -> int:
+        """Clock coordinates of the flow inside."""
+        return clock_of(self.flow)
+
+    def at(self, time: float | Tensor) -> Flow:
+        """Return the flow from an instant on; before the first sample and after the last these are held."""
+        near = 1e-9 * float(self.times[-1] - self.times[0])
+        k = int((self.times <= float(time) + near).sum()) - 1
+        here = self.clock_of_samples.at(max(k, 0))
+        u, rate = here.values[..., 1:], here.rates[..., 1:]
+        inside = 0 <= k < len(self.times) - 1
+        gone = float(time) - float(self.times[k]) if inside else 0.0
+        return Bound(self.flow, float(time), (u + gone * rate, rate if inside else torch.zeros_like(rate)))
+
+    def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
+        """Return the states after dt, of a flow that was not told when; raises UserError."""
+        del x, dt
+        raise UserError(NO_TIME)
+
+
+def steered(flow: Flow, times: Numbers, controls: Numbers, *, linear: bool = False) -> Steered:
+    """Return a flow with controls that are known over time, as filters, smoothers and least squares take it.
+
+    Args:
+        flow: of learned or known dynamics with m controls.
+        times: (T,) increasing.
+        controls: (T, m), or (B, T, m) for B members; each held until the next sample.
+        linear: whether they are interpolated linearly instead.
+
+    A step must not go beyond the next sample of a held control.
+
+    Raises:
+        UserError: a flow without controls, or numbers of another shape.
+    """
+    moments, given = as_float64(times, "times"), as_float64(controls, "controls")
+    size = clock_of(flow) - 1
+    shape = (len(moments) if moments.ndim == 1 else -1, size)
+    if size < 1 or given.shape[-2:] != shape or not bool((moments.diff() > 0).all()):
+        expected = (
+            f"times (T,) that increase and controls (T, {size})" if size > 0 else "a flow with controls"
+        )
+        message = f"steered: expected {expected}; received {tuple(moments.shape)} and {tuple(given.shape)}"
+        raise UserError(message)
+    return Steered(flow, moments, Clock.of(moments.expand(given.shape[:-1]), given, linear))
 
 
 class Wrapped(NamedTuple):
@@ -82,8 +159,7 @@ class Wrapped(NamedTuple):
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the states after dt, of a flow that was not told when; raises UserError."""
         del x, dt
-        message = "flow: expected the time at which a step begins, on which forces depend; received none"
-        raise UserError(message)
+        raise UserError(NO_TIME)
 
 
 def wrapped(flow: Flow, wrap: Callable[[Flow], Flow]) -> Flow:
