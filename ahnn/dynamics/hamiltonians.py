@@ -220,7 +220,7 @@ def make_hamiltonian(
         message = "hamiltonian central_body: expected at least 2 degrees of freedom; received 1"
         raise UserError(message)
     if falloff and (structure in ("generic", "mass_matrix") or dof < 2):
-        needs = "0 in one dimension" if dof < 2 else f"0, since {structure} has no V(q) of its own"
+        needs = "0 in one dimension" if dof < 2 else f"0, since {structure} has no V(q)"
         message = f"falloff: expected {needs}; received {falloff:g}"
         raise UserError(message)
     if structure == "mass_matrix":
