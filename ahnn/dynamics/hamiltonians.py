@@ -219,8 +219,9 @@ def make_hamiltonian(
     if structure == "central_body" and dof < 2:
         message = "hamiltonian central_body: expected at least 2 degrees of freedom; received 1"
         raise UserError(message)
-    if falloff and (structure in ("generic", "mass_matrix") or dof < 2):
-        needs = "0 in one dimension" if dof < 2 else f"0, since {structure} has no V(q)"
+    whole = structure in ("generic", "mass_matrix")
+    if falloff and (whole or dof < 2):
+        needs = f"0, since {structure} has no V(q)" if whole else "0 in one dimension"
         message = f"falloff: expected {needs}; received {falloff:g}"
         raise UserError(message)
     if structure == "mass_matrix":
