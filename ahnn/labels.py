@@ -12,8 +12,12 @@ KILOGRAMS = {"m": "kg m/s", "rad": "kg m²/s"}
 def quantity(space: Space, name: str) -> tuple[str, str]:
     """Return what `position`, `velocity` or `energy` is called, and its unit.
 
-    In the place of velocities stand the momenta themselves where they are not mass times velocity.
+    In the place of velocities stand the momenta themselves where they are not mass times velocity. Where some
+    coordinates are angles and others are not, both units are named.
     """
+    if name != "energy" and len(kinds := [*dict.fromkeys(space.angular)]) > 1:
+        parts = [quantity(of_coordinates(space, angle=angle), name) for angle in kinds]
+        return parts[0][0], ", ".join(dict.fromkeys(unit for _, unit in parts))
     if name == "velocity" and not space.mechanical:
         return "momentum", momentum_unit(space)
     return name, getattr(space.units, name)
@@ -27,9 +31,20 @@ def headed(space: Space, name: str) -> str:
 def components(space: Space) -> list[str]:
     """Return the names of the components with their units, as `Space.divisor` has them."""
     scale = "" if space.divisor == 1.0 else " / m"
-    units = [quantity(space, name)[1] for name in ("position", "velocity")]
     names = [*space.components[: space.dof], *(name + scale for name in space.components[space.dof :])]
-    return [f"{name} [{units[k >= space.dof]}]" for k, name in enumerate(names)]
+    found = []
+    for k, name in enumerate(names):
+        alike = of_coordinates(space, angle=space.angular[k % space.dof])
+        found.append(f"{name} [{quantity(alike, 'velocity' if k >= space.dof else 'position')[1]}]")
+    return found
+
+
+def of_coordinates(space: Space, *, angle: bool) -> Space:
+    """Return a space whose coordinates are all angles or none, with the units of these."""
+    if angle and space.units.position != "rad":
+        units = space.units._replace(position="rad", velocity=f"rad/{space.units.time}")
+        return space._replace(units=units)
+    return space._replace(angles=())
 
 
 def momentum_unit(space: Space) -> str:

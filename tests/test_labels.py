@@ -29,7 +29,7 @@ from ahnn.prediction.figure import prediction_figure
 from ahnn.prediction.prediction_table import columns
 from ahnn.prediction.propagation import Prediction
 from ahnn.prediction.summary import summary
-from ahnn.systems import MassSpring, MolniyaGravity
+from ahnn.systems import CartPole, MassSpring, MolniyaGravity
 from ahnn.types import Space, Units
 
 ARMS = Space("arms", ("a", "b", "pa", "pb"), Units("s", "rad", "rad/s", "J"), 3.0, mechanical=False)
@@ -130,3 +130,13 @@ def test_velocities_are_neither_read_nor_written_in_their_place(tmp_path):
     with pytest.raises(UserError, match="output: expected momenta that are mass times velocity"):
         ephemerides(Prediction(torch.zeros(1), torch.zeros(1, 1, 6)), starts([0.0] * 6, orbit), orbit)
     assert Files("f", str(tmp_path / "a.csv")).space.mechanical
+
+
+def test_angles_beside_lengths_have_a_unit_of_their_own():
+    space = CartPole(name="c", dt=0.1, steps=2).space
+    expected = ["x [m]", "theta [rad]", "px [kg m/s]", "ptheta [kg m²/s]"]
+    assert labels.components(space) == expected
+    assert labels.headed(space, "position") == "position [m, rad]"
+    assert labels.headed(space, "velocity") == "momentum [kg m/s, kg m²/s]"
+    joint = Space("joint", ("x", "a", "px", "pa"), Units("s", "m", "m/s", "J"), angles=("a",))
+    assert labels.components(joint)[1::2] == ["a [rad]", "pa [rad/s]"]

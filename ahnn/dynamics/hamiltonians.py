@@ -17,7 +17,7 @@ from ahnn.dynamics import fused_steps
 from ahnn.dynamics.energies import CentralBody, Energy, NetworkEnergy, Quadratic, energy_units
 from ahnn.dynamics.gradients import Layers
 from ahnn.dynamics.hessians import BothInputs, is_closed, network_derivatives
-from ahnn.dynamics.inputs import Cartesian, InputName, position_inputs
+from ahnn.dynamics.inputs import Cartesian, InputName, ScaledStates, position_inputs
 from ahnn.dynamics.mass_matrix import MassMatrixHamiltonian
 from ahnn.dynamics.networks import Perceptron, make_network
 from ahnn.dynamics.pair_potential import PairPotential
@@ -28,38 +28,24 @@ from ahnn.statistics import Statistics
 Structure = Literal["generic", "separable", "mechanical", "central_body", "mass_matrix", "pairs"]
 
 
-class GenericHamiltonian(nn.Module):
+class GenericHamiltonian(ScaledStates):
     """H(q, p) from one network: nothing is assumed.
 
-    Args:
-        dof: degrees of freedom n.
-        inputs: cartesian, isotropic, radial or angles, for the positions.
-        scaling: minmax, block or none.
-        network: width, depth, activation.
-        angular: which coordinates are angles.
+    The arguments are those of `ScaledStates`, and width, depth and activation of the network.
     """
 
     unit: Tensor
 
     def __init__(
-        self,
-        dof: int,
-        *,
-        inputs: InputName,
-        scaling: Kind,
-        network: dict[str, Any],
-        angular: list[bool] | None = None,
+        self, dof: int, network: dict[str, Any], inputs: InputName, scaling: Kind, angular: list[bool] | None
     ) -> None:
-        super().__init__()
-        self.positions = position_inputs(inputs, dof, scaling, angular)
-        self.momenta = Cartesian(dof, scaling, 1)
+        super().__init__(dof, inputs, scaling, angular)
         self.network = make_network(self.positions.size + dof, 1, network)
         self.register_buffer("unit", torch.ones(()))
 
     def fit(self, statistics: Statistics) -> None:
         """Set all scalings from the training split."""
-        self.positions.fit(statistics)
-        self.momenta.fit(statistics)
+        super().fit(statistics)
         potential, kinetic = energy_units(statistics)
         self.unit.copy_((kinetic * potential).sqrt())
 
@@ -204,30 +190,14 @@ def make_hamiltonian(
     Raises:
         UserError: unknown structure, mu or falloff for a structure without them, or out of range.
     """
-    if mu is not None and structure != "central_body":
-        message = f"mu: expected None, since {structure} has no central body; received {mu}"
-        raise UserError(message)
-    if (dimensions is None) != (structure != "pairs"):
-        expected = (
-            "coordinates of a body" if structure == "pairs" else f"None, since {structure} has no bodies"
-        )
-        message = f"dimensions: expected {expected}; received {dimensions}"
-        raise UserError(message)
+    require_options(structure, dof, mu, falloff, dimensions)
     if dimensions is not None:
         own = {"dimensions": dimensions, "falloff": falloff, "network": network}
         return SeparableHamiltonian(Quadratic(mass), PairPotential(dof, mass, **own))
-    if structure == "central_body" and dof < 2:
-        message = "hamiltonian central_body: expected at least 2 degrees of freedom; received 1"
-        raise UserError(message)
-    whole = structure in ("generic", "mass_matrix")
-    if falloff and (whole or dof < 2):
-        needs = f"0, since {structure} has no V(q)" if whole else "0 in one dimension"
-        message = f"falloff: expected {needs}; received {falloff:g}"
-        raise UserError(message)
     if structure == "mass_matrix":
-        return MassMatrixHamiltonian(dof, inputs=inputs, scaling=scaling, network=network, angular=angular)
+        return MassMatrixHamiltonian(dof, network, inputs, scaling, angular)
     if structure == "generic":
-        return GenericHamiltonian(dof, inputs=inputs, scaling=scaling, network=network, angular=angular)
+        return GenericHamiltonian(dof, network, inputs, scaling, angular)
     learned = NetworkEnergy(position_inputs(inputs, dof, scaling, angular), network, 0, falloff)
     if structure == "separable":
         return SeparableHamiltonian(NetworkEnergy(Cartesian(dof, scaling, 1), network, 1), learned)
@@ -240,3 +210,26 @@ def make_hamiltonian(
         message = f"inertia: expected one mass for hamiltonian=central_body; received {mass}"
         raise UserError(message)
     return SeparableHamiltonian(Quadratic(mass), CentralBody(learned, mass, mu))
+
+
+def require_options(
+    structure: Structure, dof: int, mu: float | None, falloff: float, dimensions: int | None
+) -> None:
+    """Refuse options that a structure has not, or does not go without; raises UserError."""
+    if mu is not None and structure != "central_body":
+        message = f"mu: expected None, since {structure} has no central body; received {mu}"
+        raise UserError(message)
+    if (dimensions is None) != (structure != "pairs"):
+        expected = (
+            "coordinates of a body" if structure == "pairs" else f"None, since {structure} has no bodies"
+        )
+        message = f"dimensions: expected {expected}; received {dimensions}"
+        raise UserError(message)
+    if structure == "central_body" and dof < 2:
+        message = "hamiltonian central_body: expected at least 2 degrees of freedom; received 1"
+        raise UserError(message)
+    whole = structure in ("generic", "mass_matrix")
+    if falloff and (whole or dof < 2):
+        needs = f"0, since {structure} has no V(q)" if whole else "0 in one dimension"
+        message = f"falloff: expected {needs}; received {falloff:g}"
+        raise UserError(message)

@@ -261,3 +261,24 @@ def position_inputs(name: InputName, dof: int, scaling: Kind, angular: list[bool
         message = f"inputs {name}: expected a system of at least 2 degrees of freedom; received 1"
         raise UserError(message)
     return Isotropic(dof) if name == "isotropic" else Radial()
+
+
+class ScaledStates(nn.Module):
+    """What a network of the states sees: an input map of the positions, and scaled momenta.
+
+    Args:
+        dof: degrees of freedom n.
+        inputs: cartesian, isotropic, radial or angles, for the positions.
+        scaling: minmax, block or none.
+        angular: which coordinates are angles.
+    """
+
+    def __init__(self, dof: int, inputs: InputName, scaling: Kind, angular: list[bool] | None) -> None:
+        super().__init__()
+        self.positions = position_inputs(inputs, dof, scaling, angular)
+        self.momenta = Cartesian(dof, scaling, 1)
+
+    def fit(self, statistics: Statistics) -> None:
+        """Set both from the training split."""
+        self.positions.fit(statistics)
+        self.momenta.fit(statistics)

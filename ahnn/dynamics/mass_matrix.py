@@ -5,44 +5,31 @@ from __future__ import annotations
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from ahnn.dynamics.energies import energy_units
-from ahnn.dynamics.inputs import Cartesian, InputName, position_inputs
+from ahnn.dynamics.inputs import InputName, ScaledStates
 from ahnn.dynamics.networks import make_network
 from ahnn.dynamics.scaling import Kind
 from ahnn.statistics import Statistics
 
 
-class MassMatrixHamiltonian(nn.Module):
+class MassMatrixHamiltonian(ScaledStates):
     """H = p^T M(q)^{-1} p / 2 + V(q) from one network of the positions.
 
     The inverse is L(q) L(q)^T, so that the kinetic energy is never negative; the outputs of the network are
     what the lower triangle L is beside the identity, in units of the data, and V.
 
-    Args:
-        dof: degrees of freedom n.
-        inputs: cartesian, isotropic, radial or angles, for the positions.
-        scaling: minmax, block or none.
-        network: width, depth, activation.
-        angular: which coordinates are angles.
+    The arguments are those of `ScaledStates`, and width, depth and activation of the network.
     """
 
     units: Tensor
     elements: Tensor
 
     def __init__(
-        self,
-        dof: int,
-        *,
-        inputs: InputName,
-        scaling: Kind,
-        network: dict[str, Any],
-        angular: list[bool] | None = None,
+        self, dof: int, network: dict[str, Any], inputs: InputName, scaling: Kind, angular: list[bool] | None
     ) -> None:
-        super().__init__()
-        self.positions = position_inputs(inputs, dof, scaling, angular)
-        self.momenta = Cartesian(dof, scaling, 1)
+        super().__init__(dof, inputs, scaling, angular)
         rows, columns = torch.tril_indices(dof, dof)
         self.network = make_network(self.positions.size, len(rows) + 1, network)
         elements = torch.zeros(len(rows), dof, dof)
@@ -52,8 +39,7 @@ class MassMatrixHamiltonian(nn.Module):
 
     def fit(self, statistics: Statistics) -> None:
         """Set scalings and the units of V and T from the training split."""
-        self.positions.fit(statistics)
-        self.momenta.fit(statistics)
+        super().fit(statistics)
         self.units.copy_(torch.stack(energy_units(statistics)))
 
     def seen(self, x: Tensor) -> Tensor:

@@ -18,7 +18,7 @@ class AHNN(AbstractModel):
     Args:
         dof: degrees of freedom n.
         inertia: factor m of T = p^2 / 2m, used by `mechanical` and `central_body`.
-        hamiltonian: generic, separable, mechanical or central_body.
+        hamiltonian: generic, separable, mechanical, central_body, mass_matrix or pairs.
         mu: gravitational parameter of `central_body`; None learns it.
         falloff: k of a learned V(q) = (R / r)^k N(q); 0 leaves open how it goes with the distance.
         dimensions: coordinates of a body, for hamiltonian=pairs.
