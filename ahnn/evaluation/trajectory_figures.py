@@ -18,6 +18,7 @@ from ahnn.evaluation import style
 from ahnn.evaluation.case import Case
 from ahnn.evaluation.open_loop import floors
 from ahnn.evaluation.titles import title
+from ahnn.labels import quantity
 from ahnn.metrics import errors, moving_average
 
 SMOOTHING = 240
@@ -241,7 +242,7 @@ def _coloured(case: Case, figure: Figure, axes: Any, kind: Any, model: Any, trut
     lines.set_array(distance)
     axes.add_collection(lines)
     bar = figure.colorbar(lines, ax=axes, shrink=0.75, pad=0.09 if case.space.dof == 3 else 0.02)
-    bar.set_label(f"position error of {case.label} [{case.space.units.position}]")
+    bar.set_label(f"position error of {case.label} [{quantity(case.space, 'position')[1]}]")
 
 
 def _count(trajectories: int) -> str:

@@ -11,7 +11,7 @@ from ahnn.data.files import epochs
 from ahnn.data.files.sidecar import Sidecar
 from ahnn.data.starts import Starts
 from ahnn.errors import UserError
-from ahnn.labels import components
+from ahnn.labels import components, of_coordinates
 from ahnn.prediction.durations import picoseconds
 from ahnn.prediction.propagation import Prediction
 from ahnn.types import Space
@@ -63,9 +63,9 @@ def labels(space: Space) -> list[str]:
     """Return the names of positions and their velocities, or momenta that are none, with units."""
     if not space.mechanical:
         return components(space)
-    positions = space.components[: space.dof]
-    units = space.units
-    return [*(f"{q} [{units.position}]" for q in positions), *(f"v{q} [{units.velocity}]" for q in positions)]
+    alike = [of_coordinates(space, angle=angle).units for angle in space.angular]
+    positions = [*zip(space.components[: space.dof], alike, strict=True)]
+    return [*(f"{q} [{u.position}]" for q, u in positions), *(f"v{q} [{u.velocity}]" for q, u in positions)]
 
 
 def as_csv(found: dict[str, Any]) -> bytes:
