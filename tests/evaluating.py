@@ -24,6 +24,7 @@ def composed(group: str, measurement: str) -> DictConfig:
 def run(case: Case, *overrides: str, group: str = "ukf", measurement: str = "position") -> Findings:
     """Evaluate a case by the plugin that the YAML and some overrides describe."""
     cfg = copy.deepcopy(composed(group, measurement))
+    name = group if group in cfg.plugins else "ukf"
     for key, value in map(pair, overrides):
-        OmegaConf.update(cfg, f"plugins.ukf.{key}", value, force_add=True)
-    return build_all(cfg.plugins, "plugins")["ukf"](case)
+        OmegaConf.update(cfg, f"plugins.{name}.{key}", value, force_add=True)
+    return build_all(cfg.plugins, "plugins")[name](case)

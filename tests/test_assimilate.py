@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -27,6 +28,7 @@ ORBIT = RUN.rollout(START, 40, 15.0)[0]
 NOISE = 0.05 * torch.randn(41, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
 FILTER = ["plugins.ukf.process_noise=[1e-3,1e-5]", f"start={START}", "start_sd=[0.1,1e-4]"]
 COMMAND = ["pretrained=molniya_mechanical", *FILTER]
+BIAS = 0.4
 FIXES = ["measurements=fixes.csv", "measurement.sd=0.05"]
 
 
@@ -63,7 +65,7 @@ def test_fixes_become_estimates_figures_and_an_ephemeris(capsys, caplog):
 
 
 @pytest.mark.usefixtures("place")
-def test_several_stations_speak_in_one_stream():
+def test_several_stations_speak_in_one_stream_and_the_bias_of_one_is_found(caplog):
     sites = {"kiruna": (67.86, 20.96), "troll": (-72.0, 2.5)}
     stations = {name: GroundStation(*site, range_rate=True) for name, site in sites.items()}
     lines = []
@@ -71,12 +73,19 @@ def test_several_stations_speak_in_one_stream():
         name = [*sites][k % 2]
         model, t = stations[name], 15.0 * k
         seen = zip(model.names, model(ORBIT[k], t).tolist(), strict=True)
-        lines.append(json.dumps({"time": t, "sensor": name, **dict(seen)}))
+        late = {"kiruna": BIAS, "troll": 0.0}[name]
+        told = {key: value + late * (key == "range") for key, value in seen}
+        lines.append(json.dumps({"time": t, "sensor": name, **told}))
     Path("seen.jsonl").write_text("\n".join(lines))
     named = [f"+measurement@sensors.{name}=ground_station" for name in sites]
     named += [f"sensors.{name}.model.latitude={site[0]}" for name, site in sites.items()]
     named += [f"sensors.{name}.model.longitude={site[1]}" for name, site in sites.items()]
+    named.append("sensors.kiruna.bias_sd=[1,0,0,0]")
     assert assimilate("measurements=seen.jsonl", *named, "output=out.jsonl") == 0
+    (told,) = (line for line in caplog.messages if line.startswith("bias of"))
+    found = re.fullmatch(r"bias of kiruna: range (\S+) ± (\S+) km", told)
+    assert found is not None
+    assert abs(float(found[1]) - BIAS) < 3 * float(found[2]) < 0.3
     rows = [json.loads(line) for line in Path("out.jsonl").read_text().splitlines()]
     assert [row["outcome"] for row in rows] == ["taken"] * 40
     error = torch.tensor([rows[-1][name] for name in RUN.space.components], dtype=torch.float64) - ORBIT[-1]

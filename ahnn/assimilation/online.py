@@ -20,6 +20,8 @@ from ahnn.assimilation.stream_sensor import StreamSensor, plain
 from ahnn.errors import UserError
 from ahnn.estimation import Belief, EstimatorState, Innovation, Status, load_notes, load_state, save_state
 from ahnn.estimation.process_model import Process
+from ahnn.estimation.sensor_error import SensorError
+from ahnn.measurements import Measurement
 
 HOPELESS = 1e16
 """NIS of a number, 1e8 standard deviations: what is added to the state has no digit of it left."""
@@ -88,19 +90,23 @@ class Assimilation:
         if len(start.mean) != 1:
             message = f"start: expected a belief about one state; received {tuple(start.mean.shape)}"
             raise UserError(message)
-        self.process, self.sensors, self.span, self.lines = process, dict(sensors), window, lines
+        self.sensors, self.span, self.lines = dict(sensors), window, lines
+        self.errors = SensorError.of({name: sensor.biases for name, sensor in sensors.items()})
+        self.process = process if self.errors is None else self.errors.process(process)
         self.gap = FURTHEST * process.max_step if gap is None else gap
         self.size = start.mean.shape[-1]
         with torch.inference_mode():
-            self._models = {name: process.seen(sensor.measurement) for name, sensor in self.sensors.items()}
+            self._models = {name: self._seen(name, sensor) for name, sensor in self.sensors.items()}
             self._factors = {
                 name: sensor.factor(None) for name, sensor in self.sensors.items() if sensor.deviations
             }
-            state = process.estimator.start(process.lifted(start), time)
+            state = self.process.estimator.start(self.process.lifted(start), time)
             self.window = ReadingWindow(state, float(time))
             mean, covariance = start.mean[0].tolist(), start.covariance[0].tolist()
             self.begun = {"start": mean, "start_sd": covariance, "time": float(time)}
-            process.advanced(state, time, time + process.max_step)  # no line waits for what that prepares
+            self.process.advanced(
+                state, time, time + process.max_step
+            )  # no line waits for what that prepares
 
     @torch.inference_mode()
     def update(self, reading: Reading) -> Estimate:
@@ -128,6 +134,20 @@ class Assimilation:
         self.window = after.kept(self.span, self.lines)
         outcome = "rejected" if bool(innovation.rejected) else "predicted" if reading.is_empty else "taken"
         return self._estimate(outcome, innovation, len(later))
+
+    @property
+    def biases(self) -> dict[str, list[tuple[float, float]]]:
+        """By sensor the estimated bias of each column and its standard deviation, 0 where it has none."""
+        if self.errors is None:
+            return {}
+        mean, chol = self.window.state.moments
+        values, sds = (
+            mean[0, -self.errors.added :].tolist(),
+            chol[0, -self.errors.added :].norm(dim=-1).tolist(),
+        )
+        pairs = [*zip(values, sds, strict=True)]
+        places = self.errors.places.items()
+        return {name: [(0.0, 0.0) if k is None else pairs[k] for k in own] for name, own in places}
 
     def save(self, path: str | Path, notes: Mapping[str, str] | None = None) -> None:
         """Write all that is needed to go on; the file appears whole or not at all.
@@ -170,10 +190,18 @@ class Assimilation:
     @property
     def identity(self) -> str:
         """What determines the estimates besides start and readings, in 32 hexadecimal digits."""
-        sensors = {name: [plain(one.measurement), one.deviations] for name, one in self.sensors.items()}
+        sensors = {
+            name: [plain(one.measurement), one.deviations, *(one.biases or ())]
+            for name, one in self.sensors.items()
+        }
         numbers = self.span, self.lines, self.gap, self.process.max_step
         content = json.dumps([self.process.about, sensors, numbers], sort_keys=True)
         return hashlib.blake2b(content.encode(), digest_size=16).hexdigest()
+
+    def _seen(self, name: str, sensor: StreamSensor) -> Measurement:
+        """Return the model of a sensor, of all that is estimated."""
+        model = self.process.seen(sensor.measurement)
+        return model if self.errors is None else self.errors.measurement(model, name)
 
     def _named(self, reading: Reading) -> Reading:
         """Return the reading under the name of its sensor."""

@@ -104,17 +104,21 @@ def build_sensors(
             if (mass := getattr(model, "mass", run.space.inertia)) != run.space.inertia:
                 message = f"expected mass={run.space.mass:g}, that of the run; received mass={mass:g}"
                 raise ValueError(message)
-            sd: Any = list(node.sd) if isinstance(node.get("sd"), ListConfig) else node.get("sd")
+            sd, *bias = (_numbers(node.get(key)) for key in ("sd", "bias_sd", "bias_memory"))
             known = truth() if sd is None and named == "position" else None
             called = str(name) or (named if isinstance(named, str) else type(model).__name__)
             try:
-                made[called] = StreamSensor.of(
-                    model, sd if known is None else known.noise.measurement, run.space
-                )
+                sd = sd if known is None else known.noise.measurement
+                made[called] = StreamSensor.of(model, sd, run.space, bias_sd=bias[0], bias_memory=bias[1])
             except UserError as error:
                 message = f"{who}.{error}"
                 raise UserError(message) from None
     return made
+
+
+def _numbers(given: Any) -> Any:
+    """Return what a node holds, a list as one of Python's."""
+    return list(given) if isinstance(given, ListConfig) else given
 
 
 def build_process(cfg: DictConfig, run: Run, case: Callable[[], Case]) -> Process:

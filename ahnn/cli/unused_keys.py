@@ -22,7 +22,17 @@ log = logging.getLogger(__name__)
 
 
 EVALUATED = ("smoother", "least_squares", "tuning")
-SIMULATED = ("cadence", "times", "measurement", "measurement_sd", "start_sd", "seed", "beside")
+SIMULATED = (
+    "cadence",
+    "times",
+    "measurement",
+    "measurement_sd",
+    "bias_sd",
+    "bias_memory",
+    "start_sd",
+    "seed",
+    "beside",
+)
 """Keys of filters for evaluations alone, and for measurements that are simulated to fit a process noise."""
 Unread = Iterator[tuple[str, str]]
 """Keys, and why they are not read."""

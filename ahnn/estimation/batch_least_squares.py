@@ -15,7 +15,7 @@ from torch import Tensor
 
 from ahnn.estimation.arc_least_squares import Arc, Fit, followed
 from ahnn.estimation.argument_checks import check_belief, checked_rows, checked_sensor
-from ahnn.estimation.belief import Belief, Status, choose
+from ahnn.estimation.belief import Belief, Status, choose, leading
 from ahnn.estimation.linalg import tria
 from ahnn.estimation.state import initial_state
 from ahnn.estimation.step_noise import StepGrid
@@ -55,6 +55,14 @@ class BatchResult(NamedTuple):
     measured: Tensor
     status: Tensor
     settled: Tensor
+
+    def of_states(self, size: int) -> BatchResult:
+        """Return what it says of the first components: marginals, as leading blocks."""
+        return self._replace(
+            initial=leading(self.initial, size),
+            means=self.means[..., :size],
+            chols=self.chols[..., :size, :size],
+        )
 
 
 @torch.no_grad()

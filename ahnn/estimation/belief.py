@@ -46,3 +46,8 @@ def choose(condition: Tensor, yes: Belief, no: Belief) -> Belief:
         torch.where(condition[:, None], yes.mean, no.mean),
         torch.where(condition[:, None, None], yes.chol, no.chol),
     )
+
+
+def leading(belief: Belief, size: int) -> Belief:
+    """Return the marginal of the first components: the leading block of a lower factor is its factor."""
+    return Belief(belief.mean[..., :size], belief.chol[..., :size, :size])

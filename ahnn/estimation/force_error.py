@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from ahnn.dynamics.flow_at_time import wrapped
-from ahnn.estimation.belief import Belief
+from ahnn.estimation.belief import Belief, leading
 from ahnn.estimation.results import FilterResult, SmootherResult
 from ahnn.measurements import Measurement, Time, periods, residual
 from ahnn.types import Flow, TimeStep
@@ -126,25 +126,20 @@ class OfStates:
 def of_states(result: FilterResult, size: int) -> FilterResult:
     """Return what a filter of augmented states says of the first components: marginals, as leading blocks."""
     return result._replace(
-        initial=_leading(result.initial, size),
+        initial=leading(result.initial, size),
         means=result.means[..., :size],
         chols=result.chols[..., :size, :size],
         predicted_means=result.predicted_means[..., :size],
         predicted_chols=result.predicted_chols[..., :size, :size],
         backward=None,
-        state=result.state._replace(belief=_leading(result.state.belief, size)),
+        state=result.state._replace(belief=leading(result.state.belief, size)),
     )
 
 
 def smoothed_states(result: SmootherResult, size: int) -> SmootherResult:
     """Return what a smoother of augmented states says of the first components."""
     return result._replace(
-        initial=_leading(result.initial, size),
+        initial=leading(result.initial, size),
         means=result.means[..., :size],
         chols=result.chols[..., :size, :size],
     )
-
-
-def _leading(belief: Belief, size: int) -> Belief:
-    """Return the marginal of the first components: the leading block of a lower factor is its factor."""
-    return Belief(belief.mean[..., :size], belief.chol[..., :size, :size])

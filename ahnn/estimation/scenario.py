@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.estimation.sensor_error import SensorError
 from ahnn.measurements.base import Measurement, observe
 
 MEASUREMENTS = 1_000_003
@@ -21,12 +22,14 @@ class Setting(NamedTuple):
         measurement_sd: (M,) standard deviations, of the simulated noise and of R alike.
         start_sd: (D,) standard deviations of the initial error; P0 is diagonal.
         updates: numbers of the samples that are measured, increasing, from 1.
+        sensor_error: biases of the measurements, simulated and estimated; None for none.
     """
 
     measurement: Measurement
     measurement_sd: Tensor
     start_sd: Tensor
     updates: tuple[int, ...]
+    sensor_error: SensorError | None = None
 
     @property
     def measurement_noise(self) -> Tensor:
@@ -74,10 +77,12 @@ def simulated(setting: Setting, truth: Tensor, dt: float, seed: int) -> Tensor:
     generator = torch.Generator().manual_seed(seed + MEASUREMENTS)
     width = len(setting.measurement.names)
     noise = torch.randn(batch, samples - 1, width, generator=generator, dtype=torch.float64)
+    noise *= setting.measurement_sd
+    if (error := setting.sensor_error) is not None:
+        noise += error.drawn(batch, samples - 1, dt, generator) @ error.mixing(width)
     measurements = torch.full_like(noise, torch.nan)
     for k in (k for k in setting.updates if k < samples):
-        exact = observe(setting.measurement, truth[:, k], k * dt)
-        measurements[:, k - 1] = exact + noise[:, k - 1] * setting.measurement_sd
+        measurements[:, k - 1] = observe(setting.measurement, truth[:, k], k * dt) + noise[:, k - 1]
     return measurements
 
 

@@ -12,7 +12,8 @@ from ahnn.arguments import Count, Positive, checked
 from ahnn.deviations import state_deviations
 from ahnn.errors import UserError
 from ahnn.estimation.scenario import Setting
-from ahnn.measurements import Measurement, noise_deviations, reading
+from ahnn.estimation.sensor_error import SensorError
+from ahnn.measurements import Biases, Measurement, noise_deviations, reading
 from ahnn.systems import System
 from ahnn.types import Space
 
@@ -25,6 +26,8 @@ def make_setting(
     measurement: Measurement | Literal["position", "state"],
     measurement_sd: Positive | list[Positive] | None,
     start_sd: list[Positive] | None,
+    bias_sd: float | list[float] | None = None,
+    bias_memory: float | list[float] | None = None,
     cadence: Count,
     times: Sequence[float] | None,
 ) -> Setting:
@@ -36,6 +39,8 @@ def make_setting(
         measurement: a model, or the name of one that reads the state itself.
         measurement_sd: standard deviations of its noise; None takes the system's own for positions.
         start_sd: of the initial state (`state_deviations`); None takes the system's own.
+        bias_sd: standard deviations of biases of the measurements, which are estimated; None for none.
+        bias_memory: their time constants; None for constant ones.
         cadence: steps between two measurements.
         times: of the measurements, in place of a cadence.
 
@@ -49,7 +54,8 @@ def make_setting(
     sd = noise_deviations(model, given, "measurement_sd")
     _try(model, system, updates[0] * system.dt)
     start = system.deviations() if start_sd is None else state_deviations(start_sd, system.space, "start_sd")
-    return Setting(model, sd, start, updates)
+    biases = Biases.of(model, bias_sd, bias_memory)
+    return Setting(model, sd, start, updates, SensorError.of({"": biases}))
 
 
 def _cadence(cadence: int, steps: int) -> tuple[int, ...]:

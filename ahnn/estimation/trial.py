@@ -59,7 +59,7 @@ def _times(factor: Tensor | float, matrix: Tensor) -> Tensor:
 def assimilate(chosen: Filter, setting: Setting, problem: Problem) -> FilterResult:
     """Run a filter on a problem."""
     result = chosen.estimator.run(*_batch(chosen, setting, problem))
-    return result if chosen.force_error is None else of_states(result, problem.truth.shape[-1])
+    return of_states(result, problem.truth.shape[-1]) if _augments(chosen, setting) else result
 
 
 class Behind(NamedTuple):
@@ -84,28 +84,38 @@ def assimilate_all(
     model, known = _batch(chosen, setting, problem), chosen.estimator.smoothers
     result = chosen.estimator.run(*model, smoothing=bool(smoothers))
     behind = {name: known[name](result, model) for name in smoothers}
-    if chosen.force_error is not None:
+    if _augments(chosen, setting):
         size = problem.truth.shape[-1]
         result = of_states(result, size)
         behind = {k: s._replace(beliefs=smoothed_states(s.beliefs, size)) for k, s in behind.items()}
     if not batch:
         return result, Behind(behind)
-    belief = initial_belief(problem.starts, setting.start_covariance)
-    rows = problem.measurements.masked_fill(result.rejected.unsqueeze(-1), torch.nan)
-    noise = chosen.measurement_noise
-    fit = batch_least_squares(chosen.flow, belief, rows, setting.measurement, noise, problem.dt)
-    return result, Behind(behind, fit)
+    exact = _batch(chosen._replace(force_error=None), setting, problem)
+    rows = exact.measurements.masked_fill(result.rejected.unsqueeze(-1), torch.nan)
+    noise = exact.measurement_noise
+    fit = batch_least_squares(exact.flow, exact.belief, rows, exact.measurement, noise, exact.dt)
+    return result, Behind(behind, fit.of_states(problem.truth.shape[-1]))
 
 
 def _batch(chosen: Filter, setting: Setting, problem: Problem) -> Batch:
-    """Return what an estimator is given first: the states themselves, or augmented by an error."""
+    """Return what an estimator is given first: the states themselves, or augmented by errors."""
     belief, rows = initial_belief(problem.starts, setting.start_covariance), problem.measurements
-    q, r, error = chosen.process_noise, chosen.measurement_noise, chosen.force_error
-    if error is None:
-        return Batch(chosen.flow, belief, rows, setting.measurement, q, r, problem.dt)
-    flow, measurement = error.flow(chosen.flow), error.measurement(setting.measurement)
-    q = error.process_noise(q, problem.dt)
-    return Batch(flow, error.belief(belief), rows, measurement, q, r, problem.dt)
+    q, r = chosen.process_noise, chosen.measurement_noise
+    batch = Batch(chosen.flow, belief, rows, setting.measurement, q, r, problem.dt)
+    for error in (chosen.force_error, setting.sensor_error):
+        if error is not None:
+            batch = batch._replace(
+                flow=error.flow(batch.flow),
+                belief=error.belief(batch.belief),
+                measurement=error.measurement(batch.measurement),
+                process_noise=error.process_noise(batch.process_noise, batch.dt),
+            )
+    return batch
+
+
+def _augments(chosen: Filter, setting: Setting) -> bool:
+    """Return whether more than the state is estimated."""
+    return chosen.force_error is not None or setting.sensor_error is not None
 
 
 @contextmanager

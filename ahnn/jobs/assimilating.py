@@ -99,6 +99,11 @@ def assimilate(stream: Stream) -> None:
     log.info("%s lines: %s", f"{session.counted:,}", said(session.counts))
     if verdict := session.verdict():
         log.info(verdict)
+    for name, sensor in filtering.sensors.items():
+        own = zip(sensor.columns, sensor.measurement.units, filtering.biases.get(name, ()), strict=False)
+        told = [f"{column} {b:.4g} ± {sd:.2g} {unit}" for column, unit, (b, sd) in own if sd > 0.0]
+        if told:
+            log.info("bias of %s: %s", name, ", ".join(told))
     _pictures(stream)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from ahnn.measurements.angles import continuous, nearest, periods, residual, wrap
 from ahnn.measurements.base import Locating, Measurement, Sighted, Time, observe
+from ahnn.measurements.biases import Biases
 from ahnn.measurements.gnss import GnssRange
 from ahnn.measurements.ground_station import GroundStation
 from ahnn.measurements.noise import noise_deviations
@@ -18,6 +19,7 @@ from ahnn.measurements.segment import Instrument, Segment
 from ahnn.measurements.several import Several
 
 __all__ = [
+    "Biases",
     "GnssRange",
     "GroundStation",
     "Instrument",

@@ -27,14 +27,8 @@ def noise_deviations(measurement: Measurement, given: float | Sequence[float] | 
     Raises:
         UserError: another count, or numbers that are not positive and finite.
     """
-    size, states = len(measurement.names), isinstance(measurement, State)
-    values = [*given] if isinstance(given, Sequence) else [] if given is None else [given]
-    if states and len(values) == 2:
-        values = [v for v in values for _ in range(size // 2)]
-    alike = isinstance(measurement, Several) and {*measurement.sizes} == {len(values)}
-    if alike or len(values) == 1:
-        values = values * (size // len(values))
-    if len(values) == size and all(0.0 < v < math.inf for v in values):
+    values, states = for_each_component(measurement, given), isinstance(measurement, State)
+    if len(values) == len(measurement.names) and all(0.0 < v < math.inf for v in values):
         return require_squares(torch.tensor(values, dtype=torch.float64), who)
     names = ", ".join(f"{n} [{u}]" for n, u in zip(measurement.names, measurement.units, strict=True))
     message = (
@@ -42,3 +36,13 @@ def noise_deviations(measurement: Measurement, given: float | Sequence[float] | 
         f"{', or one for each block,' if states else ''} or one for all; received {given}"
     )
     raise UserError(message)
+
+
+def for_each_component(measurement: Measurement, given: float | Sequence[float] | None) -> list[float]:
+    """Return numbers as `noise_deviations` takes them, one for each component; other counts as they are."""
+    size, states = len(measurement.names), isinstance(measurement, State)
+    values = [*given] if isinstance(given, Sequence) else [] if given is None else [given]
+    if states and len(values) == 2:
+        values = [v for v in values for _ in range(size // 2)]
+    alike = isinstance(measurement, Several) and {*measurement.sizes} == {len(values)}
+    return values * (size // len(values)) if alike or len(values) == 1 else values

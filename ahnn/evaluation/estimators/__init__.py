@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from ahnn.evaluation.estimators.plugin import EstimatorEvaluation
+from ahnn.evaluation.estimators.plugin import Bias, EstimatorEvaluation
 
-__all__ = ["EstimatorEvaluation"]
+__all__ = ["Bias", "EstimatorEvaluation"]

@@ -43,6 +43,9 @@ from ahnn.systems import System, exact_flow
 from ahnn.types import Flow, Space
 from ahnn.uncertainty import Uncertainty
 
+Bias = float | list[float] | None
+"""Numbers of the biases of a sensor, see `ahnn.measurements.Biases`."""
+
 
 @checked
 class EstimatorEvaluation:
@@ -58,6 +61,9 @@ class EstimatorEvaluation:
         measurement: what is measured: `position`, `state`, or a model of its own.
         measurement_sd: standard deviation of each measured component, or one for all; None takes the system's
             own for positions.
+        bias_sd: standard deviations of biases of the measurements, one for all components or one for each, 0
+            where there is none: they are simulated, and estimated with the state. None for none.
+        bias_memory: time constants of biases that wander, or coloured noise; None for constant ones.
         start_sd: standard deviations of the initial error, for P0: one for each component, or one for
             positions and one for velocities; None takes the system's own, those of perturbed starts.
         process_noise: `fitted` to validation data; standard deviations [position, velocity] of the error
@@ -83,6 +89,8 @@ class EstimatorEvaluation:
         times: list[float] | None,
         measurement: Measurement | dict[str, Any] | Literal["position", "state"],
         measurement_sd: Positive | list[Positive] | None,
+        bias_sd: Bias = None,
+        bias_memory: Bias = None,
         start_sd: list[Positive] | None,
         process_noise: GivenNoise,
         novelty: Annotated[float, Within(0)] | None = None,
@@ -111,6 +119,8 @@ class EstimatorEvaluation:
             make_setting,
             measurement=cast(Any, measurement),
             measurement_sd=measurement_sd,
+            bias_sd=bias_sd,
+            bias_memory=bias_memory,
             start_sd=start_sd,
             cadence=cadence,
             times=times,
@@ -135,6 +145,7 @@ class EstimatorEvaluation:
         setting = self._setting(system, steps)
         option = self.process_noise
         added = option.added(system.dof) if isinstance(option, ForceOptions | ParameterOptions) else 0
+        added += 0 if setting.sensor_error is None else setting.sensor_error.added
         self.require_constants(setting, steps, 2 * system.dof + added)
         require_possible(setting, system, option, self.estimator)
 
@@ -276,6 +287,7 @@ class EstimatorEvaluation:
             "updates": list(setting.updates),
             "measured": list(setting.measurement.names),
             "measurement_sd": setting.measurement_sd.tolist(),
+            "bias": None if setting.sensor_error is None else setting.sensor_error.about,
             "start_sd": setting.start_sd.tolist(),
             "seed": self.seed,
         }

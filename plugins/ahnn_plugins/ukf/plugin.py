@@ -9,7 +9,7 @@ from ahnn.errors import UserError
 from ahnn.estimation.scenario import Setting
 from ahnn.estimation.trial import Filter
 from ahnn.evaluation.case import Case, Findings, Who
-from ahnn.evaluation.estimators import EstimatorEvaluation
+from ahnn.evaluation.estimators import Bias, EstimatorEvaluation
 from ahnn.evaluation.estimators.noise_options import GivenNoise
 from ahnn.evaluation.titles import MODEL
 from ahnn.measurements import Measurement
@@ -43,6 +43,8 @@ class UKFEvaluation(EstimatorEvaluation):
         times: list[float] | None,
         measurement: Measurement | dict[str, Any] | Literal["position", "state"],
         measurement_sd: Positive | list[Positive] | None,
+        bias_sd: Bias = None,
+        bias_memory: Bias = None,
         start_sd: list[Positive] | None,
         process_noise: GivenNoise,
         novelty: Annotated[float, Within(0)] | None = None,
@@ -66,6 +68,8 @@ class UKFEvaluation(EstimatorEvaluation):
             times=times,
             measurement=measurement,
             measurement_sd=measurement_sd,
+            bias_sd=bias_sd,
+            bias_memory=bias_memory,
             start_sd=start_sd,
             process_noise=process_noise,
             novelty=novelty,

@@ -1,0 +1,154 @@
+"""Errors of sensors as states: biases that are constant, or that are forgotten over a time.
+
+Each error b is added to one component of what a sensor measures, and is a first-order Gauss-Markov process
+(Tapley, Schutz & Born 2004, section 4.9; constant biases as in section 6.3):
+
+    b' = exp(-dt / memory) b + w,   w ~ N(0, sd² (1 - exp(-2 dt / memory))),
+
+which keeps its variance at sd². With an infinite memory it is a constant bias, with a finite one the coloured
+part of the noise. An estimator sees longer states, a longer flow and more process noise, and need not know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from ahnn.dynamics.flow_at_time import wrapped
+from ahnn.estimation.belief import Belief
+from ahnn.estimation.covariances import Factor, covariance_factor
+from ahnn.estimation.process_model import Process
+from ahnn.measurements import Biases, Measurement, Time, periods, residual
+from ahnn.types import Flow, TimeStep
+
+
+class SensorError(NamedTuple):
+    """K errors of sensors; augmented states are (x, b), shape (..., D + K).
+
+    Attributes:
+        deviations: (K,) standard deviations before anything is measured, in the units of what is measured.
+        memories: (K,) time constants, in the unit of the flow; inf for a constant bias.
+        places: for each of the M components of each sensor the number of its error; None where it has none.
+    """
+
+    deviations: Tensor
+    memories: Tensor
+    places: Mapping[str, Sequence[int | None]]
+
+    @classmethod
+    def of(cls, sensors: Mapping[str, Biases | None]) -> SensorError | None:
+        """Return the errors of sensors; None where no sensor has one."""
+        deviations, memories, places = list[float](), list[float](), dict[str, list[int | None]]()
+        for name, biases in sensors.items():
+            if biases is None:
+                continue
+            places[name] = []
+            for sd, memory in zip(biases.deviations, biases.memories, strict=True):
+                places[name].append(len(deviations) if sd > 0.0 else None)
+                if sd > 0.0:
+                    deviations.append(sd)
+                    memories.append(memory)
+        if not deviations:
+            return None
+        sds, times = (torch.tensor(part, dtype=torch.float64) for part in (deviations, memories))
+        return cls(sds, times, places)
+
+    @property
+    def added(self) -> int:
+        """K."""
+        return len(self.deviations)
+
+    @property
+    def about(self) -> list[list[float]]:
+        """Plain numbers that tell one error from another."""
+        return [self.deviations.tolist(), self.memories.tolist()]
+
+    def belief(self, belief: Belief) -> Belief:
+        """Return the augmented belief, errors independent of the state."""
+        mean, chol = belief
+        both, size = pad(chol, (0, self.added, 0, self.added)), mean.shape[-1]
+        both[:, size:, size:] = self.deviations.to(mean).diag()
+        return Belief(pad(mean, (0, self.added)), both)
+
+    def flow(self, flow: Flow) -> Flow:
+        """Return the flow of augmented states."""
+        return wrapped(flow, self._augmented)
+
+    def _augmented(self, flow: Flow) -> Flow:
+        def augmented(x: Tensor, dt: TimeStep) -> Tensor:
+            state, errors = x[..., : -self.added], x[..., -self.added :]
+            step = dt.unsqueeze(-1) if isinstance(dt, Tensor) else dt
+            return torch.cat((flow(state, dt), self._kept(step).to(errors) * errors), dim=-1)
+
+        return augmented
+
+    def process_noise(self, additive: Tensor, dt: float) -> Tensor:
+        """Return Q of one step of augmented states from that of the others, (D, D) or (B, D, D)."""
+        both, size = pad(additive, (0, self.added, 0, self.added)), additive.shape[-1]
+        both[..., size:, size:] = self._kick(dt).square().diag()
+        return both
+
+    def measurement(self, measurement: Measurement, sensor: str = "") -> Measurement:
+        """Return the model of augmented states, from that of the others."""
+        return Biased(measurement, self.mixing(len(measurement.names), sensor))
+
+    def mixing(self, size: int, sensor: str = "") -> Tensor:
+        """Return the matrix (K, M) by which errors, as rows, add to the M components of a sensor."""
+        matrix = torch.zeros(self.added, size, dtype=torch.float64)
+        for component, place in enumerate(self.places.get(sensor, ())):
+            if place is not None:
+                matrix[place, component] = 1.0
+        return matrix
+
+    def process(self, process: Process) -> Process:
+        """Return an online process of augmented states; the models of its sensors are lifted one by one."""
+
+        def lifted(belief: Belief) -> Belief:
+            return self.belief(process.lifted(belief))
+
+        def noise(dt: float) -> Factor:
+            inner = process.noise(dt)
+            if not isinstance(inner, Factor):
+                size = len(torch.as_tensor(inner))
+                inner = Factor(covariance_factor(inner, "Q", batch=1, size=size, definite=False))
+            return Factor(torch.block_diag(inner.chol, self._kick(dt).diag()))
+
+        about = {**process.about, "sensor_error": self.about}
+        return process._replace(flow=self.flow(process.flow), noise=noise, lifted=lifted, about=about)
+
+    def drawn(self, batch: int, steps: int, dt: float, generator: torch.Generator) -> Tensor:
+        """Return errors (B, T, K) at the ends of T steps, of their stationary law."""
+        draws = torch.randn(batch, steps, self.added, generator=generator, dtype=torch.float64)
+        errors = [self.deviations * draws[:, 0]]
+        for draw in draws[:, 1:].unbind(1):
+            errors.append(self._kept(dt) * errors[-1] + self._kick(dt) * draw)
+        return torch.stack(errors, dim=1)
+
+    def _kept(self, dt: TimeStep) -> Tensor:
+        """Return the fractions of the errors that a step leaves."""
+        return torch.exp(-torch.as_tensor(dt, dtype=torch.float64) / self.memories)
+
+    def _kick(self, dt: float) -> Tensor:
+        """Return the standard deviations (K,) of what a step adds to the errors."""
+        return self.deviations * (-torch.expm1(-2.0 * dt / self.memories)).sqrt()
+
+
+class Biased:
+    """A measurement model that adds errors, the last components of augmented states, to what another sees."""
+
+    def __init__(self, model: Measurement, mixing: Tensor) -> None:
+        self.model, self.names, self.units = model, model.names, model.units
+        self.periods, self.mixing = periods(model), mixing
+
+    def __call__(self, x: Tensor, t: Time) -> Tensor:
+        """Return the measurements (..., M) of the augmented states x (..., D + K)."""
+        state, errors = x.split((x.shape[-1] - len(self.mixing), len(self.mixing)), dim=-1)
+        return self.model(state, t) + errors @ self.mixing.to(x)
+
+    def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
+        """Return y - y_pred as the model has it."""
+        return residual(self.model, y, y_pred)
