@@ -56,6 +56,23 @@ class Clock(NamedTuple):
         """Return the clock where all steps begin, (B (T - 1), k), from that of samples (B, T, k)."""
         return Clock(*(part[:, :-1].flatten(0, 1) for part in self))
 
+    def along(self, lengths: Tensor, ends: Tensor) -> Clock:
+        """Return the clock where each of N steps begins, (..., N, k), from that of samples, (..., T, k).
+
+        Args:
+            lengths: (N,) of the steps.
+            ends: (T,) number of steps up to each sample.
+        """
+        counts = ends.diff()
+        since = torch.cat((lengths.new_zeros(1), lengths.cumsum(0)))
+        gone = since[:-1] - since[ends[:-1]].repeat_interleave(counts)
+        values, rates = (part[..., :-1, :].repeat_interleave(counts, dim=-2) for part in self)
+        return Clock(values + gone.unsqueeze(-1) * rates, rates)
+
+    def steps(self, part: Tensor) -> Clock:
+        """Return the clock of some instants (N,), from that of all, (..., T, k)."""
+        return Clock(self.values[..., part, :], self.rates[..., part, :])
+
     def at(self, sample: int) -> Clock:
         """Return the clock of one sample, (..., k), from that of all, (..., T, k)."""
         return Clock(self.values[..., sample, :], self.rates[..., sample, :])
@@ -80,6 +97,11 @@ def reduced(z: Tensor, count: int) -> Tensor:
     first, second = z.chunk(2, dim=-1)
     dof = first.shape[-1] - count
     return torch.cat((first[..., :dof], second[..., :dof]), dim=-1)
+
+
+def reduced_jacobians(jacobians: Tensor, count: int) -> Tensor:
+    """Return the blocks (..., 2n, 2n) of states in Jacobians of steps of extended states."""
+    return reduced(reduced(jacobians, count).mT, count).mT
 
 
 def split(z: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:

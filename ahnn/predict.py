@@ -7,6 +7,7 @@ start=FILE          first sample of each trajectory in a file (docs/data.md), an
                     assimilation wrote; or numbers in the units of the model: start=[0.5,0], [[0.5,0],[0.7,0]]
 start_sd=[..]       its standard deviations, one for each component (of one degree of freedom q and p), or
                     [position,velocity]; else the covariance in FILE, and exact without either
+controls=FILE       of a model with controls: a table of time and controls, or numbers that are held
 duration=1d         with a unit, or a number in the model's unit of time
 step=90min          between two predicted states; that of the training without it
 output=FILE         .csv, .parquet, .oem or .xml; without it a summary alone

@@ -18,8 +18,15 @@ from ahnn.deviations import covariance_factor, state_deviations
 from ahnn.dynamics import Dynamics, HasEnergy
 from ahnn.errors import UserError
 from ahnn.numbers import Numbers, as_float64
-from ahnn.prediction.arguments import clock_along, lengths_of, paths_of, starts_of, states_of
-from ahnn.prediction.propagation import Knowledge, Prediction, predicted
+from ahnn.prediction.arguments import (
+    clock_along,
+    clock_of_samples,
+    lengths_of,
+    paths_of,
+    starts_of,
+    states_of,
+)
+from ahnn.prediction.propagation import Knowledge, Prediction, predicted, require_times
 from ahnn.rollouts import rollout
 from ahnn.types import Space
 from ahnn.uncertainty import Domain, Uncertainty, learned_constants, rollout_covariances
@@ -165,6 +172,9 @@ class Run:
         description: str | None = None,
         start_sd: Numbers | None = None,
         start_covariance: Numbers | None = None,
+        controls: Numbers | None = None,
+        *,
+        linear: bool = False,
     ) -> Prediction:
         """Return predicted states at given times, with covariance and novelty where they are known.
 
@@ -175,9 +185,12 @@ class Run:
             start_sd: standard deviations of the starts, 2n, or one for positions and one for velocities
                 where n > 1; without them starts are exact.
             start_covariance: in their place, (2n, 2n) or (B, 2n, 2n).
+            controls: at the times, (T, m) or (B, T, m), each held until the next, for forces that depend on
+                them.
+            linear: whether controls are interpolated linearly instead.
 
         Raises:
-            UserError: starts or times that are none, or a damaged file beside the weights.
+            UserError: starts, times or controls that are none, or a damaged file beside the weights.
         """
         x = starts_of(start, self.dynamics, self.space)
         spread = None if self.uncertainty is None else self.uncertainty.spread
@@ -188,7 +201,9 @@ class Run:
             factor = covariance_factor(start_covariance, x.shape[-1], "start_covariance")
             known = known._replace(start=factor)
         times = as_float64(times, "times")
-        return predicted(self._exact, x.double(), times, self.dt, known, description)
+        require_times(times)
+        clock = clock_of_samples(self.dynamics, times, controls, linear=linear)
+        return predicted(self._exact, x.double(), times, self.dt, known, description, clock)
 
     @property
     def constants(self) -> dict[str, tuple[float, float]]:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ahnn.clock import Clock, extended, reduced
+from ahnn.clock import Clock, extended, reduced, reduced_jacobians
 from ahnn.dynamics.transition import transition
 from ahnn.errors import UserError
 from ahnn.numbers import Numbers, as_float64
@@ -66,7 +66,7 @@ class Bound(NamedTuple):
         """Return the states (B, 2n) after dt, and the state transitions (B, 2n, 2n)."""
         after, moved = transition(self.flow, extended(x, self.clock(x)), dt)
         count = clock_of(self.flow)
-        return reduced(after, count), reduced(reduced(moved, count).mT, count).mT
+        return reduced(after, count), reduced_jacobians(moved, count)
 
 
 def of_members(values: Tensor, count: int) -> Tensor:

@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ahnn.arguments import Positive
+from ahnn.arguments import Finite, Positive
 from ahnn.data.reference import Reference
 from ahnn.data.starts import referred, starts
 from ahnn.errors import UserError
 from ahnn.evaluation.terminal import show
 from ahnn.jobs.named import named_runs
 from ahnn.prediction import durations, output, together
+from ahnn.prediction.control_times import moments_of
 from ahnn.prediction.propagation import require_finite_prediction
 from ahnn.prediction.summary import summary, warning
 
@@ -27,6 +28,7 @@ class PredictionRequest:
     start: str | list[Any]
     duration: str | float
     start_sd: list[Positive] | None = None
+    controls: str | list[Finite] | Finite | None = None
     run: str | list[str] | None = None
     pretrained: str | None = None
     ckpt: str = "best"
@@ -56,6 +58,7 @@ def predict(asked: PredictionRequest) -> None:
     total = durations.duration(asked.duration, "duration", clock)
     step = runs[0].dt if asked.step is None else durations.duration(asked.step, "step", clock)
     times = durations.grid(total, step)
+    moments = moments_of(asked.controls, begin, times, runs[0])
     if asked.output is not None:
         output.require_output(Path(asked.output), begin, space)
     if asked.figure is not None:
@@ -64,10 +67,20 @@ def predict(asked: PredictionRequest) -> None:
         output.require_other(Path(asked.output), Path(asked.start))
     if not all(run.uncertainty for run in runs):  # the mean of what some know would be of nobody
         runs = [replace(run, uncertainty=None) for run in runs]
-    text, known = "predicting with {}".format, begin.covariances
+    known, (whole, chosen, controls) = begin.covariances, moments
     found = together(
-        [run.predict(begin.states, times, text(run.folder.name), start_covariance=known) for run in runs]
-    )
+        [
+            run.predict(
+                begin.states,
+                whole,
+                f"predicting with {run.folder.name}",
+                start_covariance=known,
+                controls=controls and controls.values,
+                linear=controls is not None and controls.linear,
+            )
+            for run in runs
+        ]
+    ).at(chosen, times)
     require_finite_prediction(found, clock)
     title = " + ".join(run.folder.name for run in runs)
     if asked.output is not None:

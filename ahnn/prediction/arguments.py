@@ -68,12 +68,7 @@ def clock_along(
         UserError: controls that are missing, are of another shape, or have no effect.
     """
     size = max(0, dynamics.clock - 1)
-    given = None if controls is None else as_float64(controls, "controls")
-    if (given is None) != (size == 0) or (given is not None and given.shape[-2:] != (count, size)):
-        expected = f"shape ({count}, {size}), or one for each start before it" if size else "None"
-        received = "None" if given is None else f"shape {tuple(given.shape)}"
-        message = f"controls: expected {expected}; received {received}"
-        raise UserError(message)
+    given = controls_of(controls, count, size)
     if not dynamics.clock:
         return None
     steps = lengths if isinstance(lengths, Tensor) else torch.full((count,), lengths, dtype=torch.float64)
@@ -81,6 +76,35 @@ def clock_along(
     if given is not None and given.ndim > times.ndim + 1:
         times = times.expand(given.shape[:-1])
     return Clock.of(times, None if given is None else given.expand(*times.shape, size))
+
+
+def clock_of_samples(
+    dynamics: Dynamics, times: Tensor, controls: Numbers | None, *, linear: bool
+) -> Clock | None:
+    """Return the clock at times (T,) with controls (T, m) or (B, T, m), None for dynamics of the state alone.
+
+    Raises:
+        UserError: controls that are missing, are of another shape, or have no effect.
+    """
+    given = controls_of(controls, len(times), max(0, dynamics.clock - 1))
+    if not dynamics.clock:
+        return None
+    return Clock.of(times if given is None else times.expand(given.shape[:-1]), given, linear)
+
+
+def controls_of(controls: Numbers | None, count: int, size: int) -> Tensor | None:
+    """Return m = `size` controls at so many instants, (count, m) or (B, count, m), None where m is 0.
+
+    Raises:
+        UserError: they are missing, are of another shape, or have no effect.
+    """
+    given = None if controls is None else as_float64(controls, "controls")
+    if (given is None) != (size == 0) or (given is not None and given.shape[-2:] != (count, size)):
+        expected = f"shape ({count}, {size}), or one for each start before it" if size else "None"
+        received = "None" if given is None else f"shape {tuple(given.shape)}"
+        message = f"controls: expected {expected}; received {received}"
+        raise UserError(message)
+    return given
 
 
 def lengths_of(dt: Numbers, like: Tensor) -> TimeStep:

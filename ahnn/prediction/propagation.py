@@ -16,6 +16,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 from torch.nn.utils import parameters_to_vector
 
+from ahnn.clock import Clock, extended, reduced_jacobians
 from ahnn.deviations import require_finite
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import field_jacobian
@@ -23,6 +24,7 @@ from ahnn.dynamics.variations import own_jacobians
 from ahnn.errors import TrainingError, UserError
 from ahnn.memory import require_memory
 from ahnn.progress import track
+from ahnn.rollouts import stepped
 from ahnn.shooting.path_sensitivities import Steps, in_quarters, path, sensitivities, steps_between
 from ahnn.shooting.quadrature import coarse
 from ahnn.uncertainty import Domain, growth
@@ -55,6 +57,10 @@ class Prediction(NamedTuple):
         """Standard deviations of the states, (B, T, D)."""
         return None if self.covariances is None else self.covariances.diagonal(dim1=-2, dim2=-1).sqrt()
 
+    def at(self, chosen: Tensor, times: Tensor) -> Prediction:
+        """Return some of the samples, (K,), with times of their own."""
+        return Prediction(times, *(None if part is None else part[:, chosen] for part in self[1:]))  # pyright: ignore[reportArgumentType]
+
 
 class Knowledge(NamedTuple):
     """What is known of learned dynamics besides their parameters, and of starts.
@@ -84,6 +90,7 @@ def predicted(
     longest: float,
     known: Knowledge = Knowledge(),  # noqa: B008 - a tuple
     description: str | None = None,
+    clock: Clock | None = None,
 ) -> Prediction:
     """Return the predicted states at given times.
 
@@ -94,6 +101,7 @@ def predicted(
         longest: time step of the integrator; an interval is cut into as few equal steps as it allows.
         known: of the dynamics.
         description: text of a progress bar; None shows none.
+        clock: time and controls at the times, (T, k) or (B, T, k); None for dynamics of the state alone.
 
     Raises:
         UserError: starts that are not finite, times that do not increase, or more than the memory holds.
@@ -109,11 +117,14 @@ def predicted(
     wanted[steps.ends] = True
     cells = count * size * max(known.columns, 1) * (4 if quartered else 1)
     stretch = max(1, min(int(CELLS // cells), TOGETHER // count))
-    parts = list(zip(steps.lengths[0].split(stretch), wanted[1:].split(stretch), strict=True))
+    lengths = steps.lengths[0]
+    along = None if clock is None else clock.along(lengths, steps.ends)
+    parts = list(torch.arange(len(lengths)).split(stretch))
     paths = _Path(dynamics, known, quartered)
     rows = [paths.begin(start)]
-    for lengths, chosen in track(parts, description, len(parts)) if description else parts:
-        rows.append(paths.follow(lengths).at(chosen))
+    for part in track(parts, description, len(parts)) if description else parts:
+        own = None if along is None else along.steps(part)
+        rows.append(paths.follow(lengths[part], own).at(wanted[1:][part]))
     return Prediction(times, *_Rows.joined(rows))
 
 
@@ -165,25 +176,31 @@ class _Path:
         self.moved = moved.float()
         return _Rows(states, self._covariances(moved.unsqueeze(1)), self._novelty(states))
 
-    def follow(self, lengths: Tensor) -> _Rows:
-        """Take steps of lengths (N,) and return the rows behind each of them."""
-        states = torch.stack([self.x, *self._steps(lengths)], dim=1)
+    def follow(self, lengths: Tensor, clock: Clock | None = None) -> _Rows:
+        """Take steps of lengths (N,) begun on a clock, and return the rows behind each of them."""
+        states = torch.stack([self.x, *self._steps(lengths, clock)], dim=1)
         novelty = self._novelty(states)
         self.x = states[:, -1]
         later = None if novelty is None else novelty[:, 1:]
         if not self.known.columns:
             return _Rows(states[:, 1:], None, later)
-        moved = self._columns(states, lengths.expand(len(states), -1), novelty)
+        moved = self._columns(states, lengths.expand(len(states), -1), novelty, clock)
         self.moved = moved[:, -1]
         return _Rows(states[:, 1:], self._covariances(moved[:, 1:]), later)
 
-    def _columns(self, states: Tensor, lengths: Tensor, novelty: Tensor | None) -> Tensor:
+    def _columns(
+        self, states: Tensor, lengths: Tensor, novelty: Tensor | None, clock: Clock | None
+    ) -> Tensor:
         """Return the columns at states (B, N + 1, D), shape (B, N + 1, D, R)."""
         steps = Steps(lengths, torch.arange(lengths.shape[1] + 1))
         if self.quartered:
             steps, states = steps.quarters(), in_quarters(self.dynamics.increment, states, lengths)
             novelty = self._novelty(states)
-        jacobians = self.jacobians(states[:, :-1], steps.lengths)
+        if clock is None:
+            jacobians = self.jacobians(states[:, :-1], steps.lengths)
+        else:
+            begun = extended(states[:, :-1], clock)
+            jacobians = reduced_jacobians(self.jacobians(begun, steps.lengths), clock.values.shape[-1])
         return sensitivities(jacobians, self._forcing(states, novelty), steps, self.moved)
 
     def _forcing(self, states: Tensor, novelty: Tensor | None) -> Tensor:
@@ -200,10 +217,10 @@ class _Path:
         wide = moved.double()
         return wide @ wide.mT if self.known.columns else None
 
-    def _steps(self, lengths: Tensor) -> Iterator[Tensor]:
+    def _steps(self, lengths: Tensor, clock: Clock | None) -> Iterator[Tensor]:
         x = self.x
-        for dt in lengths.tolist():
-            x = self.dynamics(x, dt)
+        for k, dt in enumerate(lengths.tolist()):
+            x = stepped(self.dynamics, x, dt, None if clock is None else clock.at(k))
             yield x
 
     def _novelty(self, states: Tensor) -> Tensor | None:

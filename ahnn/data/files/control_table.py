@@ -1,0 +1,117 @@
+"""Controls over time in a file: a table with a column of times and one for each control."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ahnn.data.files import kinds, parquet, sidecar
+from ahnn.data.files.columns import TIMES
+from ahnn.data.files.raw import decoded
+from ahnn.data.files.reading import bytes_of
+from ahnn.data.files.samples import Array
+from ahnn.data.files.table import Place, Remark, Sheet, read_csv, refuse
+from ahnn.data.files.tabular import numbers
+from ahnn.data.files.units import factor
+from ahnn.errors import UserError
+from ahnn.types import Space
+
+
+class ControlTable(NamedTuple):
+    """Controls over time.
+
+    Attributes:
+        times: (T,) in the unit of a space, increasing.
+        values: (T, m), those of each time on.
+        linear: whether they are interpolated linearly; else they are held.
+    """
+
+    times: Tensor
+    values: Tensor
+    linear: bool = False
+
+    def at(self, times: Tensor) -> Tensor:
+        """Return the controls (K, m) at times (K,) from the first on; the last ones are held.
+
+        Raises:
+            UserError: a time before the first.
+        """
+        near = 1e-9 * float(times[-1] - times[0])
+        if float(times[0]) < float(self.times[0]) - near:
+            message = (
+                f"controls: expected them from the start on, at {float(times[0]):g}; received the first at "
+                f"{float(self.times[0]):g}"
+            )
+            raise UserError(message)
+        if self.linear:
+            columns = [np.interp(times, self.times, column) for column in self.values.T]
+            return torch.from_numpy(np.stack(columns, axis=1))
+        return self.values[torch.searchsorted(self.times, times + near, right=True).clamp(min=1) - 1]
+
+
+def read_controls(path: Path, space: Space) -> ControlTable:
+    """Return the controls in a file, by the names that the space has for them.
+
+    Args:
+        path: of a table, CSV or Parquet; beside it a sidecar may say `controls: linear`.
+        space: names of the controls, and the unit of time.
+
+    Raises:
+        UserError: no table, a column that is missing, or times that do not increase.
+    """
+    raw, aside = bytes_of(path)
+    file, beside = str(path), sidecar.beside(path)
+    kind = kinds.kind_of(raw, file)
+    if kind not in ("parquet", "table"):
+        Place(file).refuse(f"a table with time and {', '.join(space.controls)}", kind)
+    sheet = (
+        parquet.read_parquet(raw, file, refuse) if kind == "parquet" else read_csv(decoded(raw, path), file)
+    )
+    said = sidecar.Sidecar() if aside is None else sidecar.parse(decoded(aside, beside), str(beside))
+    sheet = sheet._replace(header=sidecar.with_units(sheet.header, said, sheet.place))
+    times, unit = _times(sheet, space)
+    names = sheet.header.names
+    if not len(sheet.rows):
+        sheet.place.refuse("a row for each change of a control", "a header alone")
+    for name in space.controls:
+        if name not in names:
+            sheet.place.refuse(f"columns {', '.join(space.controls)}, the controls", ", ".join(names))
+    if others := [name for name in names if name not in (unit, *space.controls)]:
+        refuse(Remark(sheet.place, f"not used, since they are no controls: {', '.join(others)}"))
+    columns = [_column(sheet, names.index(name)) for name in space.controls]
+    values = torch.from_numpy(np.stack(columns, axis=1))
+    return ControlTable(torch.from_numpy(times), values, said.controls == sidecar.LINEAR)
+
+
+def _times(sheet: Sheet, space: Space) -> tuple[Array, str]:
+    """Return the times in the unit of a space, and the name of their column."""
+    names, place = sheet.header.names, sheet.place
+    found = [k for k, name in enumerate(names) if name.lower() in TIMES]
+    if len(found) != 1:
+        place.refuse(f"one column {' or '.join(TIMES)}", ", ".join(names))
+    name, given = names[found[0]], sheet.header.units[found[0]]
+    times = _column(sheet, found[0])
+    if given is not None:
+        try:
+            times = times * factor(given, space.units.time)
+        except ValueError:
+            expected = f"a unit that fits {space.units.time}"
+            place._replace(column=name).refuse(expected, given)
+    late = np.flatnonzero(~(np.diff(times) > 0))
+    if len(late):
+        row = int(sheet.rows[late[0] + 1])
+        Place(place.file, row, name).refuse("times that increase", f"{times[late[0] + 1]:g}")
+    return times, name
+
+
+def _column(sheet: Sheet, column: int) -> Array:
+    """Return the numbers of a column, each of which must be there."""
+    values = numbers(sheet, column, refuse)
+    for k in np.flatnonzero(np.isnan(values)):
+        where = Place(sheet.place.file, int(sheet.rows[k]), sheet.header.names[column])
+        where.refuse("a number in each row", "none", "Repeat the one that is held")
+    return values

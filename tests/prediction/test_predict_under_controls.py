@@ -1,0 +1,182 @@
+"""Predictions of models whose forces depend on time or controls, in Python and from the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from entry import SMALL, call
+from helpers import close, generator
+
+import ahnn
+from ahnn.data.files.control_table import ControlTable, read_controls
+from ahnn.dynamics import make_dynamics
+from ahnn.errors import UserError
+from ahnn.prediction.control_times import merged
+from ahnn.types import Space, Units
+
+DOUBLE = {"dtype": torch.float64}
+CONF = Path(__file__).parents[1] / "motions" / "conf"
+MASS = 1.5
+TIMES = torch.tensor([0.5, 0.8, 1.5, 1.6, 3.0], **DOUBLE)
+PUSHES = torch.tensor([[1.0], [-2.0], [0.5], [3.0], [7.0]], **DOUBLE)
+
+
+def made(forces, controls=(), weights=0.0):
+    torch.manual_seed(3)
+    dynamics = make_dynamics(
+        "hamiltonian",
+        dof=1,
+        inertia=MASS,
+        hamiltonian="mechanical",
+        mu=None,
+        inputs="cartesian",
+        scaling="none",
+        network={"width": 12, "depth": 2, "activation": "tanh"},
+        integrator={"name": "rk4"},
+        forces=forces,
+        controls=len(controls),
+    ).double()
+    for parameter in dynamics.parameters():
+        parameter.data = weights * torch.randn(parameter.shape, generator=generator(4), **DOUBLE)
+    space = Space("made", ("q", "p"), Units("s", "m", "m/s", "J"), inertia=MASS, controls=controls)
+    return ahnn.Run(dynamics.frozen(), space, 0.2, {}, Path())
+
+
+@pytest.fixture(scope="module")
+def pushed():
+    """A free mass under a control."""
+    return made({"controls": {"kind": "actuation", "matrix": [[1.0]]}}, ("u",))
+
+
+@pytest.mark.parametrize("linear", [False, True])
+def test_a_free_mass_gains_the_integral_of_its_control(pushed, linear):
+    found = pushed.predict([0.0, 0.0], TIMES, controls=PUSHES, linear=linear)
+    gaps, u = TIMES.diff(), PUSHES[:, 0]
+    impulse = gaps * ((u[:-1] + u[1:]) / 2 if linear else u[:-1])
+    close(found.states[0, 1:, 1], impulse.cumsum(0), 1e-13)
+    assert torch.equal(found.times, TIMES)
+
+
+def test_the_covariance_of_a_start_is_that_of_a_free_mass_whatever_pushes_it(pushed):
+    found = pushed.predict([0.0, 0.0], TIMES, start_sd=[0.1, 0.3], controls=PUSHES)
+    gone = (TIMES - TIMES[0]) / MASS
+    assert found.covariances is not None
+    close(found.covariances[0, :, 0, 0], 0.01 + gone**2 * 0.09, 1e-6)
+    close(found.covariances[0, :, 0, 1], gone * 0.09, 1e-6)
+
+
+def test_a_covariance_under_a_drive_is_that_of_differences_of_predictions():
+    run = made({"forcing": {"frequency": 2.0}, "friction": {}}, weights=0.5)
+    start, sd, h = torch.tensor([[0.3, -0.2]], **DOUBLE), [0.1, 0.3], 1e-4
+    found = run.predict(start, TIMES, start_sd=sd)
+    near = torch.cat([start + h * torch.eye(2, **DOUBLE), start - h * torch.eye(2, **DOUBLE)])
+    plus, minus = run.predict(near, TIMES).states.chunk(2)
+    moved = ((plus - minus) / (2 * h)).permute(1, 2, 0) * torch.tensor(sd, **DOUBLE)
+    assert found.covariances is not None
+    close(found.covariances[0], moved @ moved.mT, 1e-5)
+    later = run.predict(start, TIMES + 0.7)
+    assert float((later.states - found.states).abs().max()) > 1e-3  # the clock counts
+
+
+def test_each_start_may_have_controls_of_its_own(pushed):
+    both = torch.stack([PUSHES, -PUSHES])
+    found = pushed.predict([[0.0, 0.0], [0.0, 0.0]], TIMES, controls=both)
+    close(found.states[0], -found.states[1], 1e-15)
+
+
+@pytest.mark.parametrize("controls", [None, [[1.0]], [1.0] * 5])
+def test_controls_that_are_none_are_refused(pushed, controls):
+    with pytest.raises(UserError, match=r"controls: expected shape \(5, 1\), or one"):
+        pushed.predict([0.0, 0.0], TIMES, controls=controls)
+    with pytest.raises(UserError, match="controls: expected None"):
+        made({"friction": {}}).predict([0.0, 0.0], TIMES, controls=PUSHES)
+
+
+def test_times_of_controls_are_met_and_no_step_is_a_rounding_error():
+    times = torch.linspace(0.0, 1.0, 11, **DOUBLE)
+    others = torch.tensor([-1.0, 0.0, 0.1 + 1e-13, 0.25, 0.9, 1.0, 7.0], **DOUBLE)
+    found = merged(times, others)
+    close(found, torch.cat((times[:3], torch.tensor([0.25], **DOUBLE), times[3:])), 1e-15)
+
+
+def test_a_table_of_controls_is_held_or_interpolated(tmp_path):
+    space = Space("made", ("q", "p"), Units("s", "m", "m/s", "J"), controls=("u", "w"))
+    (tmp_path / "c.csv").write_text("t [min],w,u,note\n0,1,10,0\n1,3,30,0\n")
+    table = read_controls(tmp_path / "c.csv", space)
+    at = torch.tensor([0.0, 30.0, 60.0, 90.0], **DOUBLE)
+    close(table.at(at), torch.tensor([[10.0, 1.0], [10.0, 1.0], [30.0, 3.0], [30.0, 3.0]], **DOUBLE), 0)
+    (tmp_path / "c.yaml").write_text("controls: linear\n")
+    close(read_controls(tmp_path / "c.csv", space).at(at)[1], torch.tensor([20.0, 2.0], **DOUBLE), 1e-12)
+    with pytest.raises(UserError, match="controls: expected them from the start on, at -1; received"):
+        ControlTable(at, at[:, None]).at(at - 1.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("t,v\n0,1\n", "row 1: expected columns u, the controls; received t, v"),
+        ("s,u\n0,1\n", "expected one column t or time"),
+        ("t,u\n0,1\n0,2\n", "row 3, column t: expected times that increase; received 0"),
+        ("t,u\n0,1\n1,\n", "row 3, column u: expected a number in each row; received none. Repeat"),
+        ("t [km],u\n0,1\n", "expected a unit that fits s; received km"),
+        ("t,u\n", "expected a row for each change of a control; received a header alone"),
+    ],
+)
+def test_tables_that_are_no_controls_are_refused_by_row_and_column(text, said, tmp_path):
+    (tmp_path / "c.csv").write_text(text)
+    with pytest.raises(UserError) as error:
+        read_controls(tmp_path / "c.csv", Space("made", ("q", "p"), Units("s", "m", "m/s"), controls=("u",)))
+    assert said in str(error.value)
+
+
+@pytest.fixture(scope="module")
+def spring(tmp_path_factory):
+    """A run that learned, badly, how a spring is pushed."""
+    folder = tmp_path_factory.mktemp("runs") / "pushed"
+    options = ["system=pushed_spring", "hamiltonian=mechanical", "forces=controls", "loss=recursive"]
+    options += ["recipe=second_order", "evaluation=scores", "data.batch_size=100", "trainer.max_epochs=1"]
+    assert call("ahnn.train", "--config-dir", str(CONF), f"run={folder}", *SMALL, *options) == 0
+    return folder
+
+
+def test_a_command_predicts_under_the_controls_of_a_file(spring, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("pushes.csv").write_text("t,u\n0,1\n0.12,-1\n0.2,0.5\n")
+    Path("start.csv").write_text("t,q,v\n0,0.1,0\n0.05,0.2,0.1\n")
+    words = ["ahnn.predict", f"run={spring}", "duration=0.3", "step=0.1"]
+    assert call(*words, "start=start.csv", "controls=pushes.csv", "output=out.csv") == 0
+    rows = [line.split(",") for line in Path("out.csv").read_text().splitlines()]
+    named = dict(zip(rows[0], zip(*rows[1:], strict=True), strict=True))
+    run = ahnn.load(spring)
+    times = torch.tensor([0.0, 0.1, 0.12, 0.2, 0.3], **DOUBLE)
+    pushes = torch.tensor([[1.0], [1.0], [-1.0], [0.5], [0.5]], **DOUBLE)
+    told = run.predict([0.1, 0.0], times, controls=pushes).states[0, [0, 1, 3, 4], 0]
+    close(torch.tensor([float(cell) for cell in named["q [m]"]], **DOUBLE), told, 1e-12)
+    assert call(*words, "start=[0.1,0]", "controls=[1]", "output=held.csv") == 0
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (
+            ["start=[0.1,0]"],
+            "controls: expected a FILE with time and u, or numbers that are held; received None",
+        ),
+        (["start=[0.1,0]", "controls=[1,2]"], "received [1, 2]"),
+        (["start=[0.1,0]", "controls=none.csv"], "none.csv"),
+    ],
+)
+def test_a_command_without_controls_says_what_is_missing(given, said, spring, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = ["ahnn.predict", f"run={spring}", "duration=0.3", "step=0.1", "output=out.csv"]
+    assert call(*words, *given) == 2
+    assert said in capsys.readouterr().err
+    assert not Path("out.csv").exists()
+
+
+def test_a_model_without_controls_takes_none(capsys):
+    words = ["ahnn.predict", "pretrained=molniya_mechanical", "start=[0,-3145,-6173,10,0,0]", "duration=60"]
+    assert call(*words, "controls=[1]") == 2
+    assert "controls: expected none" in capsys.readouterr().err
