@@ -13,8 +13,8 @@ from ahnn.checkpoints import Weights, checksum, packed
 from ahnn.errors import UserError
 from ahnn.evaluation.provenance import provenance
 from ahnn.files import whole_folder
-from ahnn.graphs.modules import modules
-from ahnn.graphs.programs import INPUT, OUTPUT, as_onnx, as_pt2, program, require_onnx
+from ahnn.graphs.modules import ClockedStepModule, modules
+from ahnn.graphs.programs import CLOCK, INPUT, OUTPUT, as_onnx, as_pt2, program, require_onnx
 from ahnn.progress import track
 from ahnn.runs import Run
 from ahnn.stored import about_space
@@ -38,7 +38,8 @@ def write_export(run: Run, folder: Path) -> list[str]:
     parts = modules(run.dynamics, run.dt)
     with whole_folder(folder) as place:
         for name, module in track(parts.items(), "exporting", len(parts)):
-            found = program(module, len(run.space.components))
+            clock = [run.dynamics.clock] if isinstance(module, ClockedStepModule) else []
+            found = program(module, len(run.space.components), *clock)
             (place / f"{name}.pt2").write_bytes(as_pt2(found))
             (place / f"{name}.onnx").write_bytes(as_onnx(found))
         (place / WEIGHTS).write_bytes(packed(Weights(run.dynamics.state_dict(), run.about)))
@@ -51,11 +52,14 @@ def about(run: Run, parts: dict[str, nn.Module]) -> dict[str, Any]:
     made = provenance()
     kept = {name: made[name] for name in ("ahnn", "commit", "torch", "date")}
     state = run.dynamics.state_dict()
+    known = ["time", *run.space.controls][: run.dynamics.clock]
+    clock = {"name": CLOCK, "type": "float64", "shape": ["batch", "clock"]}
     return {
         "format": FORMAT,
         "space": about_space(run.space),
         "dt": run.dt,
         "dynamics": run.dynamics.spec,
+        **({"clock": {**clock, "components": known}} if known else {}),
         "assumes": run.dynamics.assumes,
         "scalings": {name: value.tolist() for name, value in run.dynamics.named_buffers()},
         "graphs": {

@@ -1,4 +1,4 @@
-"""What is exported: a step of the flow, and the energy, as modules of one argument."""
+"""What is exported: a step of the flow, and the energy, as modules of states, and of a clock where needed."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
+from ahnn.clock import Clock, extended, reduced
 from ahnn.dynamics import Dynamics, HasEnergy
 from ahnn.dynamics.activations import Activation
 from ahnn.dynamics.networks import Perceptron
@@ -29,6 +30,19 @@ class StepModule(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Return the next states, shape (B, D)."""
         return self.dynamics(x, self.dt)
+
+
+class ClockedStepModule(nn.Module):
+    """One step of a flow whose forces depend on time or controls, which are held over the step."""
+
+    def __init__(self, dynamics: Dynamics, dt: float) -> None:
+        super().__init__()
+        self.dynamics, self.dt = dynamics, dt
+
+    def forward(self, x: Tensor, clock: Tensor) -> Tensor:
+        """Return the states (B, D) after a step from x, begun at time and controls (B, k)."""
+        rates = torch.cat((torch.ones_like(clock[:, :1]), torch.zeros_like(clock[:, 1:])), dim=-1)
+        return reduced(self.dynamics(extended(x, Clock(clock, rates)), self.dt), self.dynamics.clock)
 
 
 class EnergyModule(nn.Module):
@@ -58,7 +72,7 @@ def modules(dynamics: Dynamics, dt: float) -> dict[str, nn.Module]:
         )
         raise UserError(message)
     own = portable(dynamics)
-    found: dict[str, nn.Module] = {"flow": StepModule(own, dt)}
+    found: dict[str, nn.Module] = {"flow": (ClockedStepModule if own.clock else StepModule)(own, dt)}
     if isinstance(own, HasEnergy):
         found["energy"] = EnergyModule(own)
     return found

@@ -15,15 +15,15 @@ from torch.export import Dim, ExportedProgram, export
 
 from ahnn.errors import UserError
 
-INPUT, OUTPUT = "states", "result"
+INPUT, CLOCK, OUTPUT = "states", "clock", "result"
 """Names of what goes in and comes out of the ONNX graphs."""
 
 
-def program(module: nn.Module, size: int) -> ExportedProgram:
-    """Return a program of a module of states (B, D)."""
-    example = torch.ones(2, size, dtype=torch.float64)
+def program(module: nn.Module, *sizes: int) -> ExportedProgram:
+    """Return a program of a module of states (B, D), and of a clock (B, k) where a second size is given."""
+    examples, batch = tuple(torch.ones(2, size, dtype=torch.float64) for size in sizes), Dim("batch")
     with quiet():
-        return export(module.eval(), (example,), dynamic_shapes=({0: Dim("batch")},))
+        return export(module.eval(), examples, dynamic_shapes=tuple({0: batch} for _ in sizes))
 
 
 def as_pt2(found: ExportedProgram) -> bytes:
@@ -45,7 +45,8 @@ def as_onnx(found: ExportedProgram) -> bytes:
     from onnx import TensorProto, numpy_helper
 
     with quiet():
-        names: Any = {"input_names": [INPUT], "output_names": [OUTPUT]}
+        inputs = [INPUT, CLOCK][: len(found.graph_signature.user_inputs)]
+        names: Any = {"input_names": inputs, "output_names": [OUTPUT]}
         made: Any = torch.onnx.export(found, dynamo=True, verbose=False, **names)
     model = made.model_proto
     exact = {float(np.float32(factor)): factor for factor in factors(found)}
