@@ -7,8 +7,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.dynamics.flow_at_time import steered
 from ahnn.estimation.sensor_error import SensorError
 from ahnn.measurements.base import Measurement, observe
+from ahnn.rollouts import clock_of
+from ahnn.types import Flow
 
 MEASUREMENTS = 1_000_003
 """Added to a seed for the measurement noise: with the seed of the initial errors it would repeat them."""
@@ -55,17 +58,29 @@ class Problem(NamedTuple):
         starts: (B, D) what an estimator believes at time zero.
         measurements: (B, T, M), NaN where nothing was measured.
         dt: length of a step.
+        controls: (B, T + 1, m), known; None where nothing is controlled.
+        linear: whether controls are interpolated linearly between samples; else they are held.
     """
 
     truth: Tensor
     starts: Tensor
     measurements: Tensor
     dt: float
+    controls: Tensor | None = None
+    linear: bool = False
 
     def repeated(self, count: int) -> Problem:
         """Return the problem `count` times over, member b of copy i at row i B + b."""
-        rows = (part.repeat(count, *[1] * (part.ndim - 1)) for part in self[:3])
-        return Problem(*rows, dt=self.dt)
+        parts = self.truth, self.starts, self.measurements, self.controls
+        rows = (None if part is None else part.repeat(count, *[1] * (part.ndim - 1)) for part in parts)
+        return self._replace(**dict(zip(("truth", "starts", "measurements", "controls"), rows, strict=True)))
+
+    def driven(self, flow: Flow) -> Flow:
+        """Return a process model under the controls; one that needs none comes back as it is."""
+        if self.controls is None or clock_of(flow) < 2:
+            return flow
+        times = self.dt * torch.arange(self.controls.shape[1], dtype=torch.float64)
+        return steered(flow, times, self.controls.nan_to_num(), linear=self.linear)
 
 
 def simulated(setting: Setting, truth: Tensor, dt: float, seed: int) -> Tensor:
@@ -87,7 +102,15 @@ def simulated(setting: Setting, truth: Tensor, dt: float, seed: int) -> Tensor:
 
 
 def perturbed_arcs(
-    setting: Setting, truth: Tensor, dt: float, count: int, steps: int | None, seed: int
+    setting: Setting,
+    truth: Tensor,
+    dt: float,
+    count: int,
+    steps: int | None,
+    seed: int,
+    controls: Tensor | None = None,
+    *,
+    linear: bool = False,
 ) -> Problem:
     """Return arcs of trajectories with perturbed starts, to choose an estimator's constants on.
 
@@ -99,14 +122,19 @@ def perturbed_arcs(
         steps: length of an arc; arcs that are shorter than their trajectories begin evenly spread over them,
             so that all phases of a motion take part. None takes whole trajectories.
         seed: of the initial errors and the measurements.
+        controls: (N, T + 1, m) of the trajectories; None where nothing is controlled.
+        linear: whether these are interpolated linearly between samples.
     """
-    states = truth[torch.linspace(0, len(truth) - 1, count).long()]
+    chosen = torch.linspace(0, len(truth) - 1, count).long()
+    states = truth[chosen]
     whole = states.shape[1] - 1
     steps = whole if steps is None else min(steps, whole)
     shortest = int(truth.isfinite().all(-1).sum(-1).min()) - 1
     begin = torch.linspace(0, max(0, shortest - steps), count).long()
-    arcs = states[torch.arange(count)[:, None], begin[:, None] + torch.arange(steps + 1)]
+    samples = torch.arange(count)[:, None], begin[:, None] + torch.arange(steps + 1)
+    arcs, controls = states[samples], None if controls is None else controls[chosen][samples]
     generator = torch.Generator().manual_seed(seed)
     noise = torch.randn(arcs[:, 0].shape, generator=generator, dtype=torch.float64)
     measurements = simulated(setting, arcs, dt, seed + 1)
-    return Problem(arcs, arcs[:, 0] + noise * setting.start_sd, measurements, dt)
+    starts = arcs[:, 0] + noise * setting.start_sd
+    return Problem(arcs, starts, measurements, dt, controls, linear)

@@ -101,7 +101,7 @@ def _batch(chosen: Filter, setting: Setting, problem: Problem) -> Batch:
     """Return what an estimator is given first: the states themselves, or augmented by errors."""
     belief, rows = initial_belief(problem.starts, setting.start_covariance), problem.measurements
     q, r = chosen.process_noise, chosen.measurement_noise
-    batch = Batch(chosen.flow, belief, rows, setting.measurement, q, r, problem.dt)
+    batch = Batch(problem.driven(chosen.flow), belief, rows, setting.measurement, q, r, problem.dt)
     for error in (chosen.force_error, setting.sensor_error):
         if error is not None:
             batch = batch._replace(

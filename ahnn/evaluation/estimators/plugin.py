@@ -137,10 +137,6 @@ class EstimatorEvaluation:
         Raises:
             UserError: says which option.
         """
-        if space.controls:
-            received = f"{space.name} with {', '.join(space.controls)}"
-            message = f"expected a motion without controls, which no filter is told; received {received}"
-            raise UserError(message)
         system = near_system(truth, self.beside, space)
         setting = self._setting(system, steps)
         option = self.process_noise
@@ -209,6 +205,10 @@ class EstimatorEvaluation:
         Raises:
             UserError: the novelty is to count, and is not known; or nothing is known of the parameters.
         """
+        if space.controls:
+            received = f"{space.name} with {', '.join(space.controls)}"
+            message = f"expected a motion without controls, which no stream tells; received {received}"
+            raise UserError(message)
         noise = given_noise(self.process_noise, space, grown(novelty, self.novelty), flow, known)
         if noise is None:
             noise = self._found(case())
@@ -271,15 +271,16 @@ class EstimatorEvaluation:
         if steps is not None and clock_of(case.flow):  # arcs begin anywhere, and a filter at time zero
             message = f"tuning.steps: expected null with forces that depend on time; received {steps}"
             raise UserError(message)
-        count = min(count, len(case.validation.states))
-        return perturbed_arcs(setting, case.validation.states, _interval(case), count, steps, seed)
+        data = case.validation
+        given = setting, data.states, _interval(case), min(count, len(data.states)), steps, seed
+        return perturbed_arcs(*given, data.controls, linear=data.linear)
 
     def _problems(self, case: Case, setting: Setting) -> dict[Start, Problem]:
         """Return the scenarios; both see the same measurements."""
-        truth = case.test.states
-        dt = _interval(case)
+        truth, dt, data = case.test.states, _interval(case), case.test
         measurements = simulated(setting, truth, dt, self.seed)
-        return {start: Problem(truth, x, measurements, dt) for start, x in case.starts().items()}
+        known = measurements, dt, data.controls, data.linear
+        return {start: Problem(truth, x, *known) for start, x in case.starts().items()}
 
     def settings(self, setting: Setting) -> dict[str, Any]:
         """Return what was assumed, for metrics.json."""

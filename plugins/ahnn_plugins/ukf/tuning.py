@@ -209,7 +209,7 @@ def _stored(path: Path) -> dict[str, Any]:
 def _recipe(chosen: Filter, setting: Setting, problem: Problem, options: Tuning) -> dict[str, Any]:
     """Return what determines a search, as plain values; the flow is known by what it does to a state."""
     with torch.no_grad():
-        image = at(chosen.flow, 0.0)(problem.truth[:1, 0], problem.dt)
+        image = at(problem.driven(chosen.flow), 0.0)(problem.truth[:, 0], problem.dt)
     tensors = {
         "image": image,
         "process_noise": chosen.process_noise,

@@ -1,0 +1,75 @@
+"""Filters of a controlled motion in an evaluation: all of them know the controls of each trajectory."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+import torch
+from evaluating import run
+from motions.pushed_spring import PushedSpring
+
+from ahnn.data.generate import generate
+from ahnn.errors import UserError
+from ahnn.evaluation import Case
+from ahnn.integrators import INTEGRATORS
+from ahnn.systems import exact_flow
+from ahnn_plugins.ekf import ExtendedKalmanFilter
+
+SYSTEM = PushedSpring(name="pushed", dt=0.05, steps=80)
+OPTIONS = [
+    "cadence=4",
+    "measurement_sd=1e-3",
+    "process_noise=[1e-7,1e-7]",
+    "smoother=true",
+    "least_squares=true",
+]
+OPTIONS += ["start_sd=[0.03,0.03]"]
+
+
+@pytest.fixture
+def case(tmp_path):
+    return Case(
+        label="mine",
+        assumes="nothing",
+        space=SYSTEM.space,
+        truth=SYSTEM,
+        flow=exact_flow(SYSTEM),
+        energy=None,
+        integrator=INTEGRATORS["rk4"],
+        dt=SYSTEM.dt,
+        test=generate(SYSTEM, 30, seed=1),
+        validation=generate(SYSTEM, 6, seed=2),
+        train=generate(SYSTEM, 4, seed=2),
+        perturbation=0.03 * torch.randn(30, 2, generator=torch.Generator().manual_seed(0)).double(),
+        folder=tmp_path,
+    )
+
+
+@pytest.mark.parametrize("name", ["ukf", "ekf"])
+def test_filters_smoothers_and_least_squares_are_consistent_under_pushes(case, name):
+    findings = run(case, *OPTIONS, group=name)
+    for found in findings.numbers["filters"].values():
+        low, high = found["model"]["perturbed"]["nees"]["band_95"]
+        assert low < found["model"]["perturbed"]["nees"]["mean"] < high
+    blind = dataclasses.replace(case, test=case.test._replace(controls=torch.zeros_like(case.test.controls)))
+    assert (
+        run(blind, *OPTIONS, group=name).numbers["filters"][name]["model"]["perturbed"]["nees"]["mean"] > 1e3
+    )
+
+
+def test_process_noise_is_fitted_under_the_controls_too(case):
+    findings = run(case, "cadence=4", "measurement_sd=1e-3", "process_noise=force_error")
+    assert findings.numbers["process_noise"]["size"] < 1e-6  # the flow is exact
+
+
+def test_a_stream_does_not_tell_controls(case):
+    from ahnn.evaluation.estimators import EstimatorEvaluation
+
+    options = {"cadence": 4, "times": None, "measurement": "position", "measurement_sd": None}
+    options |= {"start_sd": None, "process_noise": [1e-7, 1e-7], "gate": None, "patience": 5}
+    plugin = EstimatorEvaluation(
+        ExtendedKalmanFilter(), **options, smoother=False, least_squares=False, seed=0
+    )
+    with pytest.raises(UserError, match="which no stream tells; received pushed with u"):
+        plugin.online(case.flow, SYSTEM.dt, case.space, lambda: case)
