@@ -274,3 +274,11 @@ def test_the_scores_of_shipped_models_are_in_the_schema_of_this_version():
         content = json.loads((HERE / name / "metrics.json").read_text())
         assert content["schema"] == 2
         assert load_results(HERE / name).rows
+
+
+def test_a_run_of_version_0_2_knew_of_no_biases(run):
+    config = yaml.safe_load((run / "config.yaml").read_text())
+    del config["measurement"]["bias_sd"], config["measurement"]["bias_memory"]
+    (run / "config.yaml").write_text(yaml.safe_dump(config))
+    rows = again(run, "plugins=ukf", "plugins.ukf.cadence=10", "measurement.bias_sd=0.01").rows
+    assert any(row.who.estimator == "ukf" for row in rows)

@@ -26,6 +26,8 @@ GROUPS = ("plugins", "measurement")
 NODES = ("system", "data", "evaluation", "plugins", "measurement")
 """Parts of a configuration that an evaluation builds from."""
 KEYS = ("label", "threads")
+SINCE = {"bias_sd": None, "bias_memory": None}
+"""Keys of `measurement` that runs of version 0.2 do not have."""
 DATA = (*SIMULATION, "split", *SENSOR)
 """Keys of `data` that say which trajectories there are and what measures them, not the training; they are
 kept where this user keeps his own, not where the run did."""
@@ -102,6 +104,7 @@ def run_config(folder: Path, request: Request) -> DictConfig:
     if missing:
         message = f"{path}: expected the configuration of a run; received one without {', '.join(missing)}"
         raise UserError(message)
+    content["measurement"] = {**SINCE, **content["measurement"]}
     content["data"] = {key: content["data"].get(key) for key in DATA} | {"cache": str(cache_dir())}
     if request.trust:
         let_import(targets(content))

@@ -10,12 +10,25 @@ from typing import Any
 from ahnn.arguments import check_arguments
 from ahnn.dynamics.base import Dynamics, HasEnergy, HasField, has_field
 from ahnn.dynamics.fields import HamiltonianDynamics, NeuralODE
+from ahnn.dynamics.generalised_hnn import GeneralisedHNN
+from ahnn.dynamics.henon_net import HenonNet
+from ahnn.dynamics.lagrangian import LagrangianDynamics
 from ahnn.dynamics.next_state import NextState
+from ahnn.dynamics.sympnet import SympNet
 from ahnn.errors import UserError
 from ahnn.extensions import Table
 
 KINDS: Table[type[Dynamics]] = Table(
-    "ahnn.dynamics", {"hamiltonian": HamiltonianDynamics, "node": NeuralODE, "map": NextState}
+    "ahnn.dynamics",
+    {
+        "hamiltonian": HamiltonianDynamics,
+        "node": NeuralODE,
+        "map": NextState,
+        "lagrangian": LagrangianDynamics,
+        "sympnet": SympNet,
+        "henon_net": HenonNet,
+        "generalised_hnn": GeneralisedHNN,
+    },
 )
 """Names under which dynamics are stored, and what is built for them."""
 

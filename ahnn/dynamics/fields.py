@@ -55,7 +55,7 @@ class NeuralField(nn.Module):
         return self.rate * self.network(self.seen(x))
 
 
-class _Integrated(Dynamics):
+class IntegratedField(Dynamics):
     """A field, and the one-step method that follows it."""
 
     def __init__(self, field: nn.Module, integrator: dict[str, Any]) -> None:
@@ -78,7 +78,7 @@ class _Integrated(Dynamics):
 
 
 @final
-class NeuralODE(_Integrated):
+class NeuralODE(IntegratedField):
     """Neural ordinary differential equation (Chen et al. 2018).
 
     Args:
@@ -97,7 +97,7 @@ class NeuralODE(_Integrated):
 
 
 @final
-class HamiltonianDynamics(_Integrated):
+class HamiltonianDynamics(IntegratedField):
     """Hamilton's equations of a learned Hamiltonian.
 
     Args:

@@ -57,16 +57,22 @@ class NextState(Dynamics):
         Raises:
             UserError: dt is not the sampling interval of the training data.
         """
-        exporting = torch.compiler.is_exporting()  # a graph has the step that it was made for
-        if not exporting and (isinstance(dt, Tensor) or abs(dt - float(self.dt)) > 1e-6 * dt):
-            received = "steps that differ" if isinstance(dt, Tensor) else dt
-            message = (
-                f"model mlp: expected the step of its training, {float(self.dt)}; received {received}. "
-                "A map has no time axis: use node, hnn or ahnn for other steps"
-            )
-            raise UserError(message)
+        require_step(self.dt, dt)
         output = self.network(self.seen(x))
         if self.residual:
             return self.rms * output
         next_q, next_p = output.chunk(2, dim=-1)
         return torch.cat((self.positions.affine.inverse(next_q), self.momenta.affine.inverse(next_p)), -1) - x
+
+
+def require_step(known: Tensor, dt: TimeStep) -> None:
+    """Refuse a step that is not that of the training of a map, which has no time axis; raises UserError."""
+    if torch.compiler.is_exporting():  # a graph has the step that it was made for
+        return
+    if isinstance(dt, Tensor) or abs(dt - float(known)) > 1e-6 * dt:
+        received = "steps that differ" if isinstance(dt, Tensor) else dt
+        message = (
+            f"model: expected the step of its training, {float(known)}; received {received}. A map has no "
+            "time axis: use node, hnn or ahnn for other steps"
+        )
+        raise UserError(message)

@@ -12,9 +12,9 @@ from ahnn.data.reference import Reference
 from ahnn.data.starts import referred, starts
 from ahnn.errors import UserError
 from ahnn.evaluation.terminal import show
+from ahnn.jobs.control_times import moments_of
 from ahnn.jobs.named import named_runs
 from ahnn.prediction import durations, output, together
-from ahnn.prediction.control_times import moments_of
 from ahnn.prediction.propagation import require_finite_prediction
 from ahnn.prediction.summary import summary, warning
 

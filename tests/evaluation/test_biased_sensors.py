@@ -14,7 +14,7 @@ from ahnn.evaluation.open_loop import Integrated
 from ahnn.integrators import INTEGRATORS
 from ahnn.systems import MassSpring
 
-SPRING = MassSpring(name="spring", dt=0.01, steps=400)
+SPRING = MassSpring(name="spring", dt=0.02, steps=100)
 OPTIONS = ["cadence=5", "measurement_sd=3e-4", "bias_sd=0.05", "process_noise=[1e-8,1e-8]"]
 drawn = cache(generate)
 
@@ -30,10 +30,10 @@ def spring(tmp_path):
         energy=None,
         integrator=INTEGRATORS["rk4"],
         dt=SPRING.dt,
-        test=drawn(SPRING, 40, seed=1),
+        test=drawn(SPRING, 20, seed=1),
         validation=drawn(SPRING, 4, seed=2),
         train=drawn(SPRING, 4, seed=2),
-        perturbation=perturbations(SPRING, 40, seed=0),
+        perturbation=perturbations(SPRING, 20, seed=0),
         folder=tmp_path,
     )
 
@@ -44,7 +44,7 @@ def test_filters_stay_consistent_beside_biases_many_times_the_noise(spring, name
     found = findings.numbers["filters"][name]["floor"]["perturbed"]
     assert findings.numbers["bias"] == [[0.05], [float("inf")]]
     assert findings.arrays["perturbed_start"].shape == spring.test.states.shape
-    assert found["status"]["OK"] == 40
+    assert found["status"]["OK"] == 20
     for row in findings.rows:  # the state is known far better than the bias, 0.05
         assert row.scores.position < 3e-3
     for key in ("nees", "nis"):
@@ -53,7 +53,7 @@ def test_filters_stay_consistent_beside_biases_many_times_the_noise(spring, name
 
 
 def test_smoothers_and_least_squares_estimate_them_too(spring):
-    findings = run(spring, *OPTIONS, "smoother=true", "least_squares=true")
+    findings = run(spring, *OPTIONS, "smoother=true", "least_squares=true", "cadence=10")
     judged = {row.who.estimator: row.scores.position for row in findings.rows if row.who.span == "whole"}
     assert len(judged) == 3
     assert max(judged.values()) < 3e-3

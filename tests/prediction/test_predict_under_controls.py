@@ -13,7 +13,7 @@ import ahnn
 from ahnn.data.files.control_table import ControlTable, read_controls
 from ahnn.dynamics import make_dynamics
 from ahnn.errors import UserError
-from ahnn.prediction.control_times import merged
+from ahnn.jobs.control_times import merged
 from ahnn.types import Space, Units
 
 DOUBLE = {"dtype": torch.float64}

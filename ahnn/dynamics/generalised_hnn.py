@@ -1,0 +1,26 @@
+"""Generalised Hamiltonian neural networks (Horn et al. 2025, J. Comput. Phys. 521), from the paper."""
+
+from __future__ import annotations
+
+from typing import Any, final
+
+from ahnn.arguments import Count
+from ahnn.dynamics.symplectic_map import Conformal, Shear, SymplecticMap
+
+
+@final
+class GeneralisedHNN(SymplecticMap):
+    """Steps of the symplectic Euler method along separable Hamiltonians T_i(p) + V_i(q), one after the other.
+
+    Args:
+        dof: degrees of freedom n.
+        scaling: block or none.
+        layers: Hamiltonians.
+        network: width, depth, activation of each T_i and V_i.
+    """
+
+    assumes = "a symplectic map (GHNN)"
+
+    def __init__(self, dof: int, *, scaling: Conformal, layers: Count, network: dict[str, Any]) -> None:
+        shears = (Shear(dof, network, of_positions=k % 2 == 0) for k in range(2 * layers))
+        super().__init__(dof, scaling, shears)

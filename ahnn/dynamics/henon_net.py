@@ -1,0 +1,54 @@
+"""HénonNets (Burby, Tang & Maulik 2021, Plasma Phys. Control. Fusion 63, 024001), written from the paper."""
+
+from __future__ import annotations
+
+from typing import Any, final
+
+import torch
+from torch import Tensor, nn
+
+from ahnn.arguments import Count
+from ahnn.dynamics.networks import make_network
+from ahnn.dynamics.symplectic_map import Conformal, Moves, SymplecticLayer, SymplecticMap
+
+
+class HenonLayer(SymplecticLayer):
+    """Four times the Hénon map (q, p) -> (p + eta, -q + grad V(p)), which is the identity for V = 0.
+
+    Args:
+        dof: n.
+        network: width, depth, activation of V.
+    """
+
+    def __init__(self, dof: int, network: dict[str, Any]) -> None:
+        super().__init__()
+        self.potential, self.shift = make_network(dof, 1, network), nn.Parameter(torch.zeros(dof))
+
+    def forward(self, q: Tensor, p: Tensor) -> Moves:
+        """Return what is added to positions q and momenta p, (B, n) each.
+
+        Written out, the four maps add differences of gradients: g_2 - g_0 to q and g_3 - g_1 to p.
+        """
+        gradients = []
+        x, y = q, p
+        for _ in range(4):
+            gradients.append(self.potential.gradient(y))
+            x, y = y + self.shift, gradients[-1] - x
+        return gradients[2] - gradients[0], gradients[3] - gradients[1]
+
+
+@final
+class HenonNet(SymplecticMap):
+    """A HénonNet.
+
+    Args:
+        dof: degrees of freedom n.
+        scaling: block or none.
+        layers: of four maps each.
+        network: width, depth, activation of each potential.
+    """
+
+    assumes = "a symplectic map (HénonNet)"
+
+    def __init__(self, dof: int, *, scaling: Conformal, layers: Count, network: dict[str, Any]) -> None:
+        super().__init__(dof, scaling, (HenonLayer(dof, network) for _ in range(layers)))

@@ -1,0 +1,102 @@
+"""Lagrangian neural networks (Cranmer, Greydanus, Hoyer, Battaglia, Spergel & Ho 2020), from the paper.
+
+    d/dt dL/dv = dL/dq   gives   a = (d2L/dv2)^-1 (dL/dq - d2L/dvdq v)
+
+with L = m v^2 / 2 + E N(q, v): the network adds to the kinetic energy of the mass that states have, so that
+the matrix has an inverse where training begins.
+"""
+
+from __future__ import annotations
+
+from typing import Any, final
+
+import torch
+from torch import Tensor, nn
+from torch.func import vjp
+
+from ahnn.dynamics.fields import IntegratedField
+from ahnn.dynamics.gradients import plain_gradient
+from ahnn.dynamics.inputs import Cartesian
+from ahnn.dynamics.networks import make_network
+from ahnn.dynamics.scaling import Kind
+from ahnn.statistics import Statistics
+
+
+class LagrangianField(nn.Module):
+    """dx/dt of states [q, p], p = m v, from a network for the Lagrangian.
+
+    Args:
+        dof: degrees of freedom n.
+        inertia: factor m of p = m dq/dt, one or one for each coordinate.
+        scaling: minmax, block or none.
+        network: width, depth, activation.
+    """
+
+    inertia: Tensor
+    unit: Tensor
+
+    def __init__(
+        self, dof: int, inertia: float | list[float], scaling: Kind, network: dict[str, Any]
+    ) -> None:
+        super().__init__()
+        self.positions, self.momenta = Cartesian(dof, scaling, 0), Cartesian(dof, scaling, 1)
+        self.network = make_network(2 * dof, 1, network)
+        self.register_buffer("inertia", torch.as_tensor(inertia, dtype=torch.float32).expand(dof).clone())
+        self.register_buffer("unit", torch.ones(()))
+
+    def fit(self, statistics: Statistics) -> None:
+        """Set scalings, and the unit of energy from forces and ranges of the training split."""
+        self.positions.fit(statistics)
+        self.momenta.fit(statistics)
+        forces = statistics.rate[self.momenta.part]
+        self.unit.copy_((forces * self.positions.affine.scale).max())
+
+    def seen(self, x: Tensor) -> Tensor:
+        """Return the inputs of the network, shape (..., D)."""
+        q, p = x.chunk(2, dim=-1)
+        return torch.cat((self.positions(q), self.momenta(p)), dim=-1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return dx/dt, shape (..., D)."""
+        p = x.chunk(2, dim=-1)[1]
+        v, dof = p / self.inertia, p.shape[-1]
+        per_v = self.momenta.affine.scale / self.inertia
+        scale = torch.cat((self.positions.affine.scale, per_v))
+
+        def slope(z: Tensor) -> Tensor:
+            return plain_gradient(z, self.network.layers(), self.network.activation)
+
+        value, back = vjp(slope, self.seen(x))[:2]
+        rows = [back(unit.expand_as(value))[0] for unit in torch.eye(2 * dof).to(value)]
+        first = self.unit * value / scale
+        second = self.unit * torch.stack(rows, dim=-2) / scale / scale.unsqueeze(-1)
+        mass = second[..., dof:, dof:] + torch.diag_embed(self.inertia.to(value).expand_as(v))
+        turned = (second[..., dof:, :dof] @ v.unsqueeze(-1)).squeeze(-1)
+        acceleration = torch.linalg.solve(mass, first[..., :dof] - turned)
+        return torch.cat((v, self.inertia * acceleration), dim=-1)
+
+
+@final
+class LagrangianDynamics(IntegratedField):
+    """The Euler-Lagrange equations of a learned Lagrangian.
+
+    Args:
+        dof: degrees of freedom n.
+        inertia: factor m of p = m dq/dt, one or one for each coordinate.
+        scaling: minmax, block or none.
+        network: width, depth, activation.
+        integrator: `name` and options of the one-step method.
+    """
+
+    assumes = "a Lagrangian of q and v"
+
+    def __init__(
+        self,
+        dof: int,
+        *,
+        inertia: float | list[float],
+        scaling: Kind,
+        network: dict[str, Any],
+        integrator: dict[str, Any],
+    ) -> None:
+        super().__init__(LagrangianField(dof, inertia, scaling, network), integrator)

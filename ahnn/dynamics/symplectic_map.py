@@ -1,0 +1,98 @@
+"""Maps of one step that are symplectic by construction: compositions of shears, without a field.
+
+A shear adds the gradient of a function of the positions to the momenta, or of the momenta to the positions;
+compositions of them conserve areas exactly, whatever the functions are. One scale for all positions and one
+for all momenta keep that true in physical units.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterable
+from typing import Any, Literal, cast
+
+import torch
+from torch import Tensor, nn
+
+from ahnn.dynamics.base import Dynamics
+from ahnn.dynamics.inputs import Cartesian
+from ahnn.dynamics.networks import make_network
+from ahnn.dynamics.next_state import require_step
+from ahnn.statistics import Statistics
+from ahnn.types import TimeStep
+
+Conformal = Literal["block", "none"]
+"""Scalings that leave a symplectic map symplectic."""
+Moves = tuple[Tensor, Tensor]
+"""What a layer adds to scaled positions and momenta, (B, n) each."""
+
+
+class SymplecticLayer(nn.Module):
+    """A symplectic map of scaled positions and momenta that is near the identity."""
+
+    @abstractmethod
+    def forward(self, q: Tensor, p: Tensor) -> Moves:
+        """Return what is added to positions q and momenta p, (B, n) each."""
+
+
+class Shear(SymplecticLayer):
+    """The gradient of a network of the positions, added to the momenta, or the other way round.
+
+    Args:
+        dof: n.
+        network: width, depth, activation.
+        of_positions: whether momenta are moved by a function of positions.
+    """
+
+    def __init__(self, dof: int, network: dict[str, Any], *, of_positions: bool) -> None:
+        super().__init__()
+        self.network, self.of_positions = make_network(dof, 1, network), of_positions
+
+    def forward(self, q: Tensor, p: Tensor) -> Moves:
+        """Return what is added to positions q and momenta p, (B, n) each."""
+        if self.of_positions:
+            return torch.zeros_like(q), -self.network.gradient(q)
+        return self.network.gradient(p), torch.zeros_like(p)
+
+
+class SymplecticMap(Dynamics):
+    """Layers that are followed one after the other, from one sample to the next.
+
+    Args:
+        dof: degrees of freedom n.
+        scaling: block or none.
+        layers: the layers.
+    """
+
+    dt: Tensor
+
+    def __init__(self, dof: int, scaling: Conformal, layers: Iterable[SymplecticLayer]) -> None:
+        super().__init__()
+        self.positions, self.momenta = Cartesian(dof, scaling, 0), Cartesian(dof, scaling, 1)
+        self.layers = nn.ModuleList(layers)
+        self.register_buffer("dt", torch.zeros((), dtype=torch.float64))
+
+    def fit(self, statistics: Statistics) -> None:
+        """Set scalings and the time step from the training split."""
+        self.positions.fit(statistics)
+        self.momenta.fit(statistics)
+        self.dt.fill_(statistics.dt)
+
+    def seen(self, x: Tensor) -> Tensor:
+        """Return the inputs of the first layer, shape (..., D)."""
+        q, p = x.chunk(2, dim=-1)
+        return torch.cat((self.positions(q), self.momenta(p)), dim=-1)
+
+    def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
+        """Return the increment, shape (B, D): a sum of moves, which keeps its digits.
+
+        Raises:
+            UserError: dt is not the sampling interval of the training data.
+        """
+        require_step(self.dt, dt)
+        q, p = self.seen(x).chunk(2, dim=-1)
+        moved_q, moved_p = torch.zeros_like(q), torch.zeros_like(p)
+        for layer in cast("Iterable[SymplecticLayer]", self.layers):
+            to_q, to_p = layer(q + moved_q, p + moved_p)
+            moved_q, moved_p = moved_q + to_q, moved_p + to_p
+        return torch.cat((self.positions.affine.scale * moved_q, self.momenta.affine.scale * moved_p), dim=-1)

@@ -1,0 +1,99 @@
+"""SympNets (Jin, Zhang, Zhu, Tang & Karniadakis 2020, Neural Networks 132, 166), written from the paper."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Literal, final
+
+import torch
+from torch import Tensor, nn
+
+from ahnn.arguments import Count
+from ahnn.dynamics.activations import ACTIVATIONS, ActivationName
+from ahnn.dynamics.symplectic_map import Conformal, Moves, Shear, SymplecticLayer, SymplecticMap
+
+
+class LinearLayer(SymplecticLayer):
+    """Shears by symmetric matrices in turn, and a shift: any linear symplectic map, if they are enough.
+
+    Args:
+        dof: n.
+        shears: how many.
+        of_positions: whether the first moves momenta.
+    """
+
+    def __init__(self, dof: int, shears: int, *, of_positions: bool) -> None:
+        super().__init__()
+        self.halves = nn.Parameter(0.01 * torch.randn(shears, dof, dof))
+        self.shift = nn.Parameter(torch.zeros(2, dof))
+        self.of_positions = of_positions
+
+    def forward(self, q: Tensor, p: Tensor) -> Moves:
+        """Return what is added to positions q and momenta p, (B, n) each."""
+        moved_q, moved_p = torch.zeros_like(q), torch.zeros_like(p)
+        for k, half in enumerate(self.halves):
+            if (k % 2 == 0) == self.of_positions:
+                moved_p = moved_p + (q + moved_q) @ (half + half.T)
+            else:
+                moved_q = moved_q + (p + moved_p) @ (half + half.T)
+        return moved_q + self.shift[0], moved_p + self.shift[1]
+
+
+class ActivationLayer(SymplecticLayer):
+    """A function of each position, added to its momentum, or the other way round.
+
+    Args:
+        dof: n.
+        activation: the function.
+        of_positions: whether momenta are moved.
+    """
+
+    def __init__(self, dof: int, activation: ActivationName, *, of_positions: bool) -> None:
+        super().__init__()
+        self.factors = nn.Parameter(0.01 * torch.randn(dof))
+        self.activation, self.of_positions = ACTIVATIONS[activation], of_positions
+
+    def forward(self, q: Tensor, p: Tensor) -> Moves:
+        """Return what is added to positions q and momenta p, (B, n) each."""
+        if self.of_positions:
+            return torch.zeros_like(q), self.factors * self.activation.value(q)
+        return self.factors * self.activation.value(p), torch.zeros_like(p)
+
+
+@final
+class SympNet(SymplecticMap):
+    """A SympNet of gradient modules (G), or of linear and activation modules (LA).
+
+    Args:
+        dof: degrees of freedom n.
+        scaling: block or none.
+        form: `G` or `LA`.
+        layers: how many modules of either kind move positions, and as many momenta.
+        shears: of a linear module of LA.
+        network: width of the gradient modules of G and the activation; `depth` has no meaning for either.
+    """
+
+    assumes = "a symplectic map (SympNet)"
+
+    def __init__(
+        self,
+        dof: int,
+        *,
+        scaling: Conformal,
+        form: Literal["G", "LA"],
+        layers: Count,
+        shears: Count,
+        network: dict[str, Any],
+    ) -> None:
+        def made() -> Iterator[SymplecticLayer]:
+            for k in range(2 * layers):
+                of_positions = k % 2 == 0
+                if form == "G":
+                    yield Shear(dof, {**network, "depth": 1}, of_positions=of_positions)
+                    continue
+                yield LinearLayer(dof, shears, of_positions=of_positions)
+                yield ActivationLayer(dof, network.get("activation", "gelu"), of_positions=of_positions)
+            if form == "LA":
+                yield LinearLayer(dof, shears, of_positions=True)
+
+        super().__init__(dof, scaling, made())

@@ -1,0 +1,49 @@
+"""Symplectic maps of one step: SympNet, HénonNet and GHNN."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, final
+
+from ahnn.dynamics import make_dynamics
+from ahnn.dynamics.symplectic_map import Conformal
+from ahnn.errors import UserError
+from ahnn.models.module import AbstractModel
+
+
+@final
+class SymplecticModel(AbstractModel):
+    """A map from one sample to the next that is symplectic by construction, of one fixed time step.
+
+    Args:
+        dof: degrees of freedom n.
+        kind: which layers; see `ahnn.dynamics`.
+        scaling: block or none, which leave the map symplectic.
+        layers: how many.
+        network: width, depth, activation.
+        window: W, steps of the recursive predictions in the loss.
+        loss: options of `LossOptions`; a map has no field, so `derivative` must be 0.
+        form: of a SympNet, G or LA.
+        shears: of a linear module of LA.
+    """
+
+    def __init__(
+        self,
+        dof: int,
+        *,
+        kind: Literal["sympnet", "henon_net", "generalised_hnn"],
+        scaling: Conformal,
+        layers: int,
+        network: dict[str, Any],
+        window: int,
+        loss: dict[str, Any],
+        form: Literal["G", "LA"] | None = None,
+        shears: int | None = None,
+    ) -> None:
+        options: dict[str, Any] = {"scaling": scaling, "layers": layers, "network": network}
+        given = {"form": form, "shears": shears}
+        options |= {key: value for key, value in given.items() if value is not None}
+        if received := {key: loss[key] for key in ("derivative", "stages") if loss.get(key)}:
+            message = f"model {kind}: expected loss=recursive, since a map has no field; received {received}"
+            raise UserError(message)
+        super().__init__(make_dynamics(kind, dof=dof, **options), dof, window, loss)
+        self.save_hyperparameters()
