@@ -48,9 +48,11 @@ def states(count, size, seed=0):
 
 
 @pytest.mark.parametrize("hamiltonian", ["generic", "mechanical"])
-def test_the_energy_changes_by_the_power_of_friction_and_controls_alone(hamiltonian):
+@pytest.mark.parametrize("of", ["positions", "matrix", "constant"])
+def test_the_energy_changes_by_the_power_of_friction_and_controls_alone(hamiltonian, of):
     """dH/dt = -v^T R v + v^T G u, by the chain rule along the field."""
-    model = dynamics({"friction": FRICTION, "controls": CONTROLS}, controls=3, hamiltonian=hamiltonian)
+    given = {"friction": {**FRICTION, "of": of}, "controls": CONTROLS}
+    model = dynamics(given, controls=3, hamiltonian=hamiltonian)
     x, u = states(50, 4), states(50, 3, 1)
     clock = Clock(torch.cat((torch.zeros(50, 1, **DOUBLE), u), 1), torch.zeros(50, 4, **DOUBLE))
     z = extended(x, clock)
@@ -195,6 +197,7 @@ def test_jacobians_of_steps_in_closed_form_are_those_of_reverse_mode(hamiltonian
     [
         {"kind": "friction"},
         {"kind": "friction", "of": "positions"},
+        {"kind": "friction", "of": "matrix"},
         {"kind": "actuation"},
         {"kind": "actuation", "of": "positions"},
         {"kind": "actuation", "matrix": [[1.0, 0.0, -2.0]] * 3},
@@ -217,3 +220,13 @@ def test_a_force_changes_with_its_arguments_as_central_differences_say(options):
         return force(Instant(*(a.unsqueeze(1) + step * b for a, b in zip(at, by, strict=True))))
 
     close(force.variation(at, by).detach(), (moved(1e-5) - moved(-1e-5)).detach() / 2e-5, 1e-7)
+
+
+def test_a_friction_matrix_tells_its_lower_triangle_and_takes_no_coefficient():
+    force = make_force("own", 2, 0, {"kind": "friction", "of": "matrix"}).double()
+    force.lower.data = torch.tensor([1.0, -0.5, 2.0], **DOUBLE)
+    whole = torch.tensor([[1.0, -0.5], [-0.5, 4.25]], **DOUBLE)
+    close(force.matrix(torch.zeros(2, **DOUBLE)).detach(), whole, 1e-15)
+    close(force.constants()["matrix"].detach(), torch.tensor([1.0, -0.5, 4.25], **DOUBLE), 1e-15)
+    with pytest.raises(UserError, match="expected no coefficient beside of=matrix"):
+        make_force("own", 2, 0, {"kind": "friction", "of": "matrix", "coefficient": 0.1})

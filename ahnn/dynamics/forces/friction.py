@@ -29,13 +29,14 @@ class Friction(Force):
         controls: not used.
         coefficient: of all coordinates, in the unit of force over velocity, or one for each; None learns one
             for each, which stays positive.
-        of: `constant`, or `positions`: then R(q) = L(q) L(q)^T with a network for the lower triangular L
-            (van der Schaft & Jeltsema 2014, Port-Hamiltonian Systems Theory, chapter 2).
+        of: `constant`; `matrix`: R = L L^T with a learned lower triangular L, which couples coordinates; or
+            `positions`: R(q) = L(q) L(q)^T with a network for L (van der Schaft & Jeltsema 2014,
+            Port-Hamiltonian Systems Theory, chapter 2).
         network: width, depth, activation of L(q).
         scaling: of the positions that the network sees.
 
     Raises:
-        UserError: coefficients that are negative, or not one for each coordinate.
+        UserError: coefficients that are negative, not one for each coordinate, or beside a learned matrix.
     """
 
     unit: Tensor
@@ -46,7 +47,7 @@ class Friction(Force):
         controls: int = 0,
         *,
         coefficient: Annotated[float, Within(0)] | list[float] | None = None,
-        of: Literal["constant", "positions"] = "constant",
+        of: Literal["constant", "matrix", "positions"] = "constant",
         network: dict[str, Any] | None = None,
         scaling: Kind = "minmax",
     ) -> None:
@@ -54,7 +55,13 @@ class Friction(Force):
         del controls
         self.dof, self.of, self.known = dof, of, None
         self.assumes = "friction"
-        if of == "positions":
+        if of != "constant" and coefficient is not None:
+            message = f"friction: expected no coefficient beside of={of}; received {coefficient}"
+            raise UserError(message)
+        if of == "matrix":
+            self.lower = nn.Parameter(FIRST**0.5 * torch.eye(dof)[*torch.tril_indices(dof, dof)])
+            self.register_buffer("unit", torch.ones(dof))
+        elif of == "positions":
             self.positions = Cartesian(dof, scaling, 0)
             size = dof * (dof + 1) // 2
             self.network = make_network(dof, size, network or {"width": 16, "depth": 1, "activation": "tanh"})
@@ -72,7 +79,9 @@ class Friction(Force):
         """Set the scaling, and the size at which a learned friction begins."""
         rate_q, rate_p = statistics.rate.chunk(2)
         typical = rate_p / rate_q
-        if self.of == "positions":
+        if self.of == "matrix":
+            self.unit.copy_(typical.sqrt())
+        elif self.of == "positions":
             self.positions.fit(statistics)
             self.unit.copy_(typical.mean().sqrt())
         elif self.known is None:
@@ -85,7 +94,10 @@ class Friction(Force):
         return self.log_coefficient.exp()
 
     def constants(self) -> dict[str, Tensor]:
-        """Return learned constant coefficients, (n,)."""
+        """Return learned constant coefficients, (n,), or the lower triangle of a matrix, row by row."""
+        if self.of == "matrix":
+            rows, columns = torch.tril_indices(self.dof, self.dof)
+            return {"matrix": self._square(self.lower)[rows, columns]}
         learned = self.of == "constant" and self.known is None
         return {"coefficient": self.coefficients()} if learned else {}
 
@@ -93,11 +105,16 @@ class Friction(Force):
         """Return R, shape (..., n, n), at the positions q, shape (..., n)."""
         if self.of == "constant":
             return self.coefficients().to(q).diag().expand(*q.shape, -1)
-        entries = self.unit * self.network(self.positions(q))
-        rows, columns = torch.tril_indices(self.dof, self.dof, device=q.device)
+        if self.of == "matrix":
+            return self._square(self.lower.to(q)).expand(*q.shape, -1)
+        return self._square(self.network(self.positions(q)))
+
+    def _square(self, entries: Tensor) -> Tensor:
+        """Return L L^T, shape (..., n, n), of the entries of lower triangles, shape (..., n (n + 1) / 2)."""
+        rows, columns = torch.tril_indices(self.dof, self.dof, device=entries.device)
         places = (rows * self.dof + columns).expand(entries.shape)
-        lower = entries.new_zeros(*q.shape[:-1], self.dof**2).scatter(-1, places, entries)
-        lower = lower.unflatten(-1, (self.dof, self.dof))
+        lower = entries.new_zeros(*entries.shape[:-1], self.dof**2).scatter(-1, places, entries)
+        lower = self.unit.unsqueeze(-1) * lower.unflatten(-1, (self.dof, self.dof))
         return lower @ lower.mT
 
     def forward(self, at: Instant) -> Tensor:
@@ -108,4 +125,4 @@ class Friction(Force):
 
     def variation(self, at: Instant, by: Instant) -> Tensor:
         """Return the change -R dv of a constant R, shape (B, R, n), and of R(q) by reverse mode."""
-        return self(by) if self.of == "constant" else super().variation(at, by)
+        return super().variation(at, by) if self.of == "positions" else self(by)
