@@ -27,6 +27,11 @@ class Judged(NamedTuple):
         low, high = self.limits
         return f"{self.mean:.3g} {'in' if self.inside else 'not in'} {low:.3g} to {high:.3g}"
 
+    def of_exact_starts(self) -> str:
+        """Return the same of a filter whose start is exact, which makes a mean low and says nothing."""
+        low, high = self.limits
+        return f"{self.mean:.3g} below {low:.3g} to {high:.3g}" if self.mean < low else str(self)
+
 
 def judged_nees(values: Tensor, degrees: int) -> Judged:
     """Return the mean of NEES (B, T), NaN where it does not count.

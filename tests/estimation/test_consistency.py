@@ -9,6 +9,7 @@ import scipy.stats
 import torch
 
 from ahnn.estimation.consistency import GAUSSIAN, band, coverage, independent_count, nees, share_within
+from ahnn.estimation.consistency_bands import Judged
 from ahnn.numbers import chi_square_quantile
 
 F64 = torch.float64
@@ -145,3 +146,11 @@ def test_the_probabilities_of_a_gaussian_and_what_lies_on_an_edge():
 def test_quantiles_are_those_of_scipy(degrees, probability):
     expected = scipy.stats.chi2.ppf(probability, degrees)
     assert chi_square_quantile(probability, degrees) == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_mean_that_an_exact_start_makes_low_is_no_finding():
+    low, right, high = (Judged(mean, (1.5, 2.5)) for mean in (1.0, 2.0, 3.0))
+    assert low.of_exact_starts() == "1 below 1.5 to 2.5"
+    assert str(low) == "1 not in 1.5 to 2.5"
+    assert right.of_exact_starts() == str(right) == "2 in 1.5 to 2.5"
+    assert high.of_exact_starts() == "3 not in 1.5 to 2.5"

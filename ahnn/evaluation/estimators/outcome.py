@@ -176,11 +176,19 @@ def _consistency_remark(outcome: Outcome, case: Case) -> str:
         return "nothing was measured"
     if outcome.lost == len(outcome.nees):
         return ""
-    parts, nis = [f"NEES {_nees(outcome)}"], judged_nis(outcome.result)
+    exact, overall, nis = outcome.who.start == "true", _nees(outcome), judged_nis(outcome.result)
+    say = Judged.of_exact_starts if exact else str
+    parts = [f"NEES {say(overall)}"]
     if not math.isnan(nis.mean):
-        parts.append(f"NIS {nis}")
-    parts += [f"NEES {name} {mean}" for name, mean in _phases(outcome, case).items() if not mean.inside]
-    return ", ".join(parts)
+        parts.append(f"NIS {say(nis)}")
+    low = exact and any(one.mean < one.limits[0] for one in (overall, nis))
+    phases = _phases(outcome, case).items()
+    parts += [
+        f"NEES {name} {mean}"
+        for name, mean in phases
+        if not (mean.inside or (exact and mean.mean < mean.limits[0]))
+    ]
+    return ", ".join(parts) + (", as an exact start makes them" if low else "")
 
 
 def _nees(outcome: Outcome) -> Judged:
