@@ -188,7 +188,7 @@ def _consistency_remark(outcome: Outcome, case: Case) -> str:
         for name, mean in phases
         if not (mean.inside or (exact and mean.mean < mean.limits[0]))
     ]
-    return ", ".join(parts) + (", as an exact start makes them" if low else "")
+    return ", ".join(parts) + (", low because the start is exact" if low else "")
 
 
 def _nees(outcome: Outcome) -> Judged:
