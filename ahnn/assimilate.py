@@ -12,6 +12,7 @@ output=FILE         estimate and covariance after each line, CSV or JSON lines; 
 state=FILE          saved every 1000 lines (every=N); the same command goes on with it after any stop
 window=SECONDS      late measurements are merged by replay; lines=N are kept for that at most
 measurement=NAME    what is measured; of several sensors: +measurement@sensors.NAME=OPTION for each
+measurement.bias_sd=NUMBER      its bias is estimated; bias_memory=TIME lets it wander; or of sensors.NAME
 plugins=NAME        the filter; plugins.ukf.gate=0.9999 refuses outliers, plugins.ukf.process_noise is Q
 watch=true          a live view of state, 3 sigma, innovations and NIS on standard error; or --watch
 figures=FOLDER      innovations, consistency and deviations at the end

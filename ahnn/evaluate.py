@@ -5,6 +5,7 @@ pretrained=NAME     a model that comes with the package; run=DIR says where its 
 ckpt=best           the weights to evaluate: best, last, or a path
 name=NAME           of this evaluation, kept in DIR/evaluations/NAME; date and time without it
 plugins=NAME        and measurement=NAME: groups of the library
+measurement.bias_sd=NUMBER      also bias_memory=: biases of the sensors, simulated and estimated
 KEY=VALUE           of system, data, evaluation, measurement and plugins: on other data, say
 --trust             build whatever the folder's config.yaml names; only if you know who wrote it
 """

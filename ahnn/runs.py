@@ -121,7 +121,7 @@ class Run:
         x, steps, lengths = paths_of(start, steps, dt, self.dynamics, self.space)
         given = (x, *self.dynamics.parameters(), *([lengths] if isinstance(lengths, Tensor) else []))
         gradients = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in given)
-        clock = clock_along(self.dynamics, lengths, steps, start_time, controls)
+        clock = clock_along(self.dynamics, lengths, steps, start_time, controls, len(x))
         return rollout(self.dynamics, x, lengths, steps + 1, gradients=gradients, clock=clock)
 
     def band(self, start: Numbers, steps: int, dt: Numbers | None = None) -> Tensor:
@@ -202,7 +202,7 @@ class Run:
             known = known._replace(start=factor)
         times = as_float64(times, "times")
         require_times(times)
-        clock = clock_of_samples(self.dynamics, times, controls, linear=linear)
+        clock = clock_of_samples(self.dynamics, times, controls, len(x), linear=linear)
         return predicted(self._exact, x.double(), times, self.dt, known, description, clock)
 
     @property

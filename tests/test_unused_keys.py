@@ -8,7 +8,7 @@ from omegaconf import OmegaConf
 
 from ahnn.cli.commandline import compose, config_loader
 from ahnn.cli.unreferenced_keys import BY_REFERENCE, keys_of, unreferenced
-from ahnn.cli.unused_keys import EVALUATED, SIMULATED, unread_online
+from ahnn.cli.unused_keys import BIAS, EVALUATED, SIMULATED, unread_online
 
 NONE = "nothing that was chosen takes it"
 UNREAD = {
@@ -114,4 +114,4 @@ def test_a_stream_reads_keys_of_simulated_measurements_where_a_process_noise_is_
 ):
     nodes = OmegaConf.create({"ukf": {"process_noise": noise, "gate": 0.9, "times": None}})
     keys = {key.rpartition(".")[2] for key, _ in unread_online(nodes, covariance=covariance)}
-    assert keys == {*EVALUATED, *(() if fitted else SIMULATED)}
+    assert keys == {*EVALUATED, *BIAS, *(() if fitted else SIMULATED)}

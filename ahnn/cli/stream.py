@@ -117,8 +117,8 @@ def build_sensors(
 
 
 def _numbers(given: Any) -> Any:
-    """Return what a node holds, a list as one of Python's."""
-    return list(given) if isinstance(given, ListConfig) else given
+    """Return what a node holds, lists as those of Python."""
+    return OmegaConf.to_container(given) if isinstance(given, ListConfig | DictConfig) else given
 
 
 def build_process(cfg: DictConfig, run: Run, case: Callable[[], Case]) -> Process:

@@ -21,14 +21,13 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 
+BIAS = ("bias_sd", "bias_memory")
 EVALUATED = ("smoother", "least_squares", "tuning")
 SIMULATED = (
     "cadence",
     "times",
     "measurement",
     "measurement_sd",
-    "bias_sd",
-    "bias_memory",
     "start_sd",
     "seed",
     "beside",
@@ -119,6 +118,9 @@ def unread_online(nodes: DictConfig, *, covariance: bool) -> Unread:
     yield from unread_of_plugins(nodes)
     for name, options in of_plugins(nodes):
         yield from ((f"plugins.{name}.{key}", "a stream is filtered, and no more") for key in EVALUATED)
+        yield from (
+            (f"plugins.{name}.{key}", f"the sensors of a stream say it: measurement.{key}") for key in BIAS
+        )
         if not _is_fitted(options.get("process_noise"), covariance=covariance):
             yield from ((f"plugins.{name}.{key}", "no process noise is fitted to data") for key in SIMULATED)
 

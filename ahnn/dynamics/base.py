@@ -31,6 +31,11 @@ class Dynamics(nn.Module, ABC):
     assumes: str
     clock: int = 0
 
+    @property
+    def own_step(self) -> float | None:
+        """The only step that a map can take; None for dynamics that take any."""
+        return None
+
     @abstractmethod
     def fit(self, statistics: Statistics) -> None:
         """Set scalings and units from the training split."""

@@ -51,6 +51,11 @@ class NextState(Dynamics):
         q, p = x.chunk(2, dim=-1)
         return torch.cat((self.positions(q), self.momenta(p)), dim=-1)
 
+    @property
+    def own_step(self) -> float:
+        """The sampling interval of the training data."""
+        return float(self.dt)
+
     def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the predicted increment, shape (B, D).
 
@@ -66,13 +71,15 @@ class NextState(Dynamics):
 
 
 def require_step(known: Tensor, dt: TimeStep) -> None:
-    """Refuse a step that is not that of the training of a map, which has no time axis; raises UserError."""
+    """Refuse steps that are not that of the training of a map, which has no time axis; raises UserError."""
     if torch.compiler.is_exporting():  # a graph has the step that it was made for
         return
-    if isinstance(dt, Tensor) or abs(dt - float(known)) > 1e-6 * dt:
-        received = "steps that differ" if isinstance(dt, Tensor) else dt
+    step = float(known)
+    off = float((dt - step).abs().max()) if isinstance(dt, Tensor) else abs(dt - step)
+    if not off <= 1e-6 * step:
+        received = "steps that differ" if isinstance(dt, Tensor) else f"{dt:.6g}"
         message = (
-            f"model: expected the step of its training, {float(known)}; received {received}. A map has no "
-            "time axis: use node, hnn or ahnn for other steps"
+            f"model: expected the step of its training, {step:.6g}; received {received}. A map has no time "
+            "axis: use node, hnn or ahnn for other steps"
         )
         raise UserError(message)

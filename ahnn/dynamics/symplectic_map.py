@@ -83,6 +83,11 @@ class SymplecticMap(Dynamics):
         q, p = x.chunk(2, dim=-1)
         return torch.cat((self.positions(q), self.momenta(p)), dim=-1)
 
+    @property
+    def own_step(self) -> float:
+        """The sampling interval of the training data."""
+        return float(self.dt)
+
     def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the increment, shape (B, D): a sum of moves, which keeps its digits.
 

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from ahnn.arguments import Count
 from ahnn.dynamics.activations import ACTIVATIONS, ActivationName
 from ahnn.dynamics.symplectic_map import Conformal, Moves, Shear, SymplecticLayer, SymplecticMap
+from ahnn.errors import UserError
 
 
 class LinearLayer(SymplecticLayer):
@@ -69,7 +70,7 @@ class SympNet(SymplecticMap):
         scaling: block or none.
         form: `G` or `LA`.
         layers: how many modules of either kind move positions, and as many momenta.
-        shears: of a linear module of LA.
+        shears: of a linear module of LA; None takes 4.
         network: width of the gradient modules of G and the activation; `depth` has no meaning for either.
     """
 
@@ -82,18 +83,25 @@ class SympNet(SymplecticMap):
         scaling: Conformal,
         form: Literal["G", "LA"],
         layers: Count,
-        shears: Count,
+        shears: Count | None = None,
         network: dict[str, Any],
     ) -> None:
+        if form == "G" and shears is not None:
+            message = (
+                f"model.shears: expected none with form=G, which has no linear modules; received {shears}"
+            )
+            raise UserError(message)
+        several = 4 if shears is None else shears
+
         def made() -> Iterator[SymplecticLayer]:
             for k in range(2 * layers):
                 of_positions = k % 2 == 0
                 if form == "G":
                     yield Shear(dof, {**network, "depth": 1}, of_positions=of_positions)
                     continue
-                yield LinearLayer(dof, shears, of_positions=of_positions)
+                yield LinearLayer(dof, several, of_positions=of_positions)
                 yield ActivationLayer(dof, network.get("activation", "gelu"), of_positions=of_positions)
             if form == "LA":
-                yield LinearLayer(dof, shears, of_positions=True)
+                yield LinearLayer(dof, several, of_positions=True)
 
         super().__init__(dof, scaling, made())

@@ -25,6 +25,7 @@ from ahnn.dynamics.fields import HamiltonianDynamics
 from ahnn.dynamics.forced import Forced, total
 from ahnn.dynamics.forces import Instant
 from ahnn.dynamics.hamiltonians import GenericHamiltonian, SeparableHamiltonian
+from ahnn.dynamics.next_state import require_step
 from ahnn.integrators import ExplicitRungeKutta, SymmetricComposition
 from ahnn.jacobians import step_jacobians
 from ahnn.types import VectorField
@@ -69,10 +70,14 @@ def own_jacobians(dynamics: Dynamics) -> Callable[[Tensor, Tensor], Tensor]:
 
 def mapped_jacobians_of_steps(dynamics: Dynamics, dtype: torch.dtype = torch.float32) -> StepJacobians:
     """Return the Jacobians of steps of any dynamics, by vectorised reverse mode."""
-    increment = parametrised(dynamics, dynamics.increment, dtype)
+    increment, own = parametrised(dynamics, dynamics.increment, dtype), dynamics.own_step
 
     def jacobians(theta: Tensor, states: Tensor, lengths: Tensor) -> Tensor:
-        return step_jacobians(partial(increment, theta.to(dtype)), states.to(dtype), lengths.to(dtype))
+        moved = partial(increment, theta.to(dtype))
+        if own is not None:
+            require_step(lengths.new_tensor(own), lengths)
+            return step_jacobians(lambda x, _: moved(x, own), states.to(dtype), lengths.to(dtype))
+        return step_jacobians(moved, states.to(dtype), lengths.to(dtype))
 
     return jacobians
 

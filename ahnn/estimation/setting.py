@@ -54,7 +54,7 @@ def make_setting(
     sd = noise_deviations(model, given, "measurement_sd")
     _try(model, system, updates[0] * system.dt)
     start = system.deviations() if start_sd is None else state_deviations(start_sd, system.space, "start_sd")
-    biases = Biases.of(model, bias_sd, bias_memory)
+    biases = Biases.of(model, bias_sd, bias_memory, "measurement.")
     return Setting(model, sd, start, updates, SensorError.of({"": biases}))
 
 

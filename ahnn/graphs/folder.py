@@ -53,19 +53,19 @@ def about(run: Run, parts: dict[str, nn.Module]) -> dict[str, Any]:
     kept = {name: made[name] for name in ("ahnn", "commit", "torch", "date")}
     state = run.dynamics.state_dict()
     known = ["time", *run.space.controls][: run.dynamics.clock]
-    clock = {"name": CLOCK, "type": "float64", "shape": ["batch", "clock"]}
+    clock = {"name": CLOCK, "type": "float64", "shape": ["batch", "clock"], "components": known}
     return {
         "format": FORMAT,
         "space": about_space(run.space),
         "dt": run.dt,
         "dynamics": run.dynamics.spec,
-        **({"clock": {**clock, "components": known}} if known else {}),
         "assumes": run.dynamics.assumes,
         "scalings": {name: value.tolist() for name, value in run.dynamics.named_buffers()},
         "graphs": {
             name: {
                 "files": [f"{name}.pt2", f"{name}.onnx"],
                 "input": {"name": INPUT, "type": "float64", "shape": ["batch", "components"]},
+                **({"clock": clock} if known and name == "flow" else {}),
                 "output": {"name": OUTPUT, "type": "float64", "shape": SHAPES[name]},
             }
             for name in parts

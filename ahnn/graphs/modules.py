@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from ahnn.clock import Clock, extended, reduced
 from ahnn.dynamics import Dynamics, HasEnergy
 from ahnn.dynamics.activations import Activation
+from ahnn.dynamics.lagrangian import LagrangianDynamics
 from ahnn.dynamics.networks import Perceptron
 from ahnn.errors import UserError
 from ahnn.integrators import GaussLegendre4
@@ -61,7 +62,7 @@ def modules(dynamics: Dynamics, dt: float) -> dict[str, nn.Module]:
     """Return what there is to export, by name: `flow`, and `energy` of a model with a Hamiltonian.
 
     Raises:
-        UserError: an implicit integrator, whose iteration has no fixed length.
+        UserError: an implicit integrator, whose iteration has no fixed length, or a Lagrangian network.
     """
     integrator = getattr(dynamics, "integrator", None)
     if isinstance(integrator, GaussLegendre4):
@@ -69,6 +70,12 @@ def modules(dynamics: Dynamics, dt: float) -> dict[str, nn.Module]:
             f"integrator {integrator.name}: expected an explicit one, whose steps are a graph of fixed "
             "length; received an implicit one, which iterates until it is solved. Train with rk4 or a "
             "composition"
+        )
+        raise UserError(message)
+    if isinstance(dynamics, LagrangianDynamics):
+        message = (
+            "export: expected dynamics with a graph; received a Lagrangian network, whose second derivatives "
+            "are taken by reverse mode. Use model=hnn"
         )
         raise UserError(message)
     own = portable(dynamics)

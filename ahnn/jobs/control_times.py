@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ from ahnn.data.starts import Starts
 from ahnn.errors import UserError
 from ahnn.runs import Run
 
+log = logging.getLogger("ahnn")
 NEAR = 1e-9
 """Two times are one where they differ by less than this part of the span."""
 
@@ -72,6 +74,9 @@ def moments_of(given: str | list[float] | float | None, begin: Starts, times: Te
             f"controls: expected a FILE with time and {names}, or numbers that are held; received {given}"
         )
         raise UserError(message)
+    if isinstance(given, str) and table.times[-1] < times[-1] - NEAR * (times[-1] - times[0]):
+        told = given, float(table.times[-1]), float(times[-1])
+        log.warning("controls: the last of %s, at %g, are held to the end, at %g", *told)
     whole = merged(times, table.times)
     chosen = torch.searchsorted(whole, times)
     return Moments(whole, chosen, ControlTable(whole, table.at(whole), table.linear))

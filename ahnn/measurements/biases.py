@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ahnn.errors import UserError
 from ahnn.measurements.base import Measurement
@@ -48,14 +48,14 @@ class Biases(NamedTuple):
                 message = f"{who}bias_memory: expected {who}bias_sd with it; received {memory} alone"
                 raise UserError(message)
             return None
-        sds = for_each_component(measurement, deviations)
+        sds = for_each_component(measurement, numbers_of(deviations))
         if len(sds) != len(names) or not all(0.0 <= sd < 1e150 for sd in sds) or not any(sds):
             message = (
                 f"{who}bias_sd: expected standard deviations of biases, one for all or one for each of "
-                f"{', '.join(names)}, 0 where there is none, not all 0; received {deviations}"
+                f"{', '.join(names)}, 0 where there is none, not all 0, below 1e150; received {deviations}"
             )
             raise UserError(message)
-        times = for_each_component(measurement, math.inf if memory is None else memory)
+        times = for_each_component(measurement, [math.inf] if memory is None else numbers_of(memory))
         if len(times) != len(names) or not all(time > 0.0 for time in times):
             message = (
                 f"{who}bias_memory: expected times > 0, one for all or one for each of {', '.join(names)}; "
@@ -63,3 +63,10 @@ class Biases(NamedTuple):
             )
             raise UserError(message)
         return cls(tuple(sds), tuple(times))
+
+
+def numbers_of(given: Any) -> list[Any]:
+    """Return one number or a list of them as a list; empty where they are none."""
+    values = [*given] if isinstance(given, Sequence) and not isinstance(given, str) else [given]
+    plain = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+    return values if plain else []

@@ -13,6 +13,9 @@ from ahnn.numbers import Numbers, as_count, as_float64, described
 from ahnn.prediction.propagation import require_finite
 from ahnn.types import Space, TimeStep
 
+LARGEST = 1e150
+"""Numbers beyond it have squares that float64 does not hold."""
+
 
 def states_of(x: Numbers, who: str, dynamics: Dynamics, space: Space) -> Tensor:
     """Return states (..., 2n), of the type and on the device of the parameters of the dynamics.
@@ -53,7 +56,12 @@ def paths_of(
 
 
 def clock_along(
-    dynamics: Dynamics, lengths: TimeStep, count: int, start_time: float, controls: Numbers | None
+    dynamics: Dynamics,
+    lengths: TimeStep,
+    count: int,
+    start_time: float,
+    controls: Numbers | None,
+    starts: int,
 ) -> Clock | None:
     """Return the clock where each of `count` steps begins; None for dynamics of the state alone.
 
@@ -63,12 +71,13 @@ def clock_along(
         count: of steps.
         start_time: of the first.
         controls: held in each step, (count, m) or (B, count, m); None where nothing is controlled.
+        starts: B.
 
     Raises:
         UserError: controls that are missing, are of another shape, or have no effect.
     """
     size = max(0, dynamics.clock - 1)
-    given = controls_of(controls, count, size)
+    given = controls_of(controls, count, size, starts)
     if not dynamics.clock:
         return None
     steps = lengths if isinstance(lengths, Tensor) else torch.full((count,), lengths, dtype=torch.float64)
@@ -79,30 +88,34 @@ def clock_along(
 
 
 def clock_of_samples(
-    dynamics: Dynamics, times: Tensor, controls: Numbers | None, *, linear: bool
+    dynamics: Dynamics, times: Tensor, controls: Numbers | None, starts: int, *, linear: bool
 ) -> Clock | None:
     """Return the clock at times (T,) with controls (T, m) or (B, T, m), None for dynamics of the state alone.
 
     Raises:
         UserError: controls that are missing, are of another shape, or have no effect.
     """
-    given = controls_of(controls, len(times), max(0, dynamics.clock - 1))
+    given = controls_of(controls, len(times), max(0, dynamics.clock - 1), starts)
     if not dynamics.clock:
         return None
     return Clock.of(times if given is None else times.expand(given.shape[:-1]), given, linear)
 
 
-def controls_of(controls: Numbers | None, count: int, size: int) -> Tensor | None:
+def controls_of(controls: Numbers | None, count: int, size: int, starts: int) -> Tensor | None:
     """Return m = `size` controls at so many instants, (count, m) or (B, count, m), None where m is 0.
 
     Raises:
         UserError: they are missing, are of another shape, or have no effect.
     """
     given = None if controls is None else as_float64(controls, "controls")
-    if (given is None) != (size == 0) or (given is not None and given.shape[-2:] != (count, size)):
-        expected = f"shape ({count}, {size}), or one for each start before it" if size else "None"
+    shapes = ((count, size), (starts, count, size))
+    if (given is None) != (size == 0) or (given is not None and tuple(given.shape) not in shapes):
+        expected = f"shape ({count}, {size}), or one for each start before it" if size else "None: none acts"
         received = "None" if given is None else f"shape {tuple(given.shape)}"
         message = f"controls: expected {expected}; received {received}"
+        raise UserError(message)
+    if given is not None and not bool((given.abs() <= LARGEST).all()):
+        message = f"controls: expected finite numbers up to {LARGEST:g}; received others"
         raise UserError(message)
     return given
 

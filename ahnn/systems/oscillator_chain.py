@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Annotated, Any, final
 
 import torch
 from torch import Generator, Tensor
 
-from ahnn.arguments import Count, Finite, Positive
+from ahnn.arguments import Count, Finite, Positive, Within
 from ahnn.systems.base import FilterNoise, System, Units
 
 
@@ -97,6 +97,8 @@ class FermiPastaChain(OscillatorChain):
 @dataclass(frozen=True, kw_only=True)
 class TodaChain(OscillatorChain):
     """Springs V(r) = exp(-r) + r - 1 in a ring, integrable (Toda 1967, J. Phys. Soc. Jpn. 22, 431)."""
+
+    masses: Annotated[int, Within(2)] = 3
 
     def spring(self, stretch: Tensor) -> tuple[Tensor, Tensor]:
         """Return V and its slope, shape (...) each."""

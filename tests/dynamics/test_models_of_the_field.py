@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 import torch
 from entry import SMALL, call
@@ -12,13 +14,14 @@ import ahnn
 from ahnn.dynamics import make_dynamics
 from ahnn.errors import UserError
 from ahnn.evaluation import load_results
+from ahnn.graphs.modules import modules
 from ahnn.statistics import Statistics
-from ahnn.types import Trajectories
+from ahnn.types import Space, Trajectories
 
 DOUBLE = {"dtype": torch.float64}
 NETWORK = {"width": 9, "depth": 2, "activation": "tanh"}
 MAPS = {
-    "sympnet": {"form": "G", "layers": 3, "shears": 2},
+    "sympnet": {"form": "G", "layers": 3},
     "sympnet_la": {"form": "LA", "layers": 2, "shears": 3},
     "henon_net": {"layers": 2},
     "generalised_hnn": {"layers": 2},
@@ -119,3 +122,22 @@ def test_each_trains_is_judged_and_is_loaded_again(model, tmp_path):
 def test_a_map_does_not_fit_derivatives(tmp_path, capsys):
     assert call("ahnn.train", "model=sympnet", "loss=derivative", f"run={tmp_path / 'run'}", *SMALL) == 2
     assert "expected loss=recursive, since a map has no field" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_a_map_carries_the_covariance_of_a_start(name):
+    model, start = made(name), data().states[:1, 5]
+    space = Space("made", ("q1", "q2", "p1", "p2"))
+    run = ahnn.Run(model.frozen(), space, 0.1, {}, Path())
+    found = run.predict(start, [0.0, 0.1], start_covariance=torch.eye(4, **DOUBLE))
+    moved = jacrev(lambda one: model(one[None], 0.1)[0])(start[0])
+    assert found.covariances is not None
+    close(found.covariances[0, 1], moved @ moved.T, 1e-5)
+
+
+def test_a_gradient_form_has_no_shears_and_a_lagrangian_no_graph():
+    with pytest.raises(UserError, match="shears: expected none with form=G"):
+        made("sympnet", shears=3)
+    options = {"inertia": 1.0, "scaling": "none", "network": NETWORK, "integrator": {"name": "rk4"}}
+    with pytest.raises(UserError, match="export: expected dynamics with a graph; received a Lagrangian"):
+        modules(make_dynamics("lagrangian", dof=1, **options), 0.1)

@@ -86,12 +86,14 @@ def test_each_start_may_have_controls_of_its_own(pushed):
     close(found.states[0], -found.states[1], 1e-15)
 
 
-@pytest.mark.parametrize("controls", [None, [[1.0]], [1.0] * 5])
+@pytest.mark.parametrize("controls", [None, [[1.0]], [1.0] * 5, [[[1.0]] * 5] * 2])
 def test_controls_that_are_none_are_refused(pushed, controls):
     with pytest.raises(UserError, match=r"controls: expected shape \(5, 1\), or one"):
         pushed.predict([0.0, 0.0], TIMES, controls=controls)
     with pytest.raises(UserError, match="controls: expected None"):
         made({"friction": {}}).predict([0.0, 0.0], TIMES, controls=PUSHES)
+    with pytest.raises(UserError, match="controls: expected finite numbers up to 1e"):
+        pushed.predict([0.0, 0.0], TIMES, controls=PUSHES * float("nan"))
 
 
 def test_times_of_controls_are_met_and_no_step_is_a_rounding_error():
@@ -141,7 +143,7 @@ def spring(tmp_path_factory):
     return folder
 
 
-def test_a_command_predicts_under_the_controls_of_a_file(spring, tmp_path, monkeypatch):
+def test_a_command_predicts_under_the_controls_of_a_file(spring, tmp_path, monkeypatch, caplog):
     monkeypatch.chdir(tmp_path)
     Path("pushes.csv").write_text("t,u\n0,1\n0.12,-1\n0.2,0.5\n")
     Path("start.csv").write_text("t,q,v\n0,0.1,0\n0.05,0.2,0.1\n")
@@ -154,6 +156,7 @@ def test_a_command_predicts_under_the_controls_of_a_file(spring, tmp_path, monke
     pushes = torch.tensor([[1.0], [1.0], [-1.0], [0.5], [0.5]], **DOUBLE)
     told = run.predict([0.1, 0.0], times, controls=pushes).states[0, [0, 1, 3, 4], 0]
     close(torch.tensor([float(cell) for cell in named["q [m]"]], **DOUBLE), told, 1e-12)
+    assert "the last of pushes.csv, at 0.2, are held to the end, at 0.3" in caplog.text
     assert call(*words, "start=[0.1,0]", "controls=[1]", "output=held.csv") == 0
 
 
@@ -165,7 +168,10 @@ def test_a_command_predicts_under_the_controls_of_a_file(spring, tmp_path, monke
             "controls: expected a FILE with time and u, or numbers that are held; received None",
         ),
         (["start=[0.1,0]", "controls=[1,2]"], "received [1, 2]"),
-        (["start=[0.1,0]", "controls=none.csv"], "none.csv"),
+        (
+            ["start=[0.1,0]", "controls=none.csv"],
+            "expected numbers or a file; received none.csv: No such",
+        ),
     ],
 )
 def test_a_command_without_controls_says_what_is_missing(given, said, spring, tmp_path, monkeypatch, capsys):
@@ -174,6 +180,13 @@ def test_a_command_without_controls_says_what_is_missing(given, said, spring, tm
     assert call(*words, *given) == 2
     assert said in capsys.readouterr().err
     assert not Path("out.csv").exists()
+
+
+def test_a_sidecar_of_controls_says_no_columns(tmp_path):
+    (tmp_path / "c.csv").write_text("t,u\n0,1\n")
+    (tmp_path / "c.yaml").write_text("columns: {time: t}\n")
+    with pytest.raises(UserError, match="expected units and controls beside a file of controls"):
+        read_controls(tmp_path / "c.csv", Space("made", ("q", "p"), controls=("u",)))
 
 
 def test_a_model_without_controls_takes_none(capsys):

@@ -63,6 +63,10 @@ def read_controls(path: Path, space: Space) -> ControlTable:
     Raises:
         UserError: no table, a column that is missing, or times that do not increase.
     """
+    if not path.is_file():
+        reason = "no regular file" if path.exists() else "No such file"
+        message = f"controls: expected numbers or a file; received {path}: {reason}"
+        raise UserError(message)
     raw, aside = bytes_of(path)
     file, beside = str(path), sidecar.beside(path)
     kind = kinds.kind_of(raw, file)
@@ -72,6 +76,9 @@ def read_controls(path: Path, space: Space) -> ControlTable:
         parquet.read_parquet(raw, file, refuse) if kind == "parquet" else read_csv(decoded(raw, path), file)
     )
     said = sidecar.Sidecar() if aside is None else sidecar.parse(decoded(aside, beside), str(beside))
+    if said.columns or said.frame:
+        place = Place(str(beside))
+        place.refuse("units and controls beside a file of controls", "columns or frame")
     sheet = sheet._replace(header=sidecar.with_units(sheet.header, said, sheet.place))
     times, unit = _times(sheet, space)
     names = sheet.header.names
@@ -81,7 +88,9 @@ def read_controls(path: Path, space: Space) -> ControlTable:
         if name not in names:
             sheet.place.refuse(f"columns {', '.join(space.controls)}, the controls", ", ".join(names))
     if others := [name for name in names if name not in (unit, *space.controls)]:
-        refuse(Remark(sheet.place, f"not used, since they are no controls: {', '.join(others)}"))
+        refuse(
+            Remark(sheet.place, f"not used, since they are no controls: {', '.join(others)}", level="warning")
+        )
     columns = [_column(sheet, names.index(name)) for name in space.controls]
     values = torch.from_numpy(np.stack(columns, axis=1))
     return ControlTable(torch.from_numpy(times), values, said.controls == sidecar.LINEAR)
