@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from functools import cache
 from typing import Any
@@ -33,6 +34,8 @@ from ahnn.measurements import reading
 from ahnn.runs import Run
 from ahnn.systems import System
 
+BIAS = re.compile(r"^(?=sensors\.[^.=]+\.bias_(sd|memory)=)")
+"""Keys of a sensor that options of the group measurement do not set."""
 FILTER, OF_MEASUREMENTS = "plugins=ukf", "plugins=ukf_parameter_error"
 """What filters where a run names no plugin; the second where the training kept what it is told least."""
 
@@ -64,8 +67,8 @@ def asked(arguments: list[str], usage: str) -> tuple[AssimilationRequest, DictCo
     if unknown := [key for text in given if "=" in text and (key := _key(text)) not in known]:
         message = f"unknown key {unknown[0]!r}{nearest(unknown[0], sorted(known))}"
         raise UserError(message)
-    mine = [text for text in given if _key(text) in own]
-    request = Request.of([text for text in given if text not in mine], usage)
+    mine = [BIAS.sub("++", text, count=1) for text in given if _key(text) in own]
+    request = Request.of([text for text in given if _key(text) not in own], usage)
     cfg = composed("assimilate", mine)
     options = plain_config(cfg)
     check_arguments("", AssimilationRequest, options)

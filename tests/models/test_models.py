@@ -68,9 +68,11 @@ def test_an_mlp_refuses_any_other_time_step(cache):
     data = data_module(SPRING, cache)
     flow = ready_model("mlp", data).flow()
     x = data.trajectories("test").states[:, 0]
-    for dt in (0.02, torch.tensor([0.01, 0.01], dtype=torch.float64)):
+    for dt in (0.02, torch.tensor([0.01, 0.02], dtype=torch.float64)):
         with pytest.raises(UserError, match=r"its training, 0.01; received"):
             flow(x, dt)
+    same = torch.full((len(x),), 0.01, dtype=torch.float64)
+    assert torch.equal(flow(x, same), flow(x, 0.01))
 
 
 def test_an_mlp_has_no_derivative_loss(cache):
