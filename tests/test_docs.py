@@ -64,6 +64,8 @@ NOT_RUN = {
     "sweep=quick trainer=ddp": "forty trials of two processes each, over ten minutes on two cores",
     "benchmarks/run.py": "minutes, and it writes docs/benchmarks.md anew",
     "mutate.py": "hours: the suite runs once for each change",
+    "campaign/run.py": "hours: 3,000 cases",
+    "bench_gpu.py": "needs a GPU",
 }
 """Commands that the slow suite leaves out, by a part of them, and why."""
 
