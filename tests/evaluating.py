@@ -4,14 +4,39 @@ from __future__ import annotations
 
 import copy
 from functools import cache
+from pathlib import Path
 
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
+from torch import Tensor
 
 from ahnn.cli.build import build_all
 from ahnn.cli.commandline import pair
+from ahnn.data.generate import generate
 from ahnn.evaluation import Case, Findings
+from ahnn.integrators import INTEGRATORS
 from ahnn.paths import conf_dir
+from ahnn.systems import System
+from ahnn.types import Flow
+
+
+def case_of(system: System, flow: Flow, perturbation: Tensor, folder: Path) -> Case:
+    """A flow that is judged on as many trajectories of a system as there are initial errors."""
+    return Case(
+        label="mine",
+        assumes="nothing",
+        space=system.space,
+        truth=system,
+        flow=flow,
+        energy=None,
+        integrator=INTEGRATORS["rk4"],
+        dt=system.dt,
+        test=generate(system, len(perturbation), seed=1),
+        validation=generate(system, 6, seed=2),
+        train=generate(system, 4, seed=2),
+        perturbation=perturbation,
+        folder=folder,
+    )
 
 
 @cache

@@ -14,11 +14,8 @@ from typing import Any, Literal, cast
 import torch
 from torch import Tensor, nn
 
-from ahnn.dynamics.base import Dynamics
-from ahnn.dynamics.inputs import Cartesian
 from ahnn.dynamics.networks import make_network
-from ahnn.dynamics.next_state import require_step
-from ahnn.statistics import Statistics
+from ahnn.dynamics.step_map import StepMap
 from ahnn.types import TimeStep
 
 Conformal = Literal["block", "none"]
@@ -55,7 +52,7 @@ class Shear(SymplecticLayer):
         return self.network.gradient(p), torch.zeros_like(p)
 
 
-class SymplecticMap(Dynamics):
+class SymplecticMap(StepMap):
     """Layers that are followed one after the other, from one sample to the next.
 
     Args:
@@ -64,29 +61,9 @@ class SymplecticMap(Dynamics):
         layers: the layers.
     """
 
-    dt: Tensor
-
     def __init__(self, dof: int, scaling: Conformal, layers: Iterable[SymplecticLayer]) -> None:
-        super().__init__()
-        self.positions, self.momenta = Cartesian(dof, scaling, 0), Cartesian(dof, scaling, 1)
+        super().__init__(dof, scaling)
         self.layers = nn.ModuleList(layers)
-        self.register_buffer("dt", torch.zeros((), dtype=torch.float64))
-
-    def fit(self, statistics: Statistics) -> None:
-        """Set scalings and the time step from the training split."""
-        self.positions.fit(statistics)
-        self.momenta.fit(statistics)
-        self.dt.fill_(statistics.dt)
-
-    def seen(self, x: Tensor) -> Tensor:
-        """Return the inputs of the first layer, shape (..., D)."""
-        q, p = x.chunk(2, dim=-1)
-        return torch.cat((self.positions(q), self.momenta(p)), dim=-1)
-
-    @property
-    def own_step(self) -> float:
-        """The sampling interval of the training data."""
-        return float(self.dt)
 
     def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the increment, shape (B, D): a sum of moves, which keeps its digits.
@@ -94,7 +71,7 @@ class SymplecticMap(Dynamics):
         Raises:
             UserError: dt is not the sampling interval of the training data.
         """
-        require_step(self.dt, dt)
+        self.require(dt)
         q, p = self.seen(x).chunk(2, dim=-1)
         moved_q, moved_p = torch.zeros_like(q), torch.zeros_like(p)
         for layer in cast("Iterable[SymplecticLayer]", self.layers):

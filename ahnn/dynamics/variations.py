@@ -25,7 +25,7 @@ from ahnn.dynamics.fields import HamiltonianDynamics
 from ahnn.dynamics.forced import Forced, total
 from ahnn.dynamics.forces import Instant
 from ahnn.dynamics.hamiltonians import GenericHamiltonian, SeparableHamiltonian
-from ahnn.dynamics.next_state import require_step
+from ahnn.dynamics.step_map import require_step
 from ahnn.integrators import ExplicitRungeKutta, SymmetricComposition
 from ahnn.jacobians import step_jacobians
 from ahnn.types import VectorField
@@ -75,7 +75,7 @@ def mapped_jacobians_of_steps(dynamics: Dynamics, dtype: torch.dtype = torch.flo
     def jacobians(theta: Tensor, states: Tensor, lengths: Tensor) -> Tensor:
         moved = partial(increment, theta.to(dtype))
         if own is not None:
-            require_step(lengths.new_tensor(own), lengths)
+            require_step(own, lengths)
             return step_jacobians(lambda x, _: moved(x, own), states.to(dtype), lengths.to(dtype))
         return step_jacobians(moved, states.to(dtype), lengths.to(dtype))
 

@@ -21,11 +21,9 @@ from ahnn.estimation.estimator import RecursiveEstimator
 from ahnn.estimation.force_error import ForceError
 from ahnn.estimation.parameter_error import ParameterError
 from ahnn.estimation.process_model import Process
+from ahnn.estimation.sensor_error import LENGTHS
 from ahnn.numbers import Numbers
 from ahnn.types import Flow
-
-LENGTHS = 1000
-"""Lengths of steps whose factors are kept."""
 
 
 def online_process(

@@ -12,6 +12,7 @@ part of the noise. An estimator sees longer states, a longer flow and more proce
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import torch
@@ -24,6 +25,9 @@ from ahnn.estimation.covariances import Factor, covariance_factor
 from ahnn.estimation.process_model import Process
 from ahnn.measurements import Biases, Measurement, Time, periods, residual
 from ahnn.types import Flow, TimeStep
+
+LENGTHS = 1000
+"""Lengths of steps whose factors are kept."""
 
 
 class SensorError(NamedTuple):
@@ -110,6 +114,7 @@ class SensorError(NamedTuple):
         def lifted(belief: Belief) -> Belief:
             return self.belief(process.lifted(belief))
 
+        @lru_cache(LENGTHS)
         def noise(dt: float) -> Factor:
             inner = process.noise(dt)
             if not isinstance(inner, Factor):

@@ -6,15 +6,13 @@ import torch
 from torch import Tensor
 
 from ahnn.clock import Clock
+from ahnn.data.files.table import LARGEST
 from ahnn.dynamics import Dynamics
 from ahnn.errors import UserError
 from ahnn.memory import require_memory
 from ahnn.numbers import Numbers, as_count, as_float64, described
 from ahnn.prediction.propagation import require_finite
 from ahnn.types import Space, TimeStep
-
-LARGEST = 1e150
-"""Numbers beyond it have squares that float64 does not hold."""
 
 
 def states_of(x: Numbers, who: str, dynamics: Dynamics, space: Space) -> Tensor:

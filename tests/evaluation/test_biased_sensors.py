@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import pytest
-from evaluating import run
+from evaluating import case_of, run
 
-from ahnn.data.generate import generate
-from ahnn.evaluation import Case
 from ahnn.evaluation.case import perturbations
 from ahnn.evaluation.open_loop import Integrated
 from ahnn.integrators import INTEGRATORS
@@ -16,26 +12,12 @@ from ahnn.systems import MassSpring
 
 SPRING = MassSpring(name="spring", dt=0.02, steps=100)
 OPTIONS = ["cadence=5", "measurement_sd=3e-4", "bias_sd=0.05", "process_noise=[1e-8,1e-8]"]
-drawn = cache(generate)
 
 
 @pytest.fixture
 def spring(tmp_path):
-    return Case(
-        label="mine",
-        assumes="nothing",
-        space=SPRING.space,
-        truth=SPRING,
-        flow=Integrated(SPRING, INTEGRATORS["rk4"]),
-        energy=None,
-        integrator=INTEGRATORS["rk4"],
-        dt=SPRING.dt,
-        test=drawn(SPRING, 20, seed=1),
-        validation=drawn(SPRING, 4, seed=2),
-        train=drawn(SPRING, 4, seed=2),
-        perturbation=perturbations(SPRING, 20, seed=0),
-        folder=tmp_path,
-    )
+    flow = Integrated(SPRING, INTEGRATORS["rk4"])
+    return case_of(SPRING, flow, perturbations(SPRING, 20, seed=0), tmp_path)
 
 
 @pytest.mark.parametrize("name", ["ukf", "ekf"])

@@ -6,13 +6,10 @@ import dataclasses
 
 import pytest
 import torch
-from evaluating import run
+from evaluating import case_of, run
 from motions.pushed_spring import PushedSpring
 
-from ahnn.data.generate import generate
 from ahnn.errors import UserError
-from ahnn.evaluation import Case
-from ahnn.integrators import INTEGRATORS
 from ahnn.systems import exact_flow
 from ahnn_plugins.ekf import ExtendedKalmanFilter
 
@@ -29,21 +26,8 @@ OPTIONS += ["start_sd=[0.03,0.03]"]
 
 @pytest.fixture
 def case(tmp_path):
-    return Case(
-        label="mine",
-        assumes="nothing",
-        space=SYSTEM.space,
-        truth=SYSTEM,
-        flow=exact_flow(SYSTEM),
-        energy=None,
-        integrator=INTEGRATORS["rk4"],
-        dt=SYSTEM.dt,
-        test=generate(SYSTEM, 30, seed=1),
-        validation=generate(SYSTEM, 6, seed=2),
-        train=generate(SYSTEM, 4, seed=2),
-        perturbation=0.03 * torch.randn(30, 2, generator=torch.Generator().manual_seed(0)).double(),
-        folder=tmp_path,
-    )
+    off = 0.03 * torch.randn(30, 2, generator=torch.Generator().manual_seed(0)).double()
+    return case_of(SYSTEM, exact_flow(SYSTEM), off, tmp_path)
 
 
 @pytest.mark.parametrize("name", ["ukf", "ekf"])
