@@ -67,6 +67,7 @@ MAY_IMPORT = {
     "dynamics": GROUND,
     "systems": GROUND | {"dynamics"},
     "data": GROUND | {"systems"},
+    "tasks": GROUND | {"systems"},
     "shooting": OPEN | {"measurements"},
     "uncertainty": GROUND | {"dynamics", "shooting"},
     "training": GROUND | {"dynamics", "data", "shooting", "uncertainty"},
@@ -91,13 +92,17 @@ ENTRIES = {
     "assimilate",
     "report",
     "reproduce",
+    "benchmark",
     "fitting",
     "cli",
     "__init__",
     "__main__",
 }
 """The doors of the house: they may import every room, and no room imports them."""
-DOORS = [*("train", "evaluate", "predict", "export", "assimilate", "report", "reproduce"), "data/__main__"]
+DOORS = [
+    *("train", "evaluate", "predict", "export", "assimilate", "report", "reproduce", "benchmark"),
+    "data/__main__",
+]
 """What users call: a command line goes in, `cli` makes values of it, and `jobs` does what they say."""
 
 

@@ -1,0 +1,177 @@
+"""From a command line to trainings on tasks of the field, and the table of their scores."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+from ahnn.arguments import Count
+from ahnn.cli.early_stops import ended
+from ahnn.cli.pairs import divided, read_pairs
+from ahnn.contents import read_plain
+from ahnn.errors import Occupied, TrainingError, UserError
+from ahnn.evaluation.terminal import show
+from ahnn.files import claimed, whole_folder, write_atomically
+from ahnn.fitting import fit
+from ahnn.tasks import TASKS, Task, table
+
+log = logging.getLogger("ahnn")
+SCORE = "score.json"
+"""Of a training, in its folder beside the run."""
+
+
+@dataclass(frozen=True)
+class BenchmarkRequest:
+    """What a command asks for beside the names of tasks."""
+
+    draws: Count = 10
+    jobs: Count = 1
+    models: list[str] = field(default_factory=list)
+    output: str = "runs/benchmark"
+    only: Count | None = None  # this drawing alone, counted from 1: what a command with several jobs starts
+
+
+class Training(NamedTuple):
+    """One training on a task: which model, which drawing, and where."""
+
+    task: str
+    model: str
+    draw: int
+    folder: Path
+
+    @property
+    def finished(self) -> bool:
+        """Whether its score is there; the folder appears with it."""
+        return (self.folder / SCORE).is_file()
+
+    @property
+    def score(self) -> dict[str, float]:
+        """What was written of it."""
+        return read_plain(self.folder / SCORE)
+
+
+def benchmark(arguments: list[str], usage: str) -> None:
+    """Train and score what is not finished, and show the table.
+
+    Raises:
+        UserError: unknown tasks or models, or a folder of something else.
+        TrainingError: some trainings failed; the others are in the table.
+    """
+    names, pairs = divided(arguments)
+    asked = read_pairs(pairs or ["jobs=1"], BenchmarkRequest, usage)
+    chosen = tasks_of([str(name) for name in names], usage)
+    plan = [*trainings(chosen, asked)]
+    if asked.only is not None:
+        for training in plan:
+            one(training)
+        return
+    with ended(lambda: "the same command goes on where it was stopped"):
+        failed = run(plan, asked)
+    for name, task in chosen.items():
+        show(table(name, task, scores_of(name, plan)))
+    if failed:
+        places = ", ".join(f"{t.task}/{t.model} {t.draw + 1}" for t in failed)
+        message = f"benchmark: {len(failed)} of {len(plan)} trainings failed, see above: {places}"
+        raise TrainingError(message)
+
+
+def tasks_of(names: list[str], usage: str) -> dict[str, Task]:
+    """Return the tasks of some names; raises UserError for none, or one that is not known."""
+    if unknown := [name for name in names if name not in (*TASKS, "all")]:
+        message = f"benchmark: expected some of {', '.join(TASKS)}, or all; received {unknown[0]}"
+        raise UserError(message)
+    if not names:
+        message = f"{usage}; received no name"
+        raise UserError(message)
+    return {name: task for name, task in TASKS.items() if name in names or "all" in names}
+
+
+def trainings(tasks: dict[str, Task], asked: BenchmarkRequest) -> Iterator[Training]:
+    """Yield the trainings of some tasks, drawing by drawing; raises UserError for a model that none has."""
+    known = list(dict.fromkeys(model for task in tasks.values() for model in task.models))
+    if unknown := [model for model in asked.models if model not in known]:
+        message = f"models: expected some of {', '.join(known)}; received {unknown[0]}"
+        raise UserError(message)
+    draws = range(asked.draws) if asked.only is None else [asked.only - 1]
+    for name, task in tasks.items():
+        for draw in draws:
+            for model in task.models:
+                if not asked.models or model in asked.models:
+                    yield Training(name, model, draw, Path(asked.output, name, model, f"draw_{draw + 1}"))
+
+
+def run(plan: list[Training], asked: BenchmarkRequest) -> list[Training]:
+    """Train what is not finished, each in a process of its own; return what failed."""
+    left = [training for training in plan if not training.finished]
+    log.info("benchmark: %d trainings in %s, %d finished", len(plan), asked.output, len(plan) - len(left))
+    children: set[subprocess.Popen[bytes]] = set()
+
+    def start(training: Training) -> bool:
+        words = [training.task, f"models=[{training.model}]", f"only={training.draw + 1}"]
+        child = subprocess.Popen(
+            [sys.executable, "-m", "ahnn.benchmark", *words, f"output='{asked.output}'"],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            env={**os.environ, "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "1")},
+        )
+        children.add(child)
+        said = child.communicate()[1].decode(errors="replace").strip().splitlines()
+        log.info("%s", said[-1] if said else f"{training.folder}: ended without a word")
+        return child.returncode == 0
+
+    pool = ThreadPoolExecutor(asked.jobs)
+    try:
+        done = [*pool.map(start, left)]
+    except BaseException:
+        for child in children:
+            child.terminate()
+        raise
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+    return [training for training, well in zip(left, done, strict=True) if not well]
+
+
+def one(training: Training) -> None:
+    """Train and score in this process; the folder appears when both are done."""
+    import torch
+
+    task = TASKS[training.task]
+    drawn = task.draw(training.draw)
+    with contextlib.suppress(Occupied), turn(training.folder), whole_folder(training.folder) as place:
+        begun = time.perf_counter()
+        options = [*task.models[training.model], f"data.split={list(drawn.split)}", f"seed={training.draw}"]
+        fitted = fit(drawn.data, drawn.space, options, folder=place / "run")
+        seconds = time.perf_counter() - begun
+        with torch.no_grad():
+            score = drawn.score(lambda x, steps, dt: fitted.rollout(x, steps, dt))
+        found = {"score": score, "seconds": round(seconds, 1)}
+        write_atomically(place / SCORE, json.dumps(found).encode())
+        name = f"{training.task}, {training.model}, draw {training.draw + 1}"
+        log.info("%s: %.3g in %.0f s", name, score, seconds)
+
+
+@contextlib.contextmanager
+def turn(folder: Path) -> Iterator[None]:
+    """Hold a training for this process; raises Occupied where another one works on it."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with claimed(folder.parent, f".{folder.name}.turn"):
+        yield
+
+
+def scores_of(name: str, plan: list[Training]) -> dict[str, list[dict[str, float]]]:
+    """Return what was scored on a task, by the name of the model."""
+    found: dict[str, list[dict[str, float]]] = {}
+    for training in plan:
+        if training.task == name and training.finished:
+            found.setdefault(training.model, []).append(training.score)
+    return found

@@ -1,0 +1,19 @@
+"""Tasks of the field with published scores, drawn anew from what their papers say."""
+
+from ahnn.tasks.bodies import THREE, TWO
+from ahnn.tasks.chains import chain
+from ahnn.tasks.comparison import table
+from ahnn.tasks.noisy_oscillators import PENDULUM, SPRING
+from ahnn.tasks.task import Draw, Predict, Task
+
+TASKS: dict[str, Task] = {
+    "two_bodies": TWO,
+    "three_bodies": THREE,
+    "noisy_spring": SPRING,
+    "noisy_pendulum": PENDULUM,
+    "chain_2": chain(2, 5.9e-5, NODE=6.5e-2, HNN=1.9e-3, CHNN=1.2e-4),
+    "chain_3": chain(3, 1.1e-4, NODE=0.27, HNN=4.7e-2, CHNN=3.4e-4),
+    "chain_5": chain(5, 1.5e-4, NODE=0.44, HNN=0.34, CHNN=1.1e-3),
+}
+
+__all__ = ["TASKS", "Draw", "Predict", "Task", "table"]

@@ -1,0 +1,83 @@
+"""A task of the field: data drawn from a number, models that learn them, a score, and what was published."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ahnn.types import Space, Trajectories
+
+Predict = Callable[[Tensor, int, float], Tensor]
+"""(starts (B, 2n), steps, dt) -> states (B, steps + 1, 2n)."""
+
+
+class Draw(NamedTuple):
+    """What a model learns from, and how it is judged.
+
+    Attributes:
+        data: trajectories of training, validation and test, in this order.
+        space: of their states.
+        split: fractions of the three.
+        score: of predictions; less is better.
+    """
+
+    data: Trajectories
+    space: Space
+    split: tuple[float, float, float]
+    score: Callable[[Predict], float]
+
+
+class Task(NamedTuple):
+    """A task of the field.
+
+    Attributes:
+        title: what is learned, on one line.
+        source: paper or repository that defines it, with licence.
+        quantity: what the score is.
+        differs: from the published setting.
+        published: scores by their name there.
+        models: overrides of `ahnn.fit` by the name of a row.
+        draw: k -> the k-th drawing of data and starts.
+        floor: what the true form with free constants scores, where somebody measured it.
+    """
+
+    title: str
+    source: str
+    quantity: str
+    differs: str
+    published: Mapping[str, float]
+    models: Mapping[str, tuple[str, ...]]
+    draw: Callable[[int], Draw]
+    floor: float | None = None
+
+
+def energy_error(
+    predict: Predict, starts: Tensor, steps: int, dt: float, energy: Callable[[Tensor], Tensor]
+) -> float:
+    """Return the mean squared difference between the true energies of predicted states and of their starts.
+
+    That of the true motion is conserved, so that it stands for the whole of it (Greydanus et al. 2019).
+
+    Args:
+        predict: the model.
+        starts: (B, 2n).
+        steps: of the prediction.
+        dt: length of a step.
+        energy: H of states (..., 2n), shape (...).
+    """
+    found = energy(predict(starts, steps, dt))
+    return float((found - found[:, :1]).square().mean())
+
+
+def numbers(draw: int, use: int = 0) -> np.random.Generator:
+    """Return random numbers for a drawing; those of another use are independent of them."""
+    return np.random.default_rng((draw, use))
+
+
+def states(values: np.ndarray) -> Tensor:
+    """Return states as float64."""
+    return torch.as_tensor(values, dtype=torch.float64)
