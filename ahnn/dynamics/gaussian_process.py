@@ -36,9 +36,16 @@ class Waves(nn.Module):
     Args:
         inputs: F.
         count: K.
+
+    Attributes:
+        frequencies: xi, (K, F).
+        free: (K, 1), 1 for frequencies that follow the lengths; 0 for those of copies that
+            `ahnn.dynamics.linearised` sets beside them.
+        phases: pi/2 and 0, in turn, (2K,).
     """
 
     frequencies: Tensor
+    free: Tensor
     phases: Tensor
 
     def __init__(self, inputs: int, count: int) -> None:
@@ -48,13 +55,18 @@ class Waves(nn.Module):
         drawn = torch.special.ndtri(uniform.clamp(1e-9, 1 - 1e-9))
         self.log_lengths = nn.Parameter(torch.zeros(inputs))  # l = 1 is half the range of scaled states
         self.register_buffer("frequencies", drawn.to(self.log_lengths))
+        self.register_buffer("free", torch.ones(count, 1))
         phases = torch.tensor([math.pi / 2, 0.0]).repeat(count)
         self.register_buffer("phases", phases, persistent=False)
+
+    def weight_at(self, log_lengths: Tensor) -> Tensor:
+        """Return xi / l, each row twice, shape (2K, F), for logarithms of lengths, (F,)."""
+        return (self.frequencies * (-self.free * log_lengths).exp()).repeat_interleave(2, 0)
 
     @property
     def weight(self) -> Tensor:
         """The matrix xi / l, each row twice, shape (2K, F)."""
-        return (self.frequencies * (-self.log_lengths).exp()).repeat_interleave(2, 0)
+        return self.weight_at(self.log_lengths)
 
     @property
     def bias(self) -> Tensor:
@@ -107,13 +119,13 @@ class GaussianProcess(Network):
         (waves,) = self.hidden
         assert isinstance(waves, Waves)
         size = z.shape[-1]
-        log_lengths, w = theta[:size], theta[size:]
-        weight = (waves.frequencies.to(theta) * (-log_lengths).exp()).repeat_interleave(2, 0)
+        w, weight = theta[size:], waves.weight_at(theta[:size]).to(theta)
+        following = weight * waves.free.to(theta).repeat_interleave(2, 0)
         phase = torch.addmm(waves.phases.to(theta), z, weight.T)
         sine, cosine = phase.sin(), phase.cos()
-        gradient = ((w * cosine) @ weight).unsqueeze(1)
+        gradient = ((w * cosine) @ following).unsqueeze(1)
         along = slopes @ weight.T
-        bent = ((w * sine).unsqueeze(1) * along) @ weight
+        bent = ((w * sine).unsqueeze(1) * along) @ following
         by_weights, by_lengths = out[..., size:], out[..., :size]
         torch.mul(along, cosine.unsqueeze(1), out=by_weights)
         if values is not None:

@@ -64,10 +64,7 @@ def _side_by_side(dynamics: Dynamics, copies: Sequence[Tensor], shares: Sequence
         if own == "output.weight":
             found[name] = torch.cat(scaled, dim=1)
         elif isinstance(waves := dynamics.get_submodule(name.rpartition(".")[0]), Waves):
-            # Lengths are those of all copies: frequencies move in their place.
-            found[name] = parts[0]
-            moved = [waves.frequencies * (parts[0] - lengths).exp() for lengths in parts]
-            found[f"{name.rpartition('.')[0]}.frequencies"] = torch.cat(moved)
+            found |= _copied(waves, name.removesuffix("log_lengths"), parts)
         elif own in ("", "output.bias"):
             found[name] = torch.stack(scaled).sum(0)
         elif own.endswith("weight") and not own.startswith("hidden.0."):
@@ -76,3 +73,14 @@ def _side_by_side(dynamics: Dynamics, copies: Sequence[Tensor], shares: Sequence
             found[name] = torch.cat(parts)
         begin = end
     return found
+
+
+def _copied(waves: Waves, prefix: str, log_lengths: Sequence[Tensor]) -> dict[str, Tensor]:
+    """Return tensors of waves side by side: the first follow the lengths, the others keep theirs."""
+    first, *others = log_lengths
+    kept = [waves.weight_at(other)[::2] for other in others]
+    return {
+        f"{prefix}log_lengths": first,
+        f"{prefix}frequencies": torch.cat((waves.frequencies, *kept)),
+        f"{prefix}free": torch.cat((waves.free, *(torch.zeros_like(waves.free) for _ in others))),
+    }
