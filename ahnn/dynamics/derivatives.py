@@ -15,7 +15,12 @@ from ahnn.dynamics.base import HasField
 from ahnn.dynamics.forced import Forced, total
 from ahnn.dynamics.forces import Instant
 from ahnn.dynamics.hamiltonians import SeparableHamiltonian
-from ahnn.dynamics.separable_jacobian import has_separable_rows, separable_rows
+from ahnn.dynamics.separable_jacobian import (
+    generic_rows,
+    has_generic_rows,
+    has_separable_rows,
+    separable_rows,
+)
 from ahnn.types import TimeStep
 
 
@@ -66,18 +71,22 @@ IncrementJacobian = Callable[[Tensor, Tensor, TimeStep], tuple[Tensor, Tensor]]
 
 
 def field_jacobian(dynamics: HasField, dtype: torch.dtype = torch.float32) -> FieldJacobian:
-    """Return the Jacobian of the field, computed in `dtype`: in closed form where H = T(p) + V(q)."""
+    """Return the Jacobian of the field, computed in `dtype`: in closed form where there is one."""
     field = dynamics.field
     if isinstance(field, Forced) and has_separable_rows(field.hamiltonian) and knows_velocities(field):
         return forced_field_jacobian(field, dtype)
-    if not has_separable_rows(field):
+    closed: Callable[..., Tensor]
+    if has_generic_rows(field):
+        closed = generic_rows
+    elif has_separable_rows(field):
+        closed = separable_rows
+    else:
         return mapped_field_jacobian(dynamics, dtype)
 
     def jacobian(theta: Tensor, x: Tensor, factors: Tensor | None = None) -> Tensor:
         flat = x.flatten(0, -2).to(dtype)
         by = torch.ones_like(flat) if factors is None else factors.flatten(0, -2).to(dtype)
-        rows = separable_rows(cast(SeparableHamiltonian, field), theta.to(dtype), flat, by)
-        return rows.unflatten(0, x.shape[:-1])
+        return closed(field, theta.to(dtype), flat, by).unflatten(0, x.shape[:-1])
 
     return jacobian
 

@@ -11,11 +11,9 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor, nn
 
-from ahnn.dynamics.gradients import recorded_gradient
 from ahnn.dynamics.hessians import is_closed, network_derivatives, point_mass_derivatives
 from ahnn.dynamics.inputs import InputMap, slopes
 from ahnn.dynamics.networks import make_network
-from ahnn.dynamics.parameter_jacobians import layers_at, reversed_rows, with_value, write_rows
 from ahnn.errors import UserError
 from ahnn.statistics import Statistics
 from ahnn.types import as_factor
@@ -140,8 +138,6 @@ class NetworkEnergy(nn.Module):
 
     def write_rows(self, theta: Tensor, q: Tensor, factors: Tensor, out: Tensor) -> None:
         """Write factors (B, n) times d(dE/dq)/dtheta to `out`, (B, n, P), theta (P,) its parameters."""
-        network = self.network
-        assert is_closed(network)
         z, pullback = self.inputs.linearised(q)
         # dE/dq is linear in the gradient of the network: row i of each sample is a cotangent of it.
         linear = slopes(z, pullback).mT
@@ -151,16 +147,7 @@ class NetworkEnergy(nn.Module):
             factors = factors * weight
             on_value = (factors * fall).to(theta)
         cotangents = factors.unsqueeze(-1) * linear
-        layers, kernels = layers_at(network, theta), network.activation.kernels
-        assert kernels is not None
-        _, records = recorded_gradient(z.to(theta).T.contiguous().T, layers, kernels)
-        stage, _ = reversed_rows(cotangents.to(theta), records, layers.weights)
-        if on_value is None:
-            write_rows([stage], out)
-            return
-        last = torch.addmm(layers.biases[-1], records[-1].entered, layers.weights[-1].T)
-        write_rows([with_value(stage, on_value, kernels.value(last))], out)
-        out[..., -1] = on_value
+        self.network.write_rows(theta, z.to(theta), cotangents.to(theta), on_value, out)
 
     def seen(self, q: Tensor) -> Tensor:
         """Return the inputs of the network, shape (..., F)."""

@@ -18,8 +18,9 @@ from ahnn.dynamics.energies import CentralBody, Energy, NetworkEnergy, Quadratic
 from ahnn.dynamics.gradients import Layers
 from ahnn.dynamics.hessians import BothInputs, is_closed, network_derivatives
 from ahnn.dynamics.inputs import Cartesian, InputName, ScaledStates, position_inputs
+from ahnn.dynamics.layered import Network
 from ahnn.dynamics.mass_matrix import MassMatrixHamiltonian
-from ahnn.dynamics.networks import Perceptron, make_network
+from ahnn.dynamics.networks import make_network
 from ahnn.dynamics.pair_potential import PairPotential
 from ahnn.dynamics.scaling import Kind
 from ahnn.errors import UserError
@@ -72,11 +73,11 @@ class GenericHamiltonian(ScaledStates):
     def layers(self, x: Tensor) -> Layers | None:
         """Return the network with scaling and J taken into its first layer, so that the field is delta_1 E.
 
-        None where the positions do not enter by an affine map, the energy is no perceptron, or the states x
+        None where the positions do not enter by an affine map, the energy is no such network, or the states x
         meet what needs single operations.
         """
         positions, network = self.positions, self.network
-        if not (isinstance(positions, Cartesian) and isinstance(network, Perceptron)):
+        if not (isinstance(positions, Cartesian) and isinstance(network, Network)):
             return None
         if not fused_steps.applies(network.activation, x):
             return None

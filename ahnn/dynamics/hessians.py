@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from ahnn.dynamics.gradients import recorded_gradient
 from ahnn.dynamics.inputs import Cartesian, InputMap, Pullback, slopes
-from ahnn.dynamics.networks import Perceptron
+from ahnn.dynamics.layered import Network
 from ahnn.dynamics.parameter_jacobians import curvature
 
 
@@ -53,9 +53,9 @@ class BothInputs(NamedTuple):
         return found  # the momenta enter by an affine map
 
 
-def is_closed(network: nn.Module) -> TypeGuard[Perceptron]:
+def is_closed(network: nn.Module) -> TypeGuard[Network]:
     """Return whether derivatives of a network are known in closed form."""
-    return isinstance(network, Perceptron) and network.activation.kernels is not None
+    return isinstance(network, Network) and network.activation.kernels is not None
 
 
 def network_derivatives(network: nn.Module, inputs: Inputs, x: Tensor) -> tuple[Tensor, Tensor]:

@@ -14,7 +14,8 @@ from torch import Tensor
 from torch.nn.utils import parameters_to_vector
 
 from ahnn.dynamics import Dynamics, make_dynamics
-from ahnn.dynamics.networks import Perceptron
+from ahnn.dynamics.gaussian_process import Waves
+from ahnn.dynamics.layered import Network
 
 REACH = 1e-3
 """Share of the step over which the derivative is a difference."""
@@ -43,7 +44,7 @@ def linearised(dynamics: Dynamics, step: Tensor) -> tuple[Dynamics, Tensor] | No
     theta = parameters_to_vector(dynamics.parameters()).detach()
     moved = _side_by_side(dynamics, (theta, theta + REACH * step, theta - REACH * step), SHARES)
     if any(moved[name].shape != p.shape for name, p in wide.named_parameters()):
-        return None  # parameters that no perceptron has, as wide as one
+        return None  # parameters that no network has, as wide as one
     wide.to(theta.dtype).load_state_dict({**dynamics.state_dict(), **moved})
     numbers = torch.arange(1, len(theta) + 1).to(theta)
     numbered = _side_by_side(dynamics, (numbers, 0 * theta, 0 * theta), (1.0, 0.0, 0.0))
@@ -52,9 +53,9 @@ def linearised(dynamics: Dynamics, step: Tensor) -> tuple[Dynamics, Tensor] | No
 
 
 def _side_by_side(dynamics: Dynamics, copies: Sequence[Tensor], shares: Sequence[float]) -> dict[str, Tensor]:
-    """Return parameters, by name, of dynamics whose networks add up those of copies times their shares."""
+    """Return tensors, by name, of dynamics whose networks add up those of copies times their shares."""
     found, begin = dict[str, Tensor](), 0
-    networks = [name for name, module in dynamics.named_modules() if isinstance(module, Perceptron)]
+    networks = [name for name, module in dynamics.named_modules() if isinstance(module, Network)]
     for name, parameter in dynamics.named_parameters():
         end = begin + parameter.numel()
         parts = [copy[begin:end].view_as(parameter) for copy in copies]
@@ -62,6 +63,8 @@ def _side_by_side(dynamics: Dynamics, copies: Sequence[Tensor], shares: Sequence
         scaled = [share * part for share, part in zip(shares, parts, strict=True)]
         if own == "output.weight":
             found[name] = torch.cat(scaled, dim=1)
+        elif isinstance(waves := dynamics.get_submodule(name.rpartition(".")[0]), Waves):
+            found |= _copied(waves, name.removesuffix("log_lengths"), parts)
         elif own in ("", "output.bias"):
             found[name] = torch.stack(scaled).sum(0)
         elif own.endswith("weight") and not own.startswith("hidden.0."):
@@ -70,3 +73,14 @@ def _side_by_side(dynamics: Dynamics, copies: Sequence[Tensor], shares: Sequence
             found[name] = torch.cat(parts)
         begin = end
     return found
+
+
+def _copied(waves: Waves, prefix: str, log_lengths: Sequence[Tensor]) -> dict[str, Tensor]:
+    """Return tensors of waves side by side: the first follow the lengths, the others keep theirs."""
+    first, *others = log_lengths
+    kept = [waves.weight_at(other)[::2] for other in others]
+    return {
+        f"{prefix}log_lengths": first,
+        f"{prefix}frequencies": torch.cat((waves.frequencies, *kept)),
+        f"{prefix}free": torch.cat((waves.free, *(torch.zeros_like(waves.free) for _ in others))),
+    }

@@ -1,26 +1,24 @@
-"""Multilayer perceptrons with a closed-form input gradient.
-
-The gradient of a scalar network is its transposed pass, written with ordinary operations. Training a
-Hamiltonian then needs a single backward pass, and evaluation needs no autograd: it works under `no_grad`,
-`inference_mode`, `torch.compile` and `torch.export`, where `autograd.grad` does not.
-"""
+"""Multilayer perceptrons, and the one function that makes a network from its options."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import Any, cast
+from typing import Any, final
 
+import torch
 from torch import Tensor, nn
 
 from ahnn.arguments import Count, check_arguments, checked
-from ahnn.dynamics import fused_steps
 from ahnn.dynamics.activations import ACTIVATIONS, ActivationName
-from ahnn.dynamics.gradients import Layers, plain_gradient
+from ahnn.dynamics.gaussian_process import GaussianProcess
+from ahnn.dynamics.gradients import recorded_gradient
+from ahnn.dynamics.layered import Network
+from ahnn.dynamics.parameter_jacobians import layers_at, reversed_rows, with_value, write_rows
 from ahnn.memory import require_memory
 
 
+@final
 @checked
-class Perceptron(nn.Module):
+class Perceptron(Network):
     """Fully connected network with smooth activations.
 
     Args:
@@ -45,41 +43,27 @@ class Perceptron(nn.Module):
         nn.init.normal_(self.output.weight, std=0.1 * width**-0.5)
         nn.init.zeros_(self.output.bias)
 
-    def forward(self, z: Tensor) -> Tensor:
-        """Return the outputs, shape (..., outputs), at the inputs z, shape (..., inputs)."""
-        for layer in self.hidden:
-            z = self.activation.value(layer(z))
-        return self.output(z)
-
-    def layers(self) -> Layers:
-        """Return the parameters as the gradient of a single output uses them."""
-        hidden = list(cast(Iterable[nn.Linear], self.hidden))
-        weights = [layer.weight for layer in hidden]
-        return Layers(weights, [layer.bias for layer in hidden], self.output.weight[0], weights[0])
-
-    def linearised(self, z: Tensor) -> tuple[Tensor, Callable[[Tensor], Tensor]]:
-        """Return the outputs, shape (..., outputs), at z, and the way back of gradients from there."""
-        layers, slopes = [*cast("Iterable[nn.Linear]", self.hidden)], []
-        for layer in layers:
-            z, slope = self.activation.value_and_slope(layer(z))
-            slopes.append(slope)
-
-        def back(gradient: Tensor) -> Tensor:
-            found = gradient @ self.output.weight
-            for layer, slope in zip(layers[::-1], slopes[::-1], strict=True):
-                found = (found * slope) @ layer.weight
-            return found
-
-        return self.output(z), back
-
-    def gradient(self, z: Tensor) -> Tensor:
-        """Return the gradient of the single output with respect to z, shape (..., inputs)."""
-        if fused_steps.applies(self.activation, z):
-            return fused_steps.network_gradient(z, self.layers(), self.activation)
-        return plain_gradient(z, self.layers(), self.activation)
+    def write_rows(
+        self, theta: Tensor, z: Tensor, slopes: Tensor, values: Tensor | None, out: Tensor
+    ) -> None:
+        """Write the derivatives of t . dN/dz + v N by the parameters; see `Network`."""
+        layers, kernels = layers_at(self, theta), self.activation.kernels
+        assert kernels is not None
+        _, records = recorded_gradient(z.T.contiguous().T, layers, kernels)
+        stage, _ = reversed_rows(slopes, records, layers.weights)
+        if values is None:
+            write_rows([stage], out)
+            return
+        last = torch.addmm(layers.biases[-1], records[-1].entered, layers.weights[-1].T)
+        write_rows([with_value(stage, values, kernels.value(last))], out)
+        out[..., -1] = values
 
 
-def make_network(inputs: int, outputs: int, options: dict[str, Any]) -> Perceptron:
-    """Return a perceptron from the options width, depth and activation; raises UserError for any other."""
-    check_arguments("model.network", Perceptron, options, ("inputs", "outputs"))
-    return Perceptron(inputs, outputs, **options)
+def make_network(inputs: int, outputs: int, options: dict[str, Any]) -> Network:
+    """Return a network from the options width, depth and activation; raises UserError for any other.
+
+    The activation `fourier` makes a Gaussian process, any other one a perceptron.
+    """
+    kind = GaussianProcess if options.get("activation") == "fourier" else Perceptron
+    check_arguments("model.network", kind, options, ("inputs", "outputs"))
+    return kind(inputs, outputs, **options)

@@ -15,10 +15,8 @@ import torch
 from torch import Tensor, nn
 
 from ahnn.dynamics.energies import Quadratic, energy_units
-from ahnn.dynamics.gradients import recorded_gradient
 from ahnn.dynamics.hessians import is_closed
 from ahnn.dynamics.networks import make_network
-from ahnn.dynamics.parameter_jacobians import layers_at, reversed_rows, with_value, write_rows
 from ahnn.errors import UserError
 from ahnn.statistics import Statistics
 
@@ -119,18 +117,11 @@ class PairPotential(nn.Module):
 
     def write_rows(self, theta: Tensor, q: Tensor, factors: Tensor, out: Tensor) -> None:
         """Write factors (B, n) times d(dV/dq)/dtheta to `out`, (B, n, P), theta (P,) its parameters."""
-        network, r = self.network, self.distances(q)[1]
-        assert is_closed(network)
-        layers, kernels = layers_at(network, theta), network.activation.kernels
-        assert kernels is not None
+        r = self.distances(q)[1]
         z = self.scaled(r).flatten(0, 1).to(theta)
-        _, records = recorded_gradient(z.T.contiguous().T, layers, kernels)
         on_rise, on_value = theta.new_ones(len(z), 1, 1) / self.spread.to(theta), theta.new_ones(len(z), 1)
-        stage, _ = reversed_rows(on_rise, records, layers.weights)
-        last = torch.addmm(layers.biases[-1], records[-1].entered, layers.weights[-1].T)
         rows = theta.new_empty(len(z), 1, len(theta))
-        write_rows([with_value(stage, -self.falloff * on_value, kernels.value(last))], rows)
-        rows[..., -1] = -self.falloff
+        self.network.write_rows(theta, z, on_rise, -self.falloff * on_value, rows)
         by = (factors.unsqueeze(-1) * self.pulls(q)).to(theta)
         out.copy_(by @ rows.view(*r.shape, -1))
 

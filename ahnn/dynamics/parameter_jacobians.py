@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from ahnn.dynamics.gradients import LayerRecord, Layers
-from ahnn.dynamics.networks import Perceptron
+from ahnn.dynamics.layered import Network
 
 
 class Stage(NamedTuple):
@@ -30,8 +30,8 @@ class Stage(NamedTuple):
     back: list[Tensor]
 
 
-def layers_at(network: Perceptron, theta: Tensor) -> Layers:
-    """Return the layers of a network of one output whose parameters are theta, (P,)."""
+def layers_at(network: Network, theta: Tensor) -> Layers:
+    """Return the layers of a perceptron of one output whose parameters are theta, (P,)."""
     parameters = list(network.parameters())
     parts = theta.split([p.numel() for p in parameters])
     *hidden, last, _ = [part.view_as(p) for part, p in zip(parts, parameters, strict=True)]

@@ -1,13 +1,16 @@
-"""Jacobian of the field of H = T(p) + V(q) in closed form: of dp/dt, and of dq/dt where T is learned."""
+"""Jacobian of a field by its parameters, closed: of T(p) + V(q) dp/dt, and dq/dt where T is learned."""
 
 from __future__ import annotations
 
 from typing import TypeGuard
 
+import torch
 from torch import Tensor, nn
 
 from ahnn.cores import each, slices
-from ahnn.dynamics.hamiltonians import SeparableHamiltonian
+from ahnn.dynamics.hamiltonians import GenericHamiltonian, SeparableHamiltonian
+from ahnn.dynamics.hessians import BothInputs
+from ahnn.dynamics.inputs import slopes
 
 SAMPLES = 256
 """Samples whose rows are made at once."""
@@ -46,6 +49,33 @@ def separable_rows(field: SeparableHamiltonian, theta: Tensor, x: Tensor, factor
             found = rows.new_empty(len(rows), size // 2, len(theta[own]))
             energy.write_rows(theta[own], at[part], by[part], found)
             rows[:, block, own] = found
+
+    each(write, slices(len(x), SAMPLES, x.device), x.device)
+    return out
+
+
+def has_generic_rows(field: nn.Module) -> TypeGuard[GenericHamiltonian]:
+    """Return whether this is the field of one network, whose derivatives are known in closed form."""
+    return isinstance(field, GenericHamiltonian) and field.has_hessian
+
+
+def generic_rows(field: GenericHamiltonian, theta: Tensor, x: Tensor, factors: Tensor) -> Tensor:
+    """Return factors df/dtheta, (B, D, P).
+
+    Args:
+        field: for which `has_generic_rows`.
+        theta: (P,).
+        x: (B, D).
+        factors: (B, D).
+    """
+    out, inputs = x.new_empty(*x.shape, len(theta)), BothInputs(field.positions, field.momenta)
+
+    def write(part: slice) -> None:
+        z, pullback = inputs.linearised(x[part])
+        # dH/dx is linear in the gradient of the network, and f = (dH/dp, -dH/dq).
+        of_q, of_p = slopes(z, pullback).mT.chunk(2, dim=1)
+        linear = field.unit * torch.cat((of_p, -of_q), dim=1) * factors[part].unsqueeze(-1)
+        field.network.write_rows(theta, z.to(theta), linear.to(theta), None, out[part])
 
     each(write, slices(len(x), SAMPLES, x.device), x.device)
     return out

@@ -1,4 +1,4 @@
-"""The Jacobian of a separable Hamiltonian's field in closed form is that of vectorised reverse mode."""
+"""The Jacobian of a Hamiltonian's field in closed form is that of vectorised reverse mode."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch.nn.utils import parameters_to_vector
 
 from ahnn.dynamics import HamiltonianDynamics, separable_jacobian
 from ahnn.dynamics.derivatives import field_jacobian, mapped_field_jacobian
-from ahnn.dynamics.separable_jacobian import has_separable_rows
+from ahnn.dynamics.separable_jacobian import has_generic_rows, has_separable_rows
 
 WIDE = torch.float64
 
@@ -19,6 +19,7 @@ WIDE = torch.float64
 @pytest.mark.parametrize(
     ("structure", "mu", "falloff", "rows"),
     [
+        ("generic", None, 0, 4),
         ("separable", None, 0, 4),
         ("separable", None, 1.5, 4),
         ("mechanical", None, 0, 2),
@@ -26,10 +27,10 @@ WIDE = torch.float64
         ("central_body", 1.3, 3, 2),
     ],
 )
-def test_rows_of_a_separable_field(monkeypatch, structure, mu, falloff, rows, inputs):
+def test_rows_of_a_field(monkeypatch, structure, mu, falloff, rows, inputs):
     monkeypatch.setattr(separable_jacobian, "SAMPLES", 4)
     own = planar(structure, mu=mu, falloff=falloff, inputs=inputs)
-    assert has_separable_rows(own.field)
+    assert (has_generic_rows if structure == "generic" else has_separable_rows)(own.field)
     theta = parameters_to_vector(own.parameters()).detach()
     x = torch.randn(7, 3, 4, generator=generator(1), dtype=WIDE)
     factors = torch.rand(7, 3, 4, generator=generator(2), dtype=WIDE) + 0.5

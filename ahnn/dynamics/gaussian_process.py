@@ -1,0 +1,135 @@
+"""A Gaussian process in a finite basis, in the place of a network.
+
+A process N ~ GP(0, k) with k(z, z') = s^2 exp(-sum_f (z_f - z'_f)^2 / 2 l_f^2) is, for many frequencies
+xi_k that are drawn from N(0, I) and stay (Rahimi & Recht 2007, NeurIPS),
+
+    N(z) = sum_k a_k cos(xi_k . z / l) + b_k sin(xi_k . z / l),    a_k, b_k ~ N(0, s^2 / K)
+
+so that a Hamiltonian, and the field J grad H that follows from it in closed form, are linear in the weights
+a and b (Tanaka, Iwata & Ueda 2022, NeurIPS; Ross & Heinonen 2023, TMLR). The cosine is a sine with a phase:
+this is a layer of waves behind which a network is one as any other. The prior on the weights is that of
+`ahnn.training.evidence` with the strength K / s^2, and the evidence finds the amplitude s.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, final
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+from torch.quasirandom import SobolEngine
+
+from ahnn.arguments import Count, checked
+from ahnn.dynamics.activations import ACTIVATIONS
+from ahnn.dynamics.layered import Network
+from ahnn.memory import require_memory
+
+
+class Waves(nn.Module):
+    """The layer z -> (xi_k . z / l + pi/2, xi_k . z / l), whose sines are K cosines and K sines.
+
+    The frequencies are quasi-random: they cover N(0, I) more evenly than random ones, and the kernel that
+    they make is as much closer to its limit (Avron, Sindhwani, Yang & Mahoney 2016, JMLR 17, 1).
+
+    Args:
+        inputs: F.
+        count: K.
+
+    Attributes:
+        frequencies: xi, (K, F).
+        free: (K, 1), 1 for frequencies that follow the lengths; 0 for those of copies that
+            `ahnn.dynamics.linearised` sets beside them.
+        phases: pi/2 and 0, in turn, (2K,).
+    """
+
+    frequencies: Tensor
+    free: Tensor
+    phases: Tensor
+
+    def __init__(self, inputs: int, count: int) -> None:
+        super().__init__()
+        seed = int(torch.randint(2**31, ()))
+        uniform = SobolEngine(inputs, scramble=True, seed=seed).draw(count, dtype=torch.float64)
+        drawn = torch.special.ndtri(uniform.clamp(1e-9, 1 - 1e-9))
+        self.log_lengths = nn.Parameter(torch.zeros(inputs))  # l = 1 is half the range of scaled states
+        self.register_buffer("frequencies", drawn.to(self.log_lengths))
+        self.register_buffer("free", torch.ones(count, 1))
+        phases = torch.tensor([math.pi / 2, 0.0]).repeat(count)
+        self.register_buffer("phases", phases, persistent=False)
+
+    def weight_at(self, log_lengths: Tensor) -> Tensor:
+        """Return xi / l, each row twice, shape (2K, F), for logarithms of lengths, (F,)."""
+        return (self.frequencies * (-self.free * log_lengths).exp()).repeat_interleave(2, 0)
+
+    @property
+    def weight(self) -> Tensor:
+        """The matrix xi / l, each row twice, shape (2K, F)."""
+        return self.weight_at(self.log_lengths)
+
+    @property
+    def bias(self) -> Tensor:
+        """The phases pi/2 and 0, in turn, shape (2K,)."""
+        return self.phases
+
+    def forward(self, z: Tensor) -> Tensor:
+        """Return the phases of all waves, shape (..., 2K), at z, shape (..., F)."""
+        return F.linear(z, self.weight, self.bias)
+
+
+@final
+@checked
+class GaussianProcess(Network):
+    """Independent Gaussian processes of zero mean, one for each output, with the same length of each input.
+
+    The parameters are the logarithms of the lengths, (F,), and the weights, (outputs, 2K).
+
+    Args:
+        inputs, outputs: sizes of the first and last layer.
+        width: K, frequencies, each with a cosine and a sine.
+        depth: 1.
+        activation: fourier.
+    """
+
+    def __init__(
+        self,
+        inputs: int,
+        outputs: int,
+        *,
+        width: Count,
+        depth: Literal[1] = 1,
+        activation: Literal["fourier"] = "fourier",
+    ) -> None:
+        super().__init__()
+        del depth, activation
+        require_memory("network: width", "waves", 8.0 * 2 * width * (inputs + outputs))
+        self.activation = ACTIVATIONS["sine"]
+        self.hidden = nn.ModuleList([Waves(inputs, width)])
+        self.output = nn.Linear(2 * width, outputs, bias=False)
+        nn.init.normal_(self.output.weight, std=0.1 * width**-0.5)
+
+    def write_rows(
+        self, theta: Tensor, z: Tensor, slopes: Tensor, values: Tensor | None, out: Tensor
+    ) -> None:
+        """Write the derivatives of t . dN/dz + v N by log l and the weights; see `Network`.
+
+        With phases p_j = W_j . z, W = xi / l: N = sum w_j sin p_j, dW_jf / dlog l_f = -W_jf.
+        """
+        (waves,) = self.hidden
+        assert isinstance(waves, Waves)
+        size = z.shape[-1]
+        w, weight = theta[size:], waves.weight_at(theta[:size]).to(theta)
+        following = weight * waves.free.to(theta).repeat_interleave(2, 0)
+        phase = torch.addmm(waves.phases.to(theta), z, weight.T)
+        sine, cosine = phase.sin(), phase.cos()
+        gradient = ((w * cosine) @ following).unsqueeze(1)
+        along = slopes @ weight.T
+        bent = ((w * sine).unsqueeze(1) * along) @ following
+        by_weights, by_lengths = out[..., size:], out[..., :size]
+        torch.mul(along, cosine.unsqueeze(1), out=by_weights)
+        if values is not None:
+            v = values.unsqueeze(-1)
+            by_weights.addcmul_(v, sine.unsqueeze(1))
+            slopes = slopes + v * z.unsqueeze(1)
+        by_lengths.copy_(z.unsqueeze(1) * bent - slopes * gradient)

@@ -1,0 +1,99 @@
+"""Networks of layers with one smooth activation and a linear output, and their closed-form input gradient.
+
+The gradient of a scalar network is its transposed pass, written with ordinary operations. Training a
+Hamiltonian then needs a single backward pass, and evaluation needs no autograd: it works under `no_grad`,
+`inference_mode`, `torch.compile` and `torch.export`, where `autograd.grad` does not.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
+from typing import Protocol, cast
+
+from torch import Tensor, nn
+
+from ahnn.dynamics import fused_steps
+from ahnn.dynamics.activations import Activation
+from ahnn.dynamics.gradients import Layers, plain_gradient
+
+
+class Layer(Protocol):
+    """An affine map z -> weight z + bias, weight (H, F) and bias (H,) being parameters or made of some."""
+
+    @property
+    def weight(self) -> Tensor:
+        """The matrix, shape (H, F)."""
+        ...
+
+    @property
+    def bias(self) -> Tensor:
+        """The shift, shape (H,)."""
+        ...
+
+    def __call__(self, z: Tensor) -> Tensor:
+        """Return weight z + bias, shape (..., H), at z, shape (..., F)."""
+        ...
+
+
+class Network(nn.Module, ABC):
+    """Hidden layers, each followed by the activation, and a linear output.
+
+    Final subclasses say in their constructor what the layers are, and write the rows of their parameters.
+
+    Attributes:
+        activation: smooth.
+        hidden: modules that are a `Layer`.
+        output: the last layer.
+    """
+
+    activation: Activation
+    hidden: nn.ModuleList
+    output: nn.Linear
+
+    def forward(self, z: Tensor) -> Tensor:
+        """Return the outputs, shape (..., outputs), at the inputs z, shape (..., inputs)."""
+        for layer in self.hidden:
+            z = self.activation.value(layer(z))
+        return self.output(z)
+
+    def layers(self) -> Layers:
+        """Return weights and biases as the gradient of a single output uses them."""
+        hidden = list(cast("Iterable[Layer]", self.hidden))
+        weights = [layer.weight for layer in hidden]
+        return Layers(weights, [layer.bias for layer in hidden], self.output.weight[0], weights[0])
+
+    def linearised(self, z: Tensor) -> tuple[Tensor, Callable[[Tensor], Tensor]]:
+        """Return the outputs, shape (..., outputs), at z, and the way back of gradients from there."""
+        layers, slopes = [*cast("Iterable[Layer]", self.hidden)], []
+        for layer in layers:
+            z, slope = self.activation.value_and_slope(layer(z))
+            slopes.append(slope)
+
+        def back(gradient: Tensor) -> Tensor:
+            found = gradient @ self.output.weight
+            for layer, slope in zip(layers[::-1], slopes[::-1], strict=True):
+                found = (found * slope) @ layer.weight
+            return found
+
+        return self.output(z), back
+
+    def gradient(self, z: Tensor) -> Tensor:
+        """Return the gradient of the single output with respect to z, shape (..., inputs)."""
+        if fused_steps.applies(self.activation, z):
+            return fused_steps.network_gradient(z, self.layers(), self.activation)
+        return plain_gradient(z, self.layers(), self.activation)
+
+    @abstractmethod
+    def write_rows(
+        self, theta: Tensor, z: Tensor, slopes: Tensor, values: Tensor | None, out: Tensor
+    ) -> None:
+        """Write the derivatives of t . dN/dz + v N by the parameters to `out`, of a network of one output.
+
+        Args:
+            theta: the parameters, (P,).
+            z: inputs, (B, F).
+            slopes: t, (B, R, F).
+            values: v, (B, R); None for zeros.
+            out: (B, R, P).
+        """
