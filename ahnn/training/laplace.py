@@ -30,6 +30,7 @@ from ahnn.training.acceleration import accelerated
 from ahnn.training.evidence import by_evidence, log_evidence
 from ahnn.training.functions import ARRIVED, whole_step
 from ahnn.training.least_observable import least_told
+from ahnn.training.length_scales import choose_lengths
 from ahnn.training.levenberg_marquardt import ATTEMPTS, LARGEST, SUFFICIENT, adapted
 from ahnn.training.maximum_posterior import PosteriorPoint, WideProblem, after, whole_problem, with_prior
 from ahnn.training.normal_equations import Equations, damped_step, promised_decrease
@@ -72,6 +73,7 @@ def conclude(
 def _concluded(
     dynamics: Dynamics, train: Segment, held_out: Segment, steps: int, robust: RobustName
 ) -> Uncertainty | None:
+    choose_lengths(dynamics, train, ROBUST[robust])
     problem, here, gained = approached(dynamics, train, steps, robust)
     if here is None:
         return None
