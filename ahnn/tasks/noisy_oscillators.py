@@ -80,9 +80,11 @@ def draw(
     return Draw(Trajectories(noisy, times), Space("oscillator", ("q", "p"), inertia=0.5), SPLIT, score)
 
 
+WAVES = "network=gaussian_process"
 MODELS = {
-    "generic": ("model=hnn", *MEASURED),
-    "mechanical": ("model=hnn", "hamiltonian=mechanical", *MEASURED),
+    "network": ("model=hnn", *MEASURED),
+    "gaussian_process": ("model=hnn", WAVES, *MEASURED),
+    "mechanical_gp": ("model=hnn", WAVES, "hamiltonian=mechanical", *MEASURED),
 }
 SPRING = Task(
     "spring, q^2 + p^2, from 25 trajectories of 30 noisy states",

@@ -73,10 +73,7 @@ def choose_lengths(dynamics: Dynamics, train: Segment, robust: Robust) -> None:
 
 def lengths_of(dynamics: Dynamics) -> Tensor:
     """Return which parameters (P,) are lengths."""
-    chosen = [
-        torch.full((p.numel(),), name.endswith("log_lengths")) for name, p in dynamics.named_parameters()
-    ]
-    return torch.cat(chosen)
+    return chosen(dynamics, lambda name: name.endswith("log_lengths"))
 
 
 def search(posterior: Callable[[Tensor], Posterior], theta: Tensor, lengths: Tensor) -> Posterior:
