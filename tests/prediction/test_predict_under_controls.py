@@ -10,10 +10,10 @@ from entry import SMALL, call
 from helpers import close, generator
 
 import ahnn
-from ahnn.data.files.control_table import ControlTable, read_controls
+from ahnn.controls import ControlTable, merged
+from ahnn.data.files.control_table import read_controls
 from ahnn.dynamics import make_dynamics
 from ahnn.errors import UserError
-from ahnn.jobs.control_times import merged
 from ahnn.types import Space, Units
 
 DOUBLE = {"dtype": torch.float64}

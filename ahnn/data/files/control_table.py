@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor
 
+from ahnn.controls import ControlTable
 from ahnn.data.files import kinds, parquet, sidecar
 from ahnn.data.files.columns import TIMES
 from ahnn.data.files.raw import decoded
@@ -19,38 +18,6 @@ from ahnn.data.files.tabular import numbers
 from ahnn.data.files.units import factor
 from ahnn.errors import UserError
 from ahnn.types import Space
-
-
-class ControlTable(NamedTuple):
-    """Controls over time.
-
-    Attributes:
-        times: (T,) in the unit of a space, increasing.
-        values: (T, m), those of each time on.
-        linear: whether they are interpolated linearly; else they are held.
-    """
-
-    times: Tensor
-    values: Tensor
-    linear: bool = False
-
-    def at(self, times: Tensor) -> Tensor:
-        """Return the controls (K, m) at times (K,) from the first on; the last ones are held.
-
-        Raises:
-            UserError: a time before the first.
-        """
-        near = 1e-9 * float(times[-1] - times[0])
-        if float(times[0]) < float(self.times[0]) - near:
-            message = (
-                f"controls: expected them from the start on, at {float(times[0]):g}; received the first at "
-                f"{float(self.times[0]):g}"
-            )
-            raise UserError(message)
-        if self.linear:
-            columns = [np.interp(times, self.times, column) for column in self.values.T]
-            return torch.from_numpy(np.stack(columns, axis=1))
-        return self.values[torch.searchsorted(self.times, times + near, right=True).clamp(min=1) - 1]
 
 
 def read_controls(path: Path, space: Space) -> ControlTable:
