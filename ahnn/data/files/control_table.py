@@ -9,7 +9,7 @@ import torch
 
 from ahnn.controls import ControlTable
 from ahnn.data.files import kinds, parquet, sidecar
-from ahnn.data.files.columns import TIMES
+from ahnn.data.files.columns import TIMES, control_named
 from ahnn.data.files.raw import decoded
 from ahnn.data.files.reading import bytes_of
 from ahnn.data.files.samples import Array
@@ -48,12 +48,13 @@ def read_controls(path: Path, space: Space) -> ControlTable:
         place.refuse("units and controls beside a file of controls", "columns or frame")
     sheet = sheet._replace(header=sidecar.with_units(sheet.header, said, sheet.place))
     times, unit = _times(sheet, space)
-    names = sheet.header.names
+    names = [control_named(name, space.controls) for name in sheet.header.names]
     if not len(sheet.rows):
         sheet.place.refuse("a row for each change of a control", "a header alone")
     for name in space.controls:
-        if name not in names:
-            sheet.place.refuse(f"columns {', '.join(space.controls)}, the controls", ", ".join(names))
+        if names.count(name) != 1:
+            expected = f"columns {', '.join(space.controls)}, the controls"
+            sheet.place.refuse(expected, ", ".join(sheet.header.names))
     if others := [name for name in names if name not in (unit, *space.controls)]:
         refuse(
             Remark(sheet.place, f"not used, since they are no controls: {', '.join(others)}", level="warning")
