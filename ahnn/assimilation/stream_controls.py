@@ -90,10 +90,11 @@ class StreamControls(NamedTuple):
         if self.known is not None or not self.size or not time > since:
             return self.known
         if None in held:
+            known = self.size - held.count(None)
+            received = f"{known} of {self.size}" if known else "none"
             message = (
-                f"controls: expected all {self.size} from the start on, at time {since:g}; received {held} "
-                f"before a reading of time {time:g}. Begin with one of time {since:g} that has them, or set "
-                "controls="
+                f"controls: expected them from the start on, at time {since:g}; received {received} before a "
+                f"reading of time {time:g}. Begin with one of time {since:g} that has them, or set controls="
             )
             raise UserError(message)
         return self._held(held, since)

@@ -26,9 +26,9 @@ PUSH = Reading(1.0, controls=(1.0, 2.0))
         (
             Reading(1.0, (1.0,), "ruler"),
             {},
-            r"expected all 2 from the start on, at time 0; received \(None, N",
+            "expected them from the start on, at time 0; received none before a reading of time 1",
         ),
-        (PUSH, {}, r"controls: expected all 2 .* before a reading of time 1\. Begin with one of time 0"),
+        (PUSH, {}, r"controls: expected them .* before a reading of time 1\. Begin with one of time 0"),
         (PUSH._replace(controls=(1.0,)), {}, r"controls: expected 2 finite numbers .*; received \(1.0,\)"),
         (PUSH._replace(controls=(1.0, math.nan)), {}, r"expected 2 finite numbers .*; received \(1.0, nan\)"),
         (PUSH._replace(controls=(1.0, 1e200)), {}, r"expected 2 finite numbers up to 1e\+150"),
@@ -86,8 +86,8 @@ def test_a_header_of_other_controls_is_refused_and_leaves_nothing(tmp_path, head
 @pytest.mark.parametrize(
     ("text", "options", "said"),
     [
-        ("time,sensor,q\n1,ruler,2\n", {}, "controls: expected all 2 from the start on, at time 0"),
-        ('{"time": 1, "u": 1, "brake": 0}\n', {}, "controls: expected all 2 from the start on"),
+        ("time,sensor,q\n1,ruler,2\n", {}, "controls: expected them from the start on, at time 0"),
+        ('{"time": 1, "u": 1, "brake": 0}\n', {}, "controls: expected them from the start on"),
         ("time,u,brake\n0,1,2\n", {"controls": TABLE}, "expected a table or readings that have them"),
     ],
 )
@@ -102,7 +102,7 @@ def test_a_stream_without_its_controls_or_with_both_is_refused_and_leaves_nothin
 
 
 def test_a_control_that_no_line_brings_is_named(tmp_path):
-    with pytest.raises(UserError, match=r"received \(1.0, None\) before a reading of time 1"):
+    with pytest.raises(UserError, match="received 1 of 2 before a reading of time 1"):
         steered_session("time,u,brake\n0,1,\n1,,2\n", tmp_path / "out.csv").run()
 
 
