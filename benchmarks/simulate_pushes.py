@@ -1,8 +1,7 @@
 """A cart with a pole that is pushed, as it is seen: positions and angles with noise, and pushes in between.
 
-The truth is the exact flow of the simulated system, from rest, 10 s; a measurement each 0.1 s on average, of
-noise
-1 mm and 1 mrad, and a new push of about 1 N each 0.3 s on average, between the measurements. From the seed 0.
+The truth is the exact flow of the simulated system, from rest, 10 s; a measurement each 0.1 s on average with
+noise of 1 mm and 1 mrad, and a new push of about 1 N each 0.3 s on average, between them. From the seed 0.
 Into the folder go `pushed.csv` with both, `seen.csv` with the measurements, and `pushes.csv` with the pushes.
 
     python benchmarks/simulate_pushes.py FOLDER
@@ -20,7 +19,7 @@ from ahnn.dynamics.flow_at_time import at, steered
 from ahnn.systems import CartPole
 from ahnn.systems.truth import exact_flow
 
-START, SECONDS, SD, PUSH = [0.2, 2.5, 0.0, 0.0], 10.0, 1e-3, 1.0
+START, SECONDS, SD, PUSH = [0.2, 1.3, 0.0, 0.0], 10.0, 1e-3, 1.0
 
 
 def main() -> None:
