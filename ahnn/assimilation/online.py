@@ -110,7 +110,7 @@ class Assimilation:
             mean, covariance = start.mean[0].tolist(), start.covariance[0].tolist()
             self.begun = {"start": mean, "start_sd": covariance, "time": float(time)}
             # no line waits for what that prepares
-            self.process.advanced(state, time, time + process.max_step, self.controls.any)
+            self.process.advanced(state, time, time + process.max_step, self.controls.trial)
 
     @torch.inference_mode()
     def update(self, reading: Reading) -> Estimate:

@@ -53,7 +53,7 @@ class StreamControls(NamedTuple):
         return (None,) * self.size
 
     @property
-    def any(self) -> ControlTable | None:
+    def trial(self) -> ControlTable | None:
         """Controls for a step whose result does not count."""
         return self.known or (self._held((0.0,) * self.size, 0.0) if self.size else None)
 
