@@ -6,6 +6,8 @@ start=[X,...]       the state at time=0; or FILE: YAML or JSON (mean, sd or cova
                     element set, or what an assimilation wrote, with its epoch, frame and covariance
 start_sd=[..]       its standard deviations, one for each component (of one degree of freedom q and p), or
                     [position,velocity], in place of a covariance in FILE
+controls=FILE       of a model with controls: a table of times and controls, or numbers that are held; without
+                    it they are columns of the measurements, and hold until a line that has others
 epoch=2024-03-01T12:00:00       of time zero; else that of the data of the run, or of the start
 frame=EME2000       also center=EARTH, time_system=UTC: where neither the run nor the start says them
 output=FILE         estimate and covariance after each line, CSV or JSON lines; else standard output

@@ -34,6 +34,7 @@ OPEN = {
     "deviations",
     "substeps",
     "clock",
+    "controls",
     "stored",
     "labels",
 }
@@ -45,6 +46,7 @@ MAY_IMPORT = {
     "paths": set(),
     "extensions": set(),
     "numbers": {"errors"},
+    "controls": {"errors", "numbers"},
     "progress": set(),
     "cores": set(),
     "jacobians": {"cores"},

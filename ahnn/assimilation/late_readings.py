@@ -8,18 +8,20 @@ from operator import attrgetter
 from typing import NamedTuple
 
 from ahnn.assimilation.line_parser import Reading
+from ahnn.assimilation.stream_controls import Held
 from ahnn.estimation import EstimatorState, Innovation
 
 TIME = attrgetter("time")
 
 
 class KeptReading(NamedTuple):
-    """A reading that counted, what it told, and the state after it."""
+    """A reading that counted, what it told, the state after it, and the controls that hold from it on."""
 
     time: float
     reading: Reading
     state: EstimatorState
     innovation: Innovation
+    controls: Held
 
 
 class ReadingWindow(NamedTuple):
@@ -28,11 +30,13 @@ class ReadingWindow(NamedTuple):
     Attributes:
         anchor: the state before the first entry.
         since: time of the anchor.
+        held: controls that hold from the anchor on.
         entries: in the order of their times.
     """
 
     anchor: EstimatorState
     since: float
+    held: Held = ()
     entries: tuple[KeptReading, ...] = ()
 
     @property
@@ -44,6 +48,11 @@ class ReadingWindow(NamedTuple):
     def time(self) -> float:
         """Time of the newest state."""
         return self.entries[-1].time if self.entries else self.since
+
+    @property
+    def controls(self) -> Held:
+        """Controls that hold from the newest state on."""
+        return self.entries[-1].controls if self.entries else self.held
 
     def before(self, time: float) -> ReadingWindow:
         """Return the window up to a time, readings of that time included."""
@@ -62,12 +71,12 @@ class ReadingWindow(NamedTuple):
         if first == 0:
             return self
         last = self.entries[first - 1]
-        return ReadingWindow(last.state, last.time, self.entries[first:])
+        return ReadingWindow(last.state, last.time, last.controls, self.entries[first:])
 
 
 def alike(one: Reading, other: Reading) -> bool:
     """Return whether two readings are of one sensor and the same numbers, NaN in the same places."""
-    if one.sensor != other.sensor:
+    if (one.sensor, one.controls) != (other.sensor, other.controls):
         return False
     pairs = zip(one.values, other.values, strict=True)
     return all(a == b or (math.isnan(a) and math.isnan(b)) for a, b in pairs)

@@ -13,7 +13,8 @@ from ahnn.arguments import nearest
 from ahnn.assimilation.cells import BadLine, is_missing, number
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.assimilation.stream_sensor import StreamSensor
-from ahnn.data.files.table import HEADER
+from ahnn.data.files.columns import control_named
+from ahnn.data.files.table import FINITE, HEADER, LARGEST
 from ahnn.data.files.units import factor
 from ahnn.errors import UserError
 
@@ -31,17 +32,39 @@ class Reading(NamedTuple):
         values: M numbers, NaN where one is missing.
         sensor: its name; "" where there is one sensor.
         deviations: M standard deviations; None takes those of the sensor.
+        controls: m numbers that hold from its time on, None for one that stays as it is; () changes none.
+
+    One without values is of no sensor: it changes controls, or asks for a prediction.
     """
 
     time: float
-    values: tuple[float, ...]
+    values: tuple[float, ...] = ()
     sensor: str = ""
     deviations: tuple[float, ...] | None = None
+    controls: tuple[float | None, ...] = ()
+
+    @classmethod
+    def of_plain(
+        cls,
+        time: float,
+        values: list[float],
+        sensor: str,
+        deviations: list[float] | None,
+        controls: list[float | None],
+    ) -> Reading:
+        """Return the reading whose parts are lists."""
+        own = None if deviations is None else tuple(deviations)
+        return cls(time, tuple(values), sensor, own, tuple(controls))
 
     @property
     def is_empty(self) -> bool:
         """Whether nothing was measured."""
         return all(map(math.isnan, self.values))
+
+    @property
+    def label(self) -> str:
+        """Its time, and which sensor it is of."""
+        return f"time {self.time:g}" + (f" of sensor {self.sensor}" if self.sensor else "")
 
 
 class Layout:
@@ -51,6 +74,7 @@ class Layout:
         first: the first line.
         sensors: by name.
         clock: what times mean; None takes numbers alone.
+        controls: names of the controls of the model.
 
     Raises:
         UserError: a header without time, with a column that no sensor has or in a unit that does not fit it,
@@ -58,13 +82,20 @@ class Layout:
     """
 
     def __init__(
-        self, first: str, sensors: Mapping[str, StreamSensor], clock: StreamClock | None = None
+        self,
+        first: str,
+        sensors: Mapping[str, StreamSensor],
+        clock: StreamClock | None = None,
+        controls: tuple[str, ...] = (),
     ) -> None:
-        self.sensors, self.clock = sensors, clock
+        self.sensors, self.clock, self.controls = sensors, clock, controls
         self.only = next(iter(sensors)) if len(sensors) == 1 else None
-        known = {name for sensor in sensors.values() for name in sensor.columns}
-        self.known = {*TIME, SENSOR, *known, *(SD + name for name in known)}
-        self.foreign = {key: self.known - _keys(sensor) for key, sensor in sensors.items()}
+        self.measured = {key for sensor in sensors.values() for key in _keys(sensor)}
+        self.known = {*TIME, SENSOR, *controls, *self.measured}
+        self.foreign = {key: self.measured - _keys(sensor) for key, sensor in sensors.items()}
+        if clash := self.measured & {*controls}:
+            message = f"measurements: expected sensors that measure no control; received {', '.join(clash)}"
+            raise UserError(message)
         self.said: set[tuple[str, str]] = set()
         self.names: list[str] | None = None
         self.scales: dict[str, float] = {}
@@ -91,25 +122,42 @@ class Layout:
             BadLine: it is no measurement.
         """
         row = self._cells(text) if self.names else self._object(text)
-        name = row.get(SENSOR) or self.only
+        name, time, controls = row.get(SENSOR) or self.only, self._time(row), self._controls(row)
+        if name is None and all(is_missing(row[key]) for key in row.keys() & self.measured):
+            return Reading(time, controls=controls)
         if not isinstance(name, str) or name not in self.sensors:
             message = f"sensor: expected one of {', '.join(self.sensors)}; received {row.get(SENSOR)!r}"
             raise BadLine(message)
         sensor = self.sensors[name]
         self._say_unused(name, row)
+        values = tuple([self._number(row, column) for column in sensor.columns])
+        return Reading(time, values, name, self._deviations(row, sensor, values), controls)
+
+    @property
+    def asks(self) -> bool:
+        """Whether nothing is measured in lines, which ask for predictions; JSON objects may be such."""
+        return not {*(self.names or ())} & self.measured
+
+    def _time(self, row: dict[str, Any]) -> float:
+        """Return the time of a row; raises BadLine."""
         cells = [row[key] for key in TIME if key in row]
         cell = cells[0] if len(cells) == 1 else None
         time = number(cell, "time") if self.clock is None else self.clock.time(cell)
         if math.isnan(time):
             message = "time: expected a number; received none"
             raise BadLine(message)
-        values = tuple([self._number(row, column) for column in sensor.columns])
-        return Reading(time, values, name, self._deviations(row, sensor, values))
+        return time
 
-    @property
-    def asks(self) -> bool:
-        """Whether lines are of times alone, and ask for predictions; JSON objects may be."""
-        return not {*(self.names or ())} - {*TIME, SENSOR}
+    def _controls(self, row: dict[str, Any]) -> tuple[float | None, ...]:
+        """Return the controls that a row changes, None for one that it does not; raises BadLine."""
+        given = [number(row.get(name), name) for name in self.controls]
+        for name, value in zip(self.controls, given, strict=True):
+            if abs(value) > LARGEST:
+                message = f"{name}: expected {FINITE}; received {value:g}"
+                raise BadLine(message)
+        if all(map(math.isnan, given)):
+            return ()
+        return tuple([None if math.isnan(value) else value for value in given])
 
     def _say_unused(self, name: str, row: dict[str, Any]) -> None:
         """Warn, once for each sensor and column, of numbers that no reading of that sensor has."""
@@ -139,7 +187,7 @@ class Layout:
 
     def _object(self, text: str) -> dict[str, Any]:
         try:
-            row = json.loads(text, object_pairs_hook=unique)
+            row = json.loads(text, object_pairs_hook=self._row)
         except (ValueError, RecursionError) as error:
             message = f"expected a JSON object; received: {error}"
             raise BadLine(message) from error
@@ -150,6 +198,18 @@ class Layout:
             message = f"expected time and {self._expected()}; received {sorted(unknown)[0]!r}"
             raise BadLine(message)
         return row
+
+    def _row(self, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        return unique([(self._called(key), value) for key, value in pairs])
+
+    def _called(self, name: str) -> str:
+        """Return our name of a column: the only control may have any that a control has."""
+        if name in self.known or (ours := control_named(name, self.controls)) == name:
+            return name
+        if ("", name) not in self.said:
+            self.said.add(("", name))
+            log.info("measurements: %s is taken for the control %s", name, ours)
+        return ours
 
     def _deviations(
         self, row: dict[str, Any], sensor: StreamSensor, values: tuple[float, ...]
@@ -176,7 +236,7 @@ class Layout:
     def _name(self, cell: str) -> str:
         """Return the name in a cell of the header; raises UserError for one that is not known."""
         found = HEADER.fullmatch(cell)
-        name = found["name"] if found else cell
+        name = self._called(found["name"] if found else cell)
         if name not in self.known:
             expected = f"a header with time and {self._expected()}"
             message = (
@@ -186,7 +246,7 @@ class Layout:
         unit = found["unit"] if found else None
         if unit is not None and name in TIME and self.clock is not None:
             self.clock = self.clock.named(unit)
-        elif unit is not None and name not in (*TIME, SENSOR):
+        elif unit is not None and name in self.measured:
             self.scales[name] = self._scale(name.removeprefix(SD), unit)
         return name
 
@@ -215,12 +275,13 @@ class Layout:
             raise UserError(message) from error
 
     def _expected(self) -> str:
-        return ", ".join(dict.fromkeys(name for one in self.sensors.values() for name in one.columns))
+        names = dict.fromkeys(name for one in self.sensors.values() for name in one.columns)
+        return ", ".join((*names, *self.controls))
 
 
 def _keys(sensor: StreamSensor) -> set[str]:
-    """Return the names that a line of a sensor may use."""
-    return {*TIME, SENSOR, *sensor.columns, *(SD + name for name in sensor.columns)}
+    """Return the names of a sensor's numbers and of their standard deviations."""
+    return {*sensor.columns, *(SD + name for name in sensor.columns)}
 
 
 def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -16,7 +16,9 @@ from ahnn.arguments import Count, Finite, Positive, Within, checked
 from ahnn.assimilation.cells import BadLine
 from ahnn.assimilation.late_readings import KeptReading, ReadingWindow
 from ahnn.assimilation.line_parser import Reading
+from ahnn.assimilation.stream_controls import StreamControls
 from ahnn.assimilation.stream_sensor import StreamSensor, plain
+from ahnn.controls import ControlTable
 from ahnn.errors import UserError
 from ahnn.estimation import Belief, EstimatorState, Innovation, Status, load_notes, load_state, save_state
 from ahnn.estimation.process_model import Process
@@ -70,9 +72,10 @@ class Assimilation:
         window: readings that come late by up to this are put in their place and later ones replayed.
         lines: most readings that are kept for that.
         gap: a reading that lies further ahead is refused; None is 10,000 steps of the flow.
+        controls: of a process model that has some, known ahead; None where readings bring them.
 
     Raises:
-        UserError: a value beyond its limits, or a start of several members.
+        UserError: a value beyond its limits, a start of several members, or controls of another model.
     """
 
     @checked
@@ -86,6 +89,7 @@ class Assimilation:
         window: Annotated[float, Within(0)] = 0.0,
         lines: Count = 1000,
         gap: Positive | None = None,
+        controls: ControlTable | None = None,
     ) -> None:
         if len(start.mean) != 1:
             message = f"start: expected a belief about one state; received {tuple(start.mean.shape)}"
@@ -95,25 +99,26 @@ class Assimilation:
         self.process = process if self.errors is None else self.errors.process(process)
         self.gap = FURTHEST * process.max_step if gap is None else gap
         self.size = start.mean.shape[-1]
+        self.controls = StreamControls.of(process.flow, controls, time)
         with torch.inference_mode():
             self._models = {name: self._seen(name, sensor) for name, sensor in self.sensors.items()}
             self._factors = {
                 name: sensor.factor(None) for name, sensor in self.sensors.items() if sensor.deviations
             }
             state = self.process.estimator.start(self.process.lifted(start), time)
-            self.window = ReadingWindow(state, float(time))
+            self.window = ReadingWindow(state, float(time), self.controls.unknown)
             mean, covariance = start.mean[0].tolist(), start.covariance[0].tolist()
             self.begun = {"start": mean, "start_sd": covariance, "time": float(time)}
-            self.process.advanced(
-                state, time, time + process.max_step
-            )  # no line waits for what that prepares
+            # no line waits for what that prepares
+            self.process.advanced(state, time, time + process.max_step, self.controls.trial)
 
     @torch.inference_mode()
     def update(self, reading: Reading) -> Estimate:
         """Return the estimate after a reading, which is merged in its place if it comes late.
 
         Raises:
-            UserError: a sensor that there is none of, or another number of values than it has.
+            UserError: a sensor that there is none of, another number of values than it has, or controls that
+                are missing or none.
             BadLine: numbers that leave no finite, precise estimate; the state from before it is kept.
             Diverged: the filter has lost what it follows; the state from before the reading is kept.
         """
@@ -158,7 +163,8 @@ class Assimilation:
         """
         window = self.window
         readings = json.dumps([entry.reading for entry in window.entries])
-        own = {"readings": readings, "of": self.identity}
+        own = {"readings": readings, "of": self.identity, "held": json.dumps(window.held)}
+        own["controls"] = self.controls.hash_before(window.time)
         save_state(window.anchor, path, {**(notes or {}), **own})
 
     @torch.inference_mode()
@@ -170,20 +176,16 @@ class Assimilation:
         """
         try:
             state, notes = load_state(path, like=self.window.anchor), load_notes(path)
-            window = ReadingWindow(state, float(state.time))
-            if ours := notes["of"] == self.identity:
-                for time, values, sensor, sd in json.loads(notes["readings"]):
-                    reading = Reading(time, tuple(values), sensor, None if sd is None else tuple(sd))
-                    window = self._added(window, self._named(reading))
+            window = ReadingWindow(state, float(state.time), tuple(json.loads(notes["held"])))
+            found = [Reading.of_plain(*parts) for parts in json.loads(notes["readings"])]
+            others = self._others(path, notes, found[-1].time if found else window.time)
+            for reading in () if others else found:
+                window = self._added(window, self._named(reading))
         except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
             message = f"state: expected a file written by save; received {path} ({error})"
             raise UserError(message) from error
-        if not ours:
-            message = (
-                f"state: expected one of this model, process noise, sensors and window; received {path} of "
-                "others. Go on with the same command, or remove it and its output to begin again"
-            )
-            raise UserError(message)
+        if others:
+            raise UserError(others)
         self.window = window
         return notes
 
@@ -198,20 +200,40 @@ class Assimilation:
         content = json.dumps([self.process.about, sensors, numbers], sort_keys=True)
         return hashlib.blake2b(content.encode(), digest_size=16).hexdigest()
 
+    def _others(self, path: str | Path, notes: Mapping[str, str], time: float) -> str:
+        """Return what a state that holds at a time was made with and is not ours; "" where all is."""
+        if notes["of"] != self.identity:
+            return (
+                f"state: expected one of this model, process noise, sensors and window; received {path} of "
+                "others. Go on with the same command, or remove it and its output to begin again"
+            )
+        if notes["controls"] != self.controls.hash_before(time):
+            return (
+                f"controls: expected those of {path}, up to time {time:g}; received others. Go on with the "
+                "same ones, added to behind it at most, or begin again with another state and output"
+            )
+        return ""
+
     def _seen(self, name: str, sensor: StreamSensor) -> Measurement:
         """Return the model of a sensor, of all that is estimated."""
         model = self.process.seen(sensor.measurement)
         return model if self.errors is None else self.errors.measurement(model, name)
 
     def _named(self, reading: Reading) -> Reading:
-        """Return the reading under the name of its sensor."""
+        """Return the reading under the name of its sensor; one without values needs none."""
+        self.controls.require_fitting(reading)
+        if not math.isfinite(reading.time):
+            message = f"reading: expected a time that is finite; received {reading}"
+            raise UserError(message)
+        if not (reading.sensor or reading.values):
+            return reading
         if not reading.sensor and len(self.sensors) == 1:
             reading = reading._replace(sensor=next(iter(self.sensors)))
         sensor = self.sensors.get(reading.sensor)
         if sensor is None:
             message = f"sensor: expected one of {', '.join(self.sensors)}; received {reading.sensor!r}"
             raise UserError(message)
-        if len(reading.values) != len(sensor.columns) or not math.isfinite(reading.time):
+        if len(reading.values) != len(sensor.columns):
             message = f"reading: expected a time and {', '.join(sensor.columns)}; received {reading}"
             raise UserError(message)
         if reading.deviations is None and sensor.deviations is None:
@@ -221,26 +243,32 @@ class Assimilation:
 
     def _added(self, window: ReadingWindow, reading: Reading) -> ReadingWindow:
         """Return the window with a reading at its end."""
-        sensor, process = self.sensors[reading.sensor], self.process
-        state = process.advanced(window.state, window.time, reading.time)
-        factor = (
-            self._factors[reading.sensor] if reading.deviations is None else sensor.factor(reading.deviations)
-        )
-        y = torch.tensor([reading.values], dtype=torch.float64)
-        before, model = state, self._models[reading.sensor]
-        state, innovation = process.estimator.update(before, y, model, factor)
-        status = int(state.status)
-        absurd = float(innovation.nis) > HOPELESS * y.numel() and not bool(innovation.rejected)
-        if (status in LOST or absurd) and not reading.is_empty:
-            self._require_reading_at_fault(before, reading)
-        if status:
+        held = window.controls
+        controls = self.controls.between(held, window.time, reading.time)
+        state = self.process.advanced(window.state, window.time, reading.time, controls)
+        innovation = Innovation.of_nothing(state.moments.mean[:, :0])
+        if reading.values:
+            state, innovation = self._updated(state, reading)
+        if status := int(state.status):
+            by = f", by sensor {reading.sensor}" if reading.sensor else ""
             message = (
                 f"expected a filter that follows its measurements; it is {Status(status).name} at time "
-                f"{reading.time:g}, by sensor {reading.sensor}"
+                f"{reading.time:g}{by}"
             )
             raise Diverged(message)
-        entry = KeptReading(reading.time, reading, state, innovation)
+        entry = KeptReading(reading.time, reading, state, innovation, self.controls.after(held, reading))
         return window._replace(entries=(*window.entries, entry))
+
+    def _updated(self, before: EstimatorState, reading: Reading) -> tuple[EstimatorState, Innovation]:
+        """Return the state given a reading at its time, and what that told; raises BadLine."""
+        own, model = reading.deviations, self._models[reading.sensor]
+        factor = self._factors[reading.sensor] if own is None else self.sensors[reading.sensor].factor(own)
+        y = torch.tensor([reading.values], dtype=torch.float64)
+        state, innovation = self.process.estimator.update(before, y, model, factor)
+        absurd = float(innovation.nis) > HOPELESS * y.numel() and not bool(innovation.rejected)
+        if (int(state.status) in LOST or absurd) and not reading.is_empty:
+            self._require_reading_at_fault(before, reading)
+        return state, innovation
 
     def _require_reading_at_fault(self, state: EstimatorState, reading: Reading) -> None:
         """Raise BadLine where the filter takes what it expects to read: the reading is no measurement."""

@@ -66,7 +66,8 @@ class Rows:
         mean, covariance, told = estimate.mean.tolist(), estimate.covariance.tolist(), estimate.innovation
         innovation, deviation = [math.nan] * self.width, [math.nan] * self.width
         assert told is not None
-        parts = zip(self.places[sensor], told.residual[0].tolist(), told.deviation[0].tolist(), strict=True)
+        places = self.places.get(sensor, ())
+        parts = zip(places, told.residual[0].tolist(), told.deviation[0].tolist(), strict=True)
         for place, residual, sd in parts:
             innovation[place], deviation[place] = residual, sd
         values: list[Any] = [line, estimate.time, sensor, estimate.outcome, estimate.replayed]

@@ -94,6 +94,7 @@ class Session:
         state: path of the state; None saves none.
         every: lines between two saved states.
         clock: what times mean; None takes numbers alone.
+        controls: names of the controls of the model.
 
     Raises:
         UserError: an output that is there without its state, or a state that does not fit.
@@ -108,8 +109,10 @@ class Session:
         state: Path | None,
         every: int,
         clock: StreamClock | None = None,
+        controls: tuple[str, ...] = (),
     ) -> None:
-        self.filter, self.lines, self.rows, self.clock = assimilation, lines, rows, clock
+        self.filter, self.lines, self.rows = assimilation, lines, rows
+        self.clock, self.controls = clock, controls
         self.state, self.every = state, every
         self.counts: Counter[str] = Counter()
         self.nis, self.numbers = 0.0, 0
@@ -200,7 +203,7 @@ class Session:
 
     def _begin(self, text: str) -> None:
         """Take the first line, and begin the output once it is known to be good."""
-        self.layout = Layout(text, self.filter.sensors, self.clock)
+        self.layout = Layout(text, self.filter.sensors, self.clock, self.controls)
         if self.output is None:
             self._save()
             self.output = Output(self.path, self.rows)
@@ -231,14 +234,14 @@ class Session:
         self.counts[estimate.outcome] += 1
         if estimate.innovation is None:
             word = WORDS[estimate.outcome].format(now=estimate.time)
-            log.info("line %d: time %g of sensor %s %s", number, reading.time, reading.sensor, word)
+            log.info("line %d: %s %s", number, reading.label, word)
         else:
             self.output.write(self.rows.row(number, reading.sensor, estimate))
             self.written = True
             nis, dof = float(estimate.innovation.nis), int(estimate.innovation.measured)
             if estimate.outcome == "rejected":
-                told = number, reading.time, reading.sensor, nis, dof
-                log.info("line %d: time %g of sensor %s rejected, NIS %.3g of %d numbers", *told)
+                told = number, reading.label, nis, dof
+                log.info("line %d: %s rejected, NIS %.3g of %d numbers", *told)
             elif dof:
                 self.nis, self.numbers = self.nis + nis, self.numbers + dof
         if watch is not None:
@@ -281,7 +284,7 @@ class Session:
             raise UserError(message)
         self.header, self.nis, self.numbers = known.header, known.nis, known.numbers
         if self.header:
-            self.layout = Layout(self.header, self.filter.sensors, self.clock)
+            self.layout = Layout(self.header, self.filter.sensors, self.clock, self.controls)
         self.lines.resume(known.lines, known.place, known.digest)
         self._count()
         log.info("going on behind line %d", known.lines)

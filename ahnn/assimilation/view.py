@@ -82,7 +82,9 @@ class View:
             zip(names, estimate.mean.tolist(), self._deviations(estimate), strict=True)
         ):
             table.add_row(name, f"{value:.8g}", f"{3 * sd:.3g}", units.position if k < dof else momentum)
-        table.caption = "\n".join((f"{reading.sensor}: {told(estimate)}", self.consistency(), said(counts)))
+        table.caption = "\n".join(
+            (f"{reading.sensor or 'no sensor'}: {told(estimate)}", self.consistency(), said(counts))
+        )
         return table
 
     def consistency(self) -> str:

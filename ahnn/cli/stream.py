@@ -29,6 +29,7 @@ from ahnn.errors import UserError
 from ahnn.evaluation import Case, EvaluationPlugin
 from ahnn.evaluation.make_case import make_case
 from ahnn.jobs.assimilating import AssimilationRequest, Stream, require_places
+from ahnn.jobs.control_times import control_names, known_controls
 from ahnn.loading import load
 from ahnn.measurements import reading
 from ahnn.runs import Run
@@ -165,7 +166,15 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
     ):
         deviations = truth.deviations().tolist()
 
+    controls = None if asked.controls is None else known_controls(asked.controls, time, run)
+
     def carry(states: Tensor, times: Tensor, covariances: Tensor) -> Tensor:
+        if names := control_names(run):
+            message = (
+                "start: expected the covariance of its last state, as nobody knows the controls before it, "
+                f"{', '.join(names)}; received that of an earlier one. Add start_sd="
+            )
+            raise UserError(message)
         predicted = run.predict(states, times, start_covariance=covariances).covariances
         assert predicted is not None
         return predicted[:, -1]
@@ -177,9 +186,10 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
 
     belief = belief_of(found, deviations, run.space, carry)
     limits = {"window": asked.window, "lines": asked.lines, "gap": asked.gap}
-    filtering = Assimilation(build_process(cfg, run, case), sensors, belief, time=time, **limits)
+    process = build_process(cfg, run, case)
+    filtering = Assimilation(process, sensors, belief, time=time, controls=controls, **limits)
     name = asked.object or (found.names[0] if isinstance(asked.start, str) else "UNKNOWN")
-    return Stream(asked, run.space, filtering, clock, reference, name)
+    return Stream(asked, run.space, filtering, clock, reference, name, control_names(run))
 
 
 def require_angles(nodes: Any, clock: StreamClock) -> None:

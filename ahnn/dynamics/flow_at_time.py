@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from ahnn.clock import Clock, extended, reduced, reduced_jacobians
+from ahnn.controls import NEAR, ControlTable
 from ahnn.dynamics.transition import transition
 from ahnn.errors import UserError
 from ahnn.numbers import Numbers, as_float64
@@ -81,28 +82,23 @@ class Steered(NamedTuple):
 
     Attributes:
         flow: with m controls.
-        times: (T,) of the samples of the controls.
-        clock_of_samples: of these samples, with controls (T, m), or (B, T, m) for B members.
+        controls: of all members, or of each.
     """
 
     flow: Flow
-    times: Tensor
-    clock_of_samples: Clock
+    controls: ControlTable
 
     @property
     def clock(self) -> int:
-        """Clock coordinates of the flow inside."""
-        return clock_of(self.flow)
+        """1, time."""
+        return 1
 
     def at(self, time: float | Tensor) -> Flow:
         """Return the flow from an instant on; before the first sample and after the last these are held."""
-        near = 1e-9 * float(self.times[-1] - self.times[0])
-        k = int((self.times <= float(time) + near).sum()) - 1
-        here = self.clock_of_samples.at(max(k, 0))
-        u, rate = here.values[..., 1:], here.rates[..., 1:]
-        inside = 0 <= k < len(self.times) - 1
-        gone = float(time) - float(self.times[k]) if inside else 0.0
-        return Bound(self.flow, float(time), (u + gone * rate, rate if inside else torch.zeros_like(rate)))
+        times = self.controls.times
+        near = NEAR * float(times[-1] - times[0])
+        values, rates = self.controls.begun(times.new_tensor([float(time)]), near)
+        return Bound(self.flow, float(time), (values[..., 0, :], rates[..., 0, :]))
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the states after dt, of a flow that was not told when; raises UserError."""
@@ -110,11 +106,11 @@ class Steered(NamedTuple):
         raise UserError(NO_TIME)
 
 
-def steered(flow: Flow, times: Numbers, controls: Numbers, *, linear: bool = False) -> Steered:
+def steered(flow: Flow, times: Numbers, controls: Numbers, *, linear: bool = False) -> Flow:
     """Return a flow with controls that are known over time, as filters, smoothers and least squares take it.
 
     Args:
-        flow: of learned or known dynamics with m controls.
+        flow: of learned or known dynamics with m controls, or what `wrapped` made of one.
         times: (T,) increasing.
         controls: (T, m), or (B, T, m) for B members; each held until the next sample.
         linear: whether they are interpolated linearly instead.
@@ -124,6 +120,8 @@ def steered(flow: Flow, times: Numbers, controls: Numbers, *, linear: bool = Fal
     Raises:
         UserError: a flow without controls, or numbers of another shape.
     """
+    if isinstance(flow, Wrapped):
+        return flow._replace(flow=steered(flow.flow, times, controls, linear=linear))
     moments, given = as_float64(times, "times"), as_float64(controls, "controls")
     size = clock_of(flow) - 1
     shape = (len(moments) if moments.ndim == 1 else -1, size)
@@ -133,7 +131,7 @@ def steered(flow: Flow, times: Numbers, controls: Numbers, *, linear: bool = Fal
         )
         message = f"steered: expected {expected}; received {tuple(moments.shape)} and {tuple(given.shape)}"
         raise UserError(message)
-    return Steered(flow, moments, Clock.of(moments.expand(given.shape[:-1]), given, linear))
+    return Steered(flow, ControlTable(moments, given, linear))
 
 
 class Wrapped(NamedTuple):

@@ -79,6 +79,13 @@ class Innovation(NamedTuple):
     rejected: Tensor
     log_likelihood: Tensor
 
+    @classmethod
+    def of_nothing(cls, y: Tensor) -> Innovation:
+        """Return what a row y (B, M) of NaN tells."""
+        nothing = torch.zeros(len(y), dtype=torch.int64, device=y.device)
+        zeros = nothing.to(y.dtype)
+        return cls(y, y, zeros + torch.nan, nothing, nothing.to(torch.bool), zeros)
+
 
 class RecursiveEstimator(Protocol[S]):
     """An estimator that steps: pure functions of a state that carries everything."""

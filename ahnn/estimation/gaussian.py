@@ -140,7 +140,7 @@ class GaussianFilter(ABC):
         batch, device = len(state.belief.mean), state.belief.mean.device
         row = checked_rows(y, "y", (batch, len(measurement.names)), device)
         if bool(row.isnan().all()):
-            return state, _nothing(row)
+            return state, Innovation.of_nothing(row)
         after, updated, rejected = decisions.update(state, self.kernel(state.belief), row, sensor)
         return after, _told(state, after, row, updated, rejected)
 
@@ -223,10 +223,3 @@ def _told(
         nis = torch.where(there.any(-1), nis, torch.nan)
     gain = after.log_likelihood - before.log_likelihood
     return Innovation(residual, deviation, nis, present.sum(-1), rejected, gain)
-
-
-def _nothing(y: Tensor) -> Innovation:
-    """Return what a row of NaN tells."""
-    nothing = torch.zeros(len(y), dtype=torch.int64, device=y.device)
-    zeros = nothing.to(y.dtype)
-    return Innovation(y, y, zeros + torch.nan, nothing, nothing.to(torch.bool), zeros)

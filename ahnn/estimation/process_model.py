@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import torch
 
+from ahnn.controls import ControlTable
+from ahnn.dynamics.flow_at_time import steered
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.covariances import Covariance
 from ahnn.estimation.estimator import RecursiveEstimator, S
@@ -41,13 +44,25 @@ class Process(NamedTuple):
     seen: Callable[[Measurement], Measurement] = same
     about: dict[str, Any] = {}  # noqa: RUF012 - never written to
 
-    def advanced(self, state: S, since: float, time: float) -> S:
-        """Return the state of the time `since` at a later one."""
-        gap = time - since
-        if not gap > 0.0:
+    def advanced(self, state: S, since: float, time: float, controls: ControlTable | None = None) -> S:
+        """Return the state of the time `since` at a later one.
+
+        Args:
+            state: of the estimator.
+            since: its time.
+            time: the later one.
+            controls: of a flow that has some, from `since` on; no step crosses a jump of them.
+        """
+        if not time > since:
             return state
-        count = substeps(gap, self.max_step)
-        length = gap / count
-        for _ in range(count):
-            state = self.estimator.predict(state, self.flow, length, self.noise(length))
-        return state._replace(time=torch.tensor(time, dtype=torch.float64))
+        flow, ends = self.flow, [since, time]
+        if controls is not None:
+            known = controls.over(torch.tensor(ends, dtype=torch.float64))
+            flow, ends = steered(flow, known.times, known.values, linear=known.linear), known.times.tolist()
+        for begin, end in pairwise(ends):
+            count = substeps(end - begin, self.max_step)
+            length = (end - begin) / count
+            for _ in range(count):
+                state = self.estimator.predict(state, flow, length, self.noise(length))
+            state = state._replace(time=torch.tensor(end, dtype=torch.float64))
+        return state

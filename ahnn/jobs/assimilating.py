@@ -25,6 +25,7 @@ from ahnn.data.reference import Reference
 from ahnn.errors import UserError
 from ahnn.evaluation.sinks.figure_files import FORMATS, drawn
 from ahnn.files import write_atomically
+from ahnn.jobs.control_times import warn_of_the_end
 from ahnn.manifest import require_own
 from ahnn.types import Space
 
@@ -51,6 +52,7 @@ class AssimilationRequest:
     figures: str | None = None
     oem: str | None = None
     object: str | None = None
+    controls: str | list[Finite] | Finite | None = None
     epoch: str | None = None
     frame: str | None = None
     center: str | None = None
@@ -67,6 +69,7 @@ class Stream(NamedTuple):
         clock: what times mean.
         reference: of the estimates.
         name: of what is followed.
+        controls: names of those that forces of the model take.
     """
 
     asked: AssimilationRequest
@@ -75,6 +78,7 @@ class Stream(NamedTuple):
     clock: StreamClock
     reference: Reference
     name: str
+    controls: tuple[str, ...] = ()
 
 
 def assimilate(stream: Stream) -> None:
@@ -90,12 +94,15 @@ def assimilate(stream: Stream) -> None:
         kind = options.format or ("json" if Path(options.output).suffix in (".json", ".jsonl") else "csv")
         beside = described(space, stream.reference)
         rows = Rows(space.components, filtering.sensors, kind, beside)
-        session = Session(filtering, lines, rows, options.output, state, options.every, stream.clock)
+        given = options.output, state, options.every, stream.clock, stream.controls
+        session = Session(filtering, lines, rows, *given)
         view = View(space) if options.watch else None
         gc.collect()
         gc.freeze()  # no line waits while the collector looks through what is there
         with view or nullcontext():
             session.run(view)
+    if filtering.controls.known is not None:
+        warn_of_the_end(options.controls, filtering.controls.known, filtering.window.time)
     log.info("%s lines: %s", f"{session.counted:,}", said(session.counts))
     if verdict := session.verdict():
         log.info(verdict)

@@ -1,4 +1,4 @@
-"""When a prediction under controls steps, so that no step crosses a jump of one."""
+"""Controls as a user names them, and the times at which a prediction steps under them."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ahnn.data.files.control_table import ControlTable, read_controls
+from ahnn.controls import NEAR, ControlTable
+from ahnn.data.files.control_table import read_controls
 from ahnn.data.starts import Starts
 from ahnn.errors import UserError
 from ahnn.runs import Run
 
 log = logging.getLogger("ahnn")
-NEAR = 1e-9
-"""Two times are one where they differ by less than this part of the span."""
+
+Controls = str | list[float] | float | None
+"""The path of a file with controls over time, or those that are held all the time; None without."""
 
 
 class Moments(NamedTuple):
@@ -33,11 +35,11 @@ class Moments(NamedTuple):
     controls: ControlTable | None = None
 
 
-def moments_of(given: str | list[float] | float | None, begin: Starts, times: Tensor, run: Run) -> Moments:
+def moments_of(given: Controls, begin: Starts, times: Tensor, run: Run) -> Moments:
     """Return when a prediction steps.
 
     Args:
-        given: a file with controls over time, or those that are held all the time; None without.
+        given: controls.
         begin: the starts.
         times: (K,) of the prediction, from the start on.
         run: a trained model.
@@ -45,47 +47,60 @@ def moments_of(given: str | list[float] | float | None, begin: Starts, times: Te
     Raises:
         UserError: controls that are missing or none, or starts at several times under forces of time.
     """
-    every = torch.arange(len(times))
-    if not run.dynamics.clock:
-        if given is not None:
-            message = (
-                f"controls: expected none for {run.folder.name}, whose forces take none; received {given}"
-            )
-            raise UserError(message)
-        return Moments(times, every)
-    since = begin.times[:1]
-    if bool((begin.times != since).any()):
+    every, since = torch.arange(len(times)), begin.times[:1]
+    if run.dynamics.clock and bool((begin.times != since).any()):
         message = (
             "start: expected states of one time, since forces depend on it; received times "
             f"{begin.times.tolist()}. Predict them one by one"
         )
         raise UserError(message)
-    times = times + since
-    if not run.space.controls:
+    times = times + since if run.dynamics.clock else times
+    table = known_controls(given, float(since), run)
+    if table is None:
         return Moments(times, every)
+    warn_of_the_end(given, table, float(times[-1]), NEAR * float(times[-1] - times[0]))
+    whole = table.over(times)
+    return Moments(whole.times, torch.searchsorted(whole.times, times), whole)
+
+
+def known_controls(given: Controls, since: float, run: Run) -> ControlTable | None:
+    """Return controls over time; None of a model without.
+
+    Args:
+        given: controls.
+        since: when those that are held all the time begin.
+        run: a trained model.
+
+    Raises:
+        UserError: controls that are missing or none, or of a model without.
+    """
+    names = control_names(run)
+    if not names:
+        if given is not None:
+            message = (
+                f"controls: expected none for {run.folder.name}, whose forces take none; received {given}"
+            )
+            raise UserError(message)
+        return None
     if isinstance(given, str):
-        table = read_controls(Path(given).expanduser(), run.space)
-    else:
-        held = given if isinstance(given, list) else [] if given is None else [given]
-        table = ControlTable(since, torch.tensor([held], dtype=torch.float64))
-    if table.values.shape[-1] != len(run.space.controls):
-        names = ", ".join(run.space.controls)
+        return read_controls(Path(given).expanduser(), run.space)
+    held = given if isinstance(given, list) else [] if given is None else [given]
+    if len(held) != len(names):
         message = (
-            f"controls: expected a FILE with time and {names}, or numbers that are held; received {given}"
+            f"controls: expected a FILE with time and {', '.join(names)}, or numbers that are held; received "
+            f"{given}"
         )
         raise UserError(message)
-    if isinstance(given, str) and table.times[-1] < times[-1] - NEAR * (times[-1] - times[0]):
-        told = given, float(table.times[-1]), float(times[-1])
+    return ControlTable.of([since], [held])
+
+
+def control_names(run: Run) -> tuple[str, ...]:
+    """Return the names of the controls that the forces of a model take."""
+    return run.space.controls if run.dynamics.clock > 1 else ()
+
+
+def warn_of_the_end(given: Controls, table: ControlTable, time: float, near: float = 0.0) -> None:
+    """Say that the last controls of a file were held, where it ends before a time."""
+    if isinstance(given, str) and table.times[-1] < time - near:
+        told = given, float(table.times[-1]), time
         log.warning("controls: the last of %s, at %g, are held to the end, at %g", *told)
-    whole = merged(times, table.times)
-    chosen = torch.searchsorted(whole, times)
-    return Moments(whole, chosen, ControlTable(whole, table.at(whole), table.linear))
-
-
-def merged(times: Tensor, others: Tensor) -> Tensor:
-    """Return times (K,) and those of others between them, increasing, each once."""
-    near = NEAR * float(times[-1] - times[0])
-    after = torch.searchsorted(times, others).clamp(1, len(times) - 1)
-    gap = torch.minimum((others - times[after - 1]).abs(), (times[after] - others).abs())
-    inside = (others > times[0]) & (others < times[-1]) & (gap > near)
-    return torch.cat((times, others[inside])).sort().values

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from ahnn.labels import momentum_unit
+from ahnn.labels import momentum_unit, of_coordinates
 from ahnn.measurements.angles import Differing
 from ahnn.measurements.base import Measurement, Time
 from ahnn.types import Space
@@ -15,12 +15,12 @@ class Position(Differing):
 
     Args:
         degrees_of_freedom: n.
-        unit: of a position.
+        unit: of a position, or of each.
     """
 
-    def __init__(self, degrees_of_freedom: int = 3, unit: str = "km") -> None:
+    def __init__(self, degrees_of_freedom: int = 3, unit: str | tuple[str, ...] = "km") -> None:
         self.names = tuple(f"q{i + 1}" for i in range(degrees_of_freedom))
-        self.units = (unit,) * degrees_of_freedom
+        self.units = of_each(unit, degrees_of_freedom)
 
     def __call__(self, x: Tensor, t: Time) -> Tensor:  # noqa: ARG002
         """Return the positions (..., n) of the states x (..., 2n)."""
@@ -36,12 +36,16 @@ class State(Differing):
 
     Args:
         degrees_of_freedom: n.
-        units: of a position and of a momentum.
+        units: of a position and of a momentum, or of each.
     """
 
-    def __init__(self, degrees_of_freedom: int = 3, units: tuple[str, str] = ("km", "km/s")) -> None:
+    def __init__(
+        self,
+        degrees_of_freedom: int = 3,
+        units: tuple[str | tuple[str, ...], str | tuple[str, ...]] = ("km", "km/s"),
+    ) -> None:
         self.names = tuple(f"{kind}{i + 1}" for kind in "qp" for i in range(degrees_of_freedom))
-        self.units = (units[0],) * degrees_of_freedom + (units[1],) * degrees_of_freedom
+        self.units = sum((of_each(unit, degrees_of_freedom) for unit in units), ())
 
     def __call__(self, x: Tensor, t: Time) -> Tensor:  # noqa: ARG002
         """Return the states (..., 2n) themselves."""
@@ -52,16 +56,23 @@ class State(Differing):
         return y
 
 
+def of_each(unit: str | tuple[str, ...], count: int) -> tuple[str, ...]:
+    """Return the units of so many numbers, of one for all or of each."""
+    return (unit,) * count if isinstance(unit, str) else unit
+
+
 def reading(name: str, space: Space) -> Measurement:
     """Return the measurement called `position` or `state` of a space.
 
     Raises:
         ValueError: another name.
     """
+    alike = [of_coordinates(space, angle=angle) for angle in space.angular]
+    positions = tuple(one.units.position for one in alike)
     if name == "position":
-        return Position(space.dof, space.units.position)
+        return Position(space.dof, positions)
     if name == "state":
-        momentum = f"{space.units.velocity} · mass" if space.mechanical else momentum_unit(space)
-        return State(space.dof, (space.units.position, momentum))
+        momenta = [f"{s.units.velocity} · mass" if s.mechanical else momentum_unit(s) for s in alike]
+        return State(space.dof, (positions, tuple(momenta)))
     message = f"expected state, position or a model; received {name!r}"
     raise ValueError(message)

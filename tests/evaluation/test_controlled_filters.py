@@ -9,9 +9,7 @@ import torch
 from evaluating import case_of, run
 from motions.pushed_spring import PushedSpring
 
-from ahnn.errors import UserError
 from ahnn.systems import exact_flow
-from ahnn_plugins.ekf import ExtendedKalmanFilter
 
 SYSTEM = PushedSpring(name="pushed", dt=0.05, steps=80)
 OPTIONS = [
@@ -45,15 +43,3 @@ def test_filters_smoothers_and_least_squares_are_consistent_under_pushes(case, n
 def test_process_noise_is_fitted_under_the_controls_too(case):
     findings = run(case, "cadence=4", "measurement_sd=1e-3", "process_noise=force_error")
     assert findings.numbers["process_noise"]["size"] < 1e-6  # the flow is exact
-
-
-def test_a_stream_does_not_tell_controls(case):
-    from ahnn.evaluation.estimators import EstimatorEvaluation
-
-    options = {"cadence": 4, "times": None, "measurement": "position", "measurement_sd": None}
-    options |= {"start_sd": None, "process_noise": [1e-7, 1e-7], "gate": None, "patience": 5}
-    plugin = EstimatorEvaluation(
-        ExtendedKalmanFilter(), **options, smoother=False, least_squares=False, seed=0
-    )
-    with pytest.raises(UserError, match="which no stream tells; received pushed with u"):
-        plugin.online(case.flow, SYSTEM.dt, case.space, lambda: case)

@@ -19,8 +19,10 @@ from ahnn.measurements import (
     continuous,
     nearest,
     periods,
+    reading,
     residual,
 )
+from ahnn.systems import CartPole
 from ahnn.types import Space, Trajectories, Units
 from ahnn_plugins.ukf import (
     SQUARE_ROOT,
@@ -185,3 +187,13 @@ def test_a_recorded_sensor_gives_angles_that_go_on():
     states = torch.stack((torch.remainder(q + math.pi, TURN) - math.pi, torch.full_like(q, torch.nan)), -1)
     seen = sensor.measure(Trajectories(states[None], torch.linspace(0, 8, 50, dtype=F64)[None]), 0)
     assert torch.allclose(seen.values[0, :, 0], q, atol=1e-12)
+
+
+def test_an_angle_beside_lengths_is_an_angle_where_it_is_read():
+    space = CartPole(name="cart", dt=0.02, steps=1).space
+    assert reading("position", space).units == ("m", "rad")
+    assert reading("state", space).units == ("m", "rad", "kg m/s", "kg m²/s")
+    turned = torch.tensor([1.0, 2.0 * math.pi + 0.1], dtype=torch.float64)
+    assert residual(reading("position", space), turned, torch.zeros_like(turned)).tolist() == pytest.approx(
+        [1, 0.1]
+    )

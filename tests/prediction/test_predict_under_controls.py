@@ -10,10 +10,11 @@ from entry import SMALL, call
 from helpers import close, generator
 
 import ahnn
-from ahnn.data.files.control_table import ControlTable, read_controls
+from ahnn.controls import ControlTable, merged
+from ahnn.data.files.control_table import read_controls
 from ahnn.dynamics import make_dynamics
 from ahnn.errors import UserError
-from ahnn.jobs.control_times import merged
+from ahnn.jobs.control_times import known_controls
 from ahnn.types import Space, Units
 
 DOUBLE = {"dtype": torch.float64}
@@ -103,6 +104,15 @@ def test_times_of_controls_are_met_and_no_step_is_a_rounding_error():
     close(found, torch.cat((times[:3], torch.tensor([0.25], **DOUBLE), times[3:])), 1e-15)
 
 
+def test_the_only_control_of_a_table_may_have_any_name_of_a_control(tmp_path):
+    space = Space("made", ("q", "p"), controls=("u",))
+    (tmp_path / "c.csv").write_text("t,torque_cmd\n0,1\n")
+    assert read_controls(tmp_path / "c.csv", space).values.tolist() == [[1.0]]
+    (tmp_path / "c.csv").write_text("t,u1,u2\n0,1,2\n")
+    with pytest.raises(UserError, match="expected columns u, the controls; received t, u1, u2"):
+        read_controls(tmp_path / "c.csv", space)
+
+
 def test_a_table_of_controls_is_held_or_interpolated(tmp_path):
     space = Space("made", ("q", "p"), Units("s", "m", "m/s", "J"), controls=("u", "w"))
     (tmp_path / "c.csv").write_text("t [min],w,u,note\n0,1,10,0\n1,3,30,0\n")
@@ -187,6 +197,16 @@ def test_a_sidecar_of_controls_says_no_columns(tmp_path):
     (tmp_path / "c.yaml").write_text("columns: {time: t}\n")
     with pytest.raises(UserError, match="expected units and controls beside a file of controls"):
         read_controls(tmp_path / "c.csv", Space("made", ("q", "p"), controls=("u",)))
+
+
+def test_forces_of_time_take_no_controls_whatever_the_data_have():
+    run = made({"forcing": {"frequency": 2.0}}, ("u",))
+    assert known_controls(None, 0.0, run) is None
+    for given in ([1.0], 1.0, "pushes.csv"):
+        with pytest.raises(
+            UserError, match=r"controls: expected none for .*, whose forces take none; received"
+        ):
+            known_controls(given, 0.0, run)
 
 
 def test_a_model_without_controls_takes_none(capsys):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 from ahnn.arguments import nearest
@@ -36,6 +37,12 @@ NO_POSITION = re.compile(
     r"|index|step|row|sample|energy|mass|unnamed.*"
 )
 """Names that no position has by itself: a sidecar may say so."""
+
+
+def control_named(name: str, controls: Sequence[str]) -> str:
+    """Return the name of a column; that of the only control where it is one that a control may have."""
+    usual = len(controls) == 1 and CONTROL.fullmatch(name.lower())
+    return controls[0] if usual else name
 
 
 class Roles(NamedTuple):

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor
 
+from ahnn.controls import ControlTable
 from ahnn.data.files import kinds, parquet, sidecar
-from ahnn.data.files.columns import TIMES
+from ahnn.data.files.columns import TIMES, control_named
 from ahnn.data.files.raw import decoded
 from ahnn.data.files.reading import bytes_of
 from ahnn.data.files.samples import Array
@@ -19,38 +18,6 @@ from ahnn.data.files.tabular import numbers
 from ahnn.data.files.units import factor
 from ahnn.errors import UserError
 from ahnn.types import Space
-
-
-class ControlTable(NamedTuple):
-    """Controls over time.
-
-    Attributes:
-        times: (T,) in the unit of a space, increasing.
-        values: (T, m), those of each time on.
-        linear: whether they are interpolated linearly; else they are held.
-    """
-
-    times: Tensor
-    values: Tensor
-    linear: bool = False
-
-    def at(self, times: Tensor) -> Tensor:
-        """Return the controls (K, m) at times (K,) from the first on; the last ones are held.
-
-        Raises:
-            UserError: a time before the first.
-        """
-        near = 1e-9 * float(times[-1] - times[0])
-        if float(times[0]) < float(self.times[0]) - near:
-            message = (
-                f"controls: expected them from the start on, at {float(times[0]):g}; received the first at "
-                f"{float(self.times[0]):g}"
-            )
-            raise UserError(message)
-        if self.linear:
-            columns = [np.interp(times, self.times, column) for column in self.values.T]
-            return torch.from_numpy(np.stack(columns, axis=1))
-        return self.values[torch.searchsorted(self.times, times + near, right=True).clamp(min=1) - 1]
 
 
 def read_controls(path: Path, space: Space) -> ControlTable:
@@ -81,12 +48,13 @@ def read_controls(path: Path, space: Space) -> ControlTable:
         place.refuse("units and controls beside a file of controls", "columns or frame")
     sheet = sheet._replace(header=sidecar.with_units(sheet.header, said, sheet.place))
     times, unit = _times(sheet, space)
-    names = sheet.header.names
+    names = [control_named(name, space.controls) for name in sheet.header.names]
     if not len(sheet.rows):
         sheet.place.refuse("a row for each change of a control", "a header alone")
     for name in space.controls:
-        if name not in names:
-            sheet.place.refuse(f"columns {', '.join(space.controls)}, the controls", ", ".join(names))
+        if names.count(name) != 1:
+            expected = f"columns {', '.join(space.controls)}, the controls"
+            sheet.place.refuse(expected, ", ".join(sheet.header.names))
     if others := [name for name in names if name not in (unit, *space.controls)]:
         refuse(
             Remark(sheet.place, f"not used, since they are no controls: {', '.join(others)}", level="warning")

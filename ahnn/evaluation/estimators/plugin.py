@@ -205,10 +205,6 @@ class EstimatorEvaluation:
         Raises:
             UserError: the novelty is to count, and is not known; or nothing is known of the parameters.
         """
-        if space.controls:
-            received = f"{space.name} with {', '.join(space.controls)}"
-            message = f"expected a motion without controls, which no stream tells; received {received}"
-            raise UserError(message)
         noise = given_noise(self.process_noise, space, grown(novelty, self.novelty), flow, known)
         if noise is None:
             noise = self._found(case())
