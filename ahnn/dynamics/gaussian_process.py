@@ -26,6 +26,11 @@ from ahnn.dynamics.activations import ACTIVATIONS
 from ahnn.dynamics.layered import Network
 from ahnn.memory import require_memory
 
+BEGIN = 2.0
+"""Lengths that a training begins with: the range of scaled states. Data shorten lengths that are too long; of
+those that are too short, weights without a prior, as they are until the last steps, fit the noise.
+"""
+
 
 class Waves(nn.Module):
     """The layer z -> (xi_k . z / l + pi/2, xi_k . z / l), whose sines are K cosines and K sines.
@@ -53,7 +58,7 @@ class Waves(nn.Module):
         seed = int(torch.randint(2**31, ()))
         uniform = SobolEngine(inputs, scramble=True, seed=seed).draw(count, dtype=torch.float64)
         drawn = torch.special.ndtri(uniform.clamp(1e-9, 1 - 1e-9))
-        self.log_lengths = nn.Parameter(torch.zeros(inputs))  # l = 1 is half the range of scaled states
+        self.log_lengths = nn.Parameter(torch.full((inputs,), BEGIN).log())
         self.register_buffer("frequencies", drawn.to(self.log_lengths))
         self.register_buffer("free", torch.ones(count, 1))
         phases = torch.tensor([math.pi / 2, 0.0]).repeat(count)
