@@ -38,10 +38,10 @@ def test_bands_after_noisy_positions_are_roughly_right():
     options |= {"scaling": "none", "integrator": {"name": "rk4"}}
     network = {"width": 8, "depth": 1, "activation": "fourier"}
     model = make_dynamics("hamiltonian", **options, network=network).double()
-    _, batch = segment(rows=20, measurement=Position(1), longest=0.05)
-    _, other = segment(rows=8, measurement=Position(1), longest=0.05, seed=1)
+    _, batch = segment(rows=30, measurement=Position(1), longest=0.05)
+    _, other = segment(rows=10, measurement=Position(1), longest=0.05, seed=1)
     optimizer = LevenbergMarquardt(model.parameters())
-    for _ in range(6):
+    for _ in range(15):
         optimizer.step(lambda: (WideProblem(model, batch, ROBUST["none"]), None))
     found = conclude(model, batch, other, 0)
     assert found is not None
