@@ -34,6 +34,7 @@ MISTAKES = {
     # names
     "system=molniya system.inclinatoin=[1,2]": "did you mean 'system.inclination'?",
     "lr=0.1": "did you mean 'optimizer.lr'?",
+    "network.width=32": "unknown key 'network.width'; did you mean 'model.network.width'?",
     "~seed": "expected key 'seed'",
     "~scheduler": "configuration: Key 'scheduler' is not in struct",
     "+seed=3": "configuration: Could not append to config. An item is already at 'seed'",
