@@ -91,7 +91,7 @@ class UnscentedKalmanFilter(GaussianFilter):
             return SigmaPoints(unscented_weights(self.parameters, size, device, batch=batch), self.form)
         return SigmaPoints(_weights_of_numbers(self.parameters, size, device), self.form)
 
-    def stepper(self, kernel: Kernel, rows: Tensor, *, smoothing: bool) -> FilterLoop:
+    def stepper(self, kernel: Kernel, rows: Tensor, *, smoothing: bool) -> FilterLoop[FilterState]:
         """Return the steps of a run, whole ones where the library does them."""
         return WholeSteps(rows, cast(SigmaPoints, kernel), smoothing=smoothing)
 
