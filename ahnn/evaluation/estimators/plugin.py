@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ahnn.arguments import Count, Positive, Within, checked
 from ahnn.errors import UserError
+from ahnn.estimation.covariances import initial_belief
 from ahnn.estimation.estimator import Estimator
 from ahnn.estimation.gate import Gate
 from ahnn.estimation.online import online_process, weights_hash
@@ -105,10 +106,13 @@ class EstimatorEvaluation:
         self.beside, self.seed, self.least_squares = beside, seed, least_squares
         self.estimator = estimator.gated(None if gate is None else Gate(gate, patience))
         known = [*self.estimator.smoothers]
+        if smoother and not known:
+            message = f"smoother: expected false, since {estimator.name} has none; received {smoother}"
+            raise UserError(message)
         if isinstance(smoother, str) and smoother not in known:
             message = f"smoother: expected true, false or one of {', '.join(known)}; received {smoother}"
             raise UserError(message)
-        last = smoother if isinstance(smoother, str) else known[0]
+        last = smoother if isinstance(smoother, str) else "".join(known[:1])
         self.smoothers = known[: known.index(last) + 1] if smoother else []
         self.process_noise: NoiseOption = noise_option(process_noise)
         self.novelty = novelty
@@ -147,6 +151,8 @@ class EstimatorEvaluation:
 
     def require_constants(self, setting: Setting, steps: int, size: int) -> None:
         """Refuse constants of the estimator that do not fit states of at most so many components."""
+        del setting, steps
+        self.estimator.start(initial_belief(torch.zeros(1, size), torch.eye(size)))
 
     def tried(
         self, model: Filter, case: Case, setting: Setting, findings: Findings
