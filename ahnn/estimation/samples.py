@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from ahnn.estimation.belief import Belief, Status, choose, leading
-from ahnn.estimation.linalg import tria
+from ahnn.estimation.linalg import EPS, tria
 from ahnn.estimation.random_numbers import RandomNumbers
 
 
@@ -118,5 +118,6 @@ def systematic_resampling(log_weights: Tensor, offset: Tensor) -> Tensor:
     cumulative = log_weights.exp().cumsum(-1)
     cumulative = cumulative / cumulative[:, -1:]
     places = (torch.arange(count, dtype=offset.dtype, device=offset.device) + offset.unsqueeze(-1)) / count
-    # Rounding may take a place to 1, beyond the last sample.
-    return torch.searchsorted(cumulative.contiguous(), places, right=True).clamp(max=count - 1)
+    # Rounding may take a place to 1, beyond the last sample that has a weight.
+    chosen = torch.searchsorted(cumulative.contiguous(), places.clamp(max=1.0 - 0.5 * EPS), right=True)
+    return chosen.clamp(max=count - 1)  # where weights are no numbers
