@@ -12,8 +12,8 @@ What is estimated besides the state (a force error, learned parameters) is put b
 `ahnn.estimation.force_error` and `parameter_error`: an estimator sees longer states and a longer flow.
 
 A new Gaussian filter is one module, with a kernel, and one YAML file that names it; see
-`ahnn.evaluation.estimators.EstimatorEvaluation`. Ensembles and particles implement Estimator themselves: what
-they carry is theirs, what others see of it are moments.
+`ahnn.evaluation.estimators.EstimatorEvaluation`. Ensembles and particles carry samples, of which others see
+the moments: `ahnn.estimation.sample_filter.SampleFilter` is an Estimator of how they are drawn and weighed.
 """
 
 from __future__ import annotations

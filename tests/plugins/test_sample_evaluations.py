@@ -41,6 +41,8 @@ def plugins(group, **options):
     for name in cfg.plugins:
         for key, value in (FILTERED | options).items():
             OmegaConf.update(cfg, f"plugins.{name}.{key}", value, force_add=True)
+        if name == "particle":
+            cfg.plugins.particle.estimator.particles = 300
     return build_all(cfg.plugins, "plugins", EvaluationPlugin)
 
 
@@ -99,8 +101,9 @@ def test_what_they_have_not_is_refused(case):
         run(case, "smoother=true", group="particle")
     with pytest.raises(UserError, match="smoother: expected true, false or one of smoothed; received it"):
         run(case, "smoother=iterated", group="enkf")
+    few = ["cadence=9", "estimator.ensemble=4", "bias_sd=[0.1]"]
     with pytest.raises(UserError, match="ensemble: expected more members than the 4 components"):
-        run(case, "estimator.ensemble=4", "bias_sd=[0.1]", "process_noise=force_error", group="enkf")
+        run(case, *few, "process_noise=force_error", group="enkf")
     (plugin,) = plugins("enkf", process_noise="parameter_error").values()
     plugin.estimator = dataclasses.replace(plugin.estimator, ensemble=40)
     with pytest.raises(UserError, match="ensemble: expected more members than the 52 components"):
