@@ -38,7 +38,7 @@ from ahnn.estimation.samples import (
     sample_moments,
     systematic_resampling,
 )
-from ahnn_plugins.particle.weighing import Row, exponent
+from ahnn_plugins.particle.weighing import STAGE_BANDWIDTH, STAGE_SIZE, Row, exponent
 
 TINY = torch.finfo(torch.float64).tiny
 
@@ -54,7 +54,8 @@ class ParticleFilter(SampleFilter):
         particles: how many, N.
         resample_below: fraction of N; at a smaller effective sample size particles are resampled.
         bandwidth: h of the kernel, less than 1; 0 for none; None takes (4 / ((D + 2) N))^(1 / (D + 4)), the
-            best for Gaussian beliefs (Silverman 1986, section 4.3). Narrow modes call for less.
+            best for Gaussian beliefs (Silverman 1986, section 4.3), and at least 0.6 between two stages.
+            Narrow modes call for less.
         stages: most stages in which a measurement is taken; 1 weighs at once, as the bootstrap filter does.
         seed: of the random numbers.
         gate: refuses improbable measurement rows; None takes all.
@@ -153,12 +154,15 @@ class ParticleFilter(SampleFilter):
             row: with its noise.
         """
         least = self.resample_below * self.particles
+        each = max(least, STAGE_SIZE * self.particles)
         left = torch.ones_like(state.log_likelihood)
         total = torch.zeros_like(left)
         for stage in range(self.stages):
             densities, last = row.log_density(images), stage == self.stages - 1
-            power = left if last else exponent(state.log_weights, densities, left.clamp(min=TINY), least)
-            power = torch.minimum(power, left)
+            power = left
+            if not last:
+                most = left.clamp(min=TINY)
+                power = torch.minimum(exponent(state.log_weights, densities, most, least, each), left)
             taken = power > 0.0
             weighed = state.log_weights + torch.where(taken, power, 1.0).unsqueeze(-1) * densities
             gained = weighed.logsumexp(-1)
@@ -169,30 +173,39 @@ class ParticleFilter(SampleFilter):
             state = state._replace(log_weights=weighed, belief=belief)
             few = taken & ((left > 0.0) | (effective_size(weighed) < least))
             if bool(few.any()):
-                state = self.resampled(state, few, stage)
+                h = self.kernel_bandwidth(state.points.shape[-1], left > 0.0)
+                state = self.resampled(state, few, h, stage)
             if not bool((left > 0.0).any()):
                 break
             images = measured(row.sensor.measurement, state.points, float(state.time))
         return state, total
 
-    def resampled(self, state: SampleState, few: Tensor, stage: int) -> SampleState:
-        """Return the state in which some members, (B,) bool, are resampled and moved; its moments stay."""
+    def resampled(self, state: SampleState, few: Tensor, h: Tensor, stage: int) -> SampleState:
+        """Return the state in which some members are resampled and moved; its moments stay.
+
+        Args:
+            state: whose moments are those of its weights.
+            few: (B,) bool, which members.
+            h: (B,) bandwidths.
+            stage: of the update.
+        """
         points, belief, random = state.points, state.belief, state.random
         offset = random.uniform(points, len(points), stage=stage)
         chosen = systematic_resampling(state.log_weights, offset)
         drawn = points.gather(1, chosen.unsqueeze(-1).expand_as(points))
-        h = self.kernel_bandwidth(points.shape[-1])
-        if h > 0.0:
-            centre, move = belief.mean.unsqueeze(1), random.normal(points, *points.shape, stage=stage)
-            drawn = centre + math.sqrt(1.0 - h * h) * (drawn - centre) + h * (move @ belief.chol.mT)
+        if bool(h.any()):
+            centre, h = belief.mean.unsqueeze(1), h[:, None, None]
+            move = random.normal(points, *points.shape, stage=stage) @ belief.chol.mT
+            drawn = centre + (1.0 - h * h).sqrt() * (drawn - centre) + h * move
         weights = torch.full_like(state.log_weights, -math.log(self.particles))
         return state.where(~few, state._replace(points=drawn, log_weights=weights))
 
-    def kernel_bandwidth(self, size: int) -> float:
-        """Return h for states of D components."""
+    def kernel_bandwidth(self, size: int, further: Tensor) -> Tensor:
+        """Return h, (B,), for states of D components; `further` says for which members stages follow."""
         if self.bandwidth is not None:
-            return self.bandwidth
-        return (4.0 / ((size + 2) * self.particles)) ** (1.0 / (size + 4))
+            return torch.where(further, self.bandwidth, self.bandwidth).double()
+        best = (4.0 / ((size + 2) * self.particles)) ** (1.0 / (size + 4))
+        return torch.where(further, max(best, STAGE_BANDWIDTH), best).double()
 
 
 def _told(belief: Belief, rows: Tensor, noise: Tensor, innovation: Tensor, log_likelihood: Tensor) -> Updated:
