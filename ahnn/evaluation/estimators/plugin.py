@@ -37,6 +37,7 @@ from ahnn.evaluation.estimators.noise_options import (
 from ahnn.evaluation.estimators.outcome import Outcome, filtered, fitted, numbers, rows, smoothed
 from ahnn.evaluation.estimators.probe import require_possible
 from ahnn.evaluation.estimators.series import moving_averages
+from ahnn.evaluation.estimators.smoother_option import asked_smoothers
 from ahnn.evaluation.titles import MODEL, described, estimator_title
 from ahnn.measurements import Measurement
 from ahnn.rollouts import clock_of, rollout
@@ -105,15 +106,7 @@ class EstimatorEvaluation:
         require_measurement(measurement)
         self.beside, self.seed, self.least_squares = beside, seed, least_squares
         self.estimator = estimator.gated(None if gate is None else Gate(gate, patience))
-        known = [*self.estimator.smoothers]
-        if smoother and not known:
-            message = f"smoother: expected false, since {estimator.name} has none; received {smoother}"
-            raise UserError(message)
-        if isinstance(smoother, str) and smoother not in known:
-            message = f"smoother: expected true, false or one of {', '.join(known)}; received {smoother}"
-            raise UserError(message)
-        last = smoother if isinstance(smoother, str) else "".join(known[:1])
-        self.smoothers = known[: known.index(last) + 1] if smoother else []
+        self.smoothers = asked_smoothers(smoother, self.estimator)
         self.process_noise: NoiseOption = noise_option(process_noise)
         self.novelty = novelty
         if novelty is not None and not isinstance(self.process_noise, ForceOptions | ParameterOptions):

@@ -38,7 +38,7 @@ from ahnn.estimation.samples import (
     sample_moments,
     systematic_resampling,
 )
-from ahnn_plugins.particle.weighing import STAGE_BANDWIDTH, STAGE_SIZE, Row, exponent
+from ahnn_plugins.particle.weighing import STAGE_BANDWIDTH, STAGE_SIZE, WeighingRow, exponent
 
 TINY = torch.finfo(torch.float64).tiny
 
@@ -142,10 +142,10 @@ class ParticleFilter(SampleFilter):
         weights = normalised(state.log_weights).exp().unsqueeze(-1)
         deviations, innovation = image_deviations(images, weights, y, sensor)
         noise = present_noise(sensor.chol_r, ~torch.isnan(y))
-        after, log_likelihood = self.weighed(state, images, Row.of(y, sensor, noise))
+        after, log_likelihood = self.weighed(state, images, WeighingRow.of(y, sensor, noise))
         return after, _told(after.belief, weights.sqrt() * deviations, noise, innovation, log_likelihood)
 
-    def weighed(self, state: SampleState, images: Tensor, row: Row) -> tuple[SampleState, Tensor]:
+    def weighed(self, state: SampleState, images: Tensor, row: WeighingRow) -> tuple[SampleState, Tensor]:
         """Return the particles of a state given a row, in as many stages as it takes, and its log density.
 
         Args:

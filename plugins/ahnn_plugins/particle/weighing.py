@@ -24,7 +24,7 @@ noise of one, the mean ends 0.6 of its standard deviations away; with 0.5 and Si
 LOG_TWO_PI = math.log(2.0 * math.pi)
 
 
-class Row(NamedTuple):
+class WeighingRow(NamedTuple):
     """A measurement row and its noise.
 
     Attributes:
@@ -38,7 +38,7 @@ class Row(NamedTuple):
     chol_r: Tensor
 
     @classmethod
-    def of(cls, y: Tensor, sensor: SensorModel, noise: Tensor) -> Row:
+    def of(cls, y: Tensor, sensor: SensorModel, noise: Tensor) -> WeighingRow:
         """Return a row with the noise of rows (B, 2 M, M), see `present_noise`."""
         return cls(y, sensor, tria(noise))
 
