@@ -30,6 +30,8 @@ from ahnn.measurements import reading
 from ahnn.rollouts import rollout
 from ahnn.systems import exact_flow
 from ahnn_plugins.ekf import ExtendedKalmanFilter
+from ahnn_plugins.enkf import EnsembleKalmanFilter
+from ahnn_plugins.particle import ParticleFilter
 from ahnn_plugins.ukf import UnscentedKalmanFilter
 
 CONF = Path(__file__).parent / "motions" / "conf"
@@ -131,7 +133,11 @@ def test_a_known_force_stands_beside_a_learned_one(tmp_path, monkeypatch):
     assert float(field(x)[0, 1]) == pytest.approx(-1.5, abs=0.5)  # the learned part undoes the weight
 
 
-@pytest.mark.parametrize("name", ["ukf", "ekf"])
+FILTERS = {"ukf": UnscentedKalmanFilter(), "ekf": ExtendedKalmanFilter()}
+FILTERS |= {"enkf": EnsembleKalmanFilter(), "particle": ParticleFilter(particles=400)}
+
+
+@pytest.mark.parametrize("name", FILTERS)
 def test_filters_follow_a_force_that_depends_on_time(name):
     """Exact dynamics: errors are those that the filter believes; a flow that stands still in time is off."""
     system = ForcedOscillator(name="f", dt=0.05, steps=200)
@@ -142,7 +148,7 @@ def test_filters_follow_a_force_that_depends_on_time(name):
     belief = initial_belief(data.states[:, 0], torch.diag(torch.tensor([1e-2, 1e-2]).double() ** 2))
     off = 1e-2 * torch.randn(30, 2, generator=generator(2), dtype=torch.float64)
     belief = belief._replace(mean=belief.mean + off)
-    own = UnscentedKalmanFilter() if name == "ukf" else ExtendedKalmanFilter()
+    own = FILTERS[name]
     q = 1e-14 * torch.eye(2, dtype=torch.float64)
     arguments = (belief, rows, reading("position", system.space), q, torch.diag(sd**2), 0.05)
     result = own.run(flow, *arguments)
@@ -155,7 +161,7 @@ def test_filters_follow_a_force_that_depends_on_time(name):
         wrapped(flow, lambda inner: inner)(data.states[:, 0], 0.05)
 
 
-@pytest.mark.parametrize("name", ["ukf", "ekf"])
+@pytest.mark.parametrize("name", FILTERS)
 def test_filters_follow_controls_that_are_known(name):
     """Each member has controls of its own, and those of another lead it astray."""
     system = PushedSpring(name="p", dt=0.05, steps=200)
@@ -164,7 +170,7 @@ def test_filters_follow_controls_that_are_known(name):
     noise = sd * torch.randn(30, 200, 1, generator=generator(1), dtype=torch.float64)
     off = sd * torch.randn(30, 2, generator=generator(2), dtype=torch.float64)
     belief = initial_belief(data.states[:, 0] + off, sd**2 * torch.eye(2, dtype=torch.float64))
-    own = UnscentedKalmanFilter() if name == "ukf" else ExtendedKalmanFilter()
+    own = FILTERS[name]
     q = 1e-14 * torch.eye(2, dtype=torch.float64)
     rows, r = data.states[:, 1:, :1] + noise, sd**2 * torch.eye(1, dtype=torch.float64)
     arguments = (belief, rows, reading("position", system.space), q, r, 0.05)

@@ -15,7 +15,7 @@ from ahnn.estimation.belief import Belief
 from ahnn.estimation.covariances import Covariance, covariance_factor
 from ahnn.estimation.estimator import SensorModel
 from ahnn.estimation.gate import Gate, thresholds
-from ahnn.estimation.state import FilterState
+from ahnn.estimation.state import FilterState, MemberState
 from ahnn.measurements.base import Measurement
 from ahnn.numbers import Numbers, as_float64, described
 
@@ -35,10 +35,10 @@ def check_belief(belief: Belief) -> None:
         raise ValueError(message)
 
 
-def check_state(state: FilterState) -> None:
+def check_state(state: MemberState, kind: type[MemberState] = FilterState) -> None:
     """Raise ValueError for what is no state of the filter, or one with a belief that is none."""
-    if not isinstance(state, FilterState):
-        message = f"state: expected a FilterState; received {described(state)}; use start"
+    if not isinstance(state, kind):
+        message = f"state: expected a {kind.__name__}; received {described(state)}; use start"
         raise UserError(message)
     check_belief(state.belief)
 

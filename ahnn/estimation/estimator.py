@@ -12,8 +12,8 @@ What is estimated besides the state (a force error, learned parameters) is put b
 `ahnn.estimation.force_error` and `parameter_error`: an estimator sees longer states and a longer flow.
 
 A new Gaussian filter is one module, with a kernel, and one YAML file that names it; see
-`ahnn.evaluation.estimators.EstimatorEvaluation`. Ensembles and particles implement Estimator themselves: what
-they carry is theirs, what others see of it are moments.
+`ahnn.evaluation.estimators.EstimatorEvaluation`. Ensembles and particles carry samples, of which others see
+the moments: `ahnn.estimation.sample_filter.SampleFilter` is an Estimator of how they are drawn and weighed.
 """
 
 from __future__ import annotations
@@ -29,31 +29,10 @@ from ahnn.estimation.covariances import Covariance
 from ahnn.estimation.gate import Gate
 from ahnn.estimation.results import FilterResult, Predicted, ProcessNoise, SmootherResult, Updated
 from ahnn.estimation.rounding import Rounding
+from ahnn.estimation.state import EstimatorState
 from ahnn.measurements.base import Measurement
 from ahnn.numbers import Numbers
 from ahnn.types import Flow
-
-
-class EstimatorState(Protocol):
-    """What an estimator carries for B members: a NamedTuple of tensors and of NamedTuples of tensors."""
-
-    @property
-    def time(self) -> Tensor:
-        """() float64, at which it holds."""
-        ...
-
-    @property
-    def status(self) -> Tensor:
-        """(B,) int64, see `Status`."""
-        ...
-
-    @property
-    def moments(self) -> Belief:
-        """Mean (B, D) and factor of the covariance (B, D, D)."""
-        ...
-
-    def _replace(self, **parts: Any) -> Self: ...
-
 
 S = TypeVar("S", bound=EstimatorState)
 

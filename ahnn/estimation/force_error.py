@@ -132,7 +132,7 @@ def of_states(result: FilterResult, size: int) -> FilterResult:
         predicted_means=result.predicted_means[..., :size],
         predicted_chols=result.predicted_chols[..., :size, :size],
         backward=None,
-        state=result.state._replace(belief=leading(result.state.belief, size)),
+        state=result.state.leading(size),
     )
 
 

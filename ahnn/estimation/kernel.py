@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 
 from ahnn.dynamics.flow_at_time import at
-from ahnn.estimation.belief import Status, choose
+from ahnn.estimation.belief import Status
 from ahnn.estimation.estimator import Kernel, SensorModel
 from ahnn.estimation.results import Backward, Updated
 from ahnn.estimation.rounding import Rounding, lost_in_prediction, lost_in_update
-from ahnn.estimation.state import FilterState, add_repairs, fail, frozen
+from ahnn.estimation.state import FilterState, Kept, add_repairs, fail, frozen
 from ahnn.measurements import Measurement
 from ahnn.numbers import described
 from ahnn.types import Flow
@@ -34,11 +34,11 @@ def predict(
     after = FilterState(predicted.belief, time, state.steps + 1, *state[3:])
     after = add_repairs(after, predicted.repaired)
     if not predicted.sound:
-        after = _checked_prediction(after)
+        after = checked_prediction(after)
     lost = lost_in_prediction(state.belief, predicted.belief, predicted.repaired, kernel.rounding)
     if lost is not None:
         after = fail(after, lost, Status.IMPRECISE)
-    return add_repairs(frozen(after, state.belief), predicted.mended), predicted.backward
+    return add_repairs(frozen(after, state), predicted.mended), predicted.backward
 
 
 def update(
@@ -49,8 +49,8 @@ def update(
     nothing_refuses = sensor.thresholds is None and rounding.crowding is None
     if updated.sound and nothing_refuses and not bool(state.status.any()):
         return taken(state, updated), updated, torch.zeros_like(updated.singular)
-    after, rejected = _decide(state, updated, y, sensor, rounding)
-    return after, updated, rejected
+    after, accepted, rejected = decided(state, updated, y, sensor, rounding)
+    return after.where(~accepted, state._replace(belief=updated.belief)), updated, rejected
 
 
 def propagate(flow: Flow, points: Tensor, dt: float) -> Tensor:
@@ -96,7 +96,7 @@ def _is_real(value: object, shape: torch.Size) -> bool:
     return isinstance(value, Tensor) and value.shape == shape and not value.is_complex()
 
 
-def _checked_prediction(state: FilterState) -> FilterState:
+def checked_prediction(state: Kept) -> Kept:
     """Give a status to members whose prediction is not finite, or has a variance of zero."""
     mean, chol = state.belief
     variance = chol.detach().square().sum(-1)
@@ -110,7 +110,7 @@ def _checked_prediction(state: FilterState) -> FilterState:
 
 
 def taken(state: FilterState, updated: Updated) -> FilterState:
-    """Return the state after an update that every member takes: what `_decide` would return."""
+    """Return the state after an update that every member takes: what `decided` would return."""
     return state._replace(
         belief=updated.belief,
         rejections=torch.zeros_like(state.rejections),
@@ -118,10 +118,15 @@ def taken(state: FilterState, updated: Updated) -> FilterState:
     )
 
 
-def _decide(
-    state: FilterState, updated: Updated, y: Tensor, sensor: SensorModel, rounding: Rounding
-) -> tuple[FilterState, Tensor]:
-    """Take or refuse the update, member by member; return also which rows the gate rejected, (B,) bool."""
+def decided(
+    state: Kept, updated: Updated, y: Tensor, sensor: SensorModel, rounding: Rounding
+) -> tuple[Kept, Tensor, Tensor]:
+    """Take or refuse an update, member by member.
+
+    Returns:
+        The state, whose estimates are still those from before the update, which members take the update, and
+        which rows the gate rejected, (B,) bool each.
+    """
     present = ~torch.isnan(y)
     has_row = present.any(-1)
     mean, chol = updated.belief
@@ -142,10 +147,9 @@ def _decide(
     repairs = None if updated.repairs is None else updated.repairs * accepted
     state = add_repairs(state, repairs)
     state = state._replace(
-        belief=choose(accepted, updated.belief, state.belief),
         rejections=torch.where(accepted, 0, state.rejections + rejected),
         log_likelihood=state.log_likelihood + torch.where(accepted, updated.log_likelihood, 0.0),
     )
     if sensor.thresholds is not None:
         state = fail(state, rejected & (state.rejections >= sensor.patience), Status.DIVERGED)
-    return state, rejected
+    return state, accepted, rejected

@@ -1,19 +1,21 @@
-"""The loop of a Gaussian filter over time, with a model of its own in each step, and what is kept of it."""
+"""The loop of a filter over time, with a model of its own in each step, and what is kept of it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, TypeVar
 
 from torch import Tensor
 
 from ahnn.estimation import kernel as decisions
 from ahnn.estimation.estimator import Kernel, SensorModel
 from ahnn.estimation.results import FilterResult
-from ahnn.estimation.state import FilterState
+from ahnn.estimation.state import FilterState, MemberState
 from ahnn.estimation.step_noise import StepGrid
 from ahnn.estimation.step_records import StepRecord, collected
 from ahnn.types import Flow
+
+M = TypeVar("M", bound=MemberState)
 
 
 class StepModel(NamedTuple):
@@ -30,17 +32,17 @@ class StepModel(NamedTuple):
     sensor: SensorModel
 
 
-class FilterLoop(Protocol):
+class FilterLoop(Protocol[M]):
     """The steps of one run."""
 
     def __call__(
-        self, k: int, state: FilterState, row: Tensor | None, model: StepModel, length: float, time: Tensor
-    ) -> tuple[FilterState, StepRecord]:
+        self, k: int, state: M, row: Tensor | None, model: StepModel, length: float, time: Tensor
+    ) -> tuple[M, StepRecord]:
         """Return the state after step k, which ends at `time`, and its record; no row is None."""
         ...
 
 
-def stepper(kernel: Kernel, *, smoothing: bool) -> FilterLoop:
+def stepper(kernel: Kernel, *, smoothing: bool) -> FilterLoop[FilterState]:
     """Return the steps of a kernel; with the laws that a smoother needs, if asked for."""
 
     def step(
@@ -62,7 +64,7 @@ def stepper(kernel: Kernel, *, smoothing: bool) -> FilterLoop:
 
 
 def run(
-    before: FilterState, rows: Tensor, grid: StepGrid, models: Callable[[int], StepModel], step: FilterLoop
+    before: M, rows: Tensor, grid: StepGrid, models: Callable[[int], StepModel], step: FilterLoop[M]
 ) -> FilterResult:
     """Filter the rows (B, T, M) from a state on; arguments are checked.
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.covariances import Covariance
-from ahnn.estimation.state import FilterState
+from ahnn.estimation.state import MemberState
 
 
 class Backward(NamedTuple):
@@ -108,7 +108,7 @@ class FilterResult(NamedTuple):
     failed_step: Tensor
     repairs: Tensor
     backward: Backward | None
-    state: FilterState
+    state: MemberState
 
     @property
     def covariances(self) -> Tensor:

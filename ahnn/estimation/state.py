@@ -6,12 +6,83 @@ the shapes, and with them every bit of the other members, stay as they are.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol, Self, TypeVar
 
 import torch
 from torch import Tensor
 
-from ahnn.estimation.belief import Belief, Status, choose
+from ahnn.estimation.belief import Belief, Status, choose, leading
+
+
+class EstimatorState(Protocol):
+    """What an estimator carries for B members: a NamedTuple of tensors and of NamedTuples of tensors."""
+
+    @property
+    def time(self) -> Tensor:
+        """() float64, at which it holds."""
+        ...
+
+    @property
+    def status(self) -> Tensor:
+        """(B,) int64, see `Status`."""
+        ...
+
+    @property
+    def moments(self) -> Belief:
+        """Mean (B, D) and factor of the covariance (B, D, D)."""
+        ...
+
+    def _replace(self, **parts: Any) -> Self: ...
+
+
+class MemberState(EstimatorState, Protocol):
+    """A state with a status of each member, of Gaussian filters and of samples; see `FilterState`."""
+
+    @property
+    def belief(self) -> Belief:
+        """The moments."""
+        ...
+
+    @property
+    def steps(self) -> Tensor:
+        """() int64, predictions made so far."""
+        ...
+
+    @property
+    def failed_step(self) -> Tensor:
+        """(B,) int64, the prediction at which the status was given."""
+        ...
+
+    @property
+    def rejections(self) -> Tensor:
+        """(B,) int64, rows that the gate refused in a row."""
+        ...
+
+    @property
+    def repairs(self) -> Tensor:
+        """(B,) int64, covariances that had to be mended."""
+        ...
+
+    @property
+    def log_likelihood(self) -> Tensor:
+        """(B,) float64, of the accepted measurements."""
+        ...
+
+    @property
+    def alive(self) -> Tensor:
+        """(B,) bool, true where the status is OK."""
+        ...
+
+    def where(self, condition: Tensor, other: Self) -> Self:
+        """Return the state in which members without the condition, (B,) bool, have another's estimates."""
+        ...
+
+    def leading(self, size: int) -> Self:
+        """Return the state of the first components alone."""
+        ...
+
+
+Kept = TypeVar("Kept", bound=MemberState)
 
 
 class FilterState(NamedTuple):
@@ -48,6 +119,14 @@ class FilterState(NamedTuple):
         """(B,) bool, true where the status is OK."""
         return self.status == Status.OK
 
+    def where(self, condition: Tensor, other: FilterState) -> FilterState:
+        """Return the state in which members without the condition, (B,) bool, have another's belief."""
+        return self._replace(belief=choose(condition, self.belief, other.belief))
+
+    def leading(self, size: int) -> FilterState:
+        """Return the state of the first components alone."""
+        return self._replace(belief=leading(self.belief, size))
+
 
 def initial_state(belief: Belief, time: float = 0.0) -> FilterState:
     """Return the state of a batch in which nothing has happened."""
@@ -65,7 +144,7 @@ def initial_state(belief: Belief, time: float = 0.0) -> FilterState:
     )
 
 
-def fail(state: FilterState, bad: Tensor, status: Status) -> FilterState:
+def fail(state: Kept, bad: Tensor, status: Status) -> Kept:
     """Give a status to the living members among `bad`, (B,) bool."""
     bad = bad & state.alive
     if not bool(bad.any()):
@@ -78,15 +157,13 @@ def fail(state: FilterState, bad: Tensor, status: Status) -> FilterState:
     )
 
 
-def add_repairs(state: FilterState, repairs: Tensor | None) -> FilterState:
+def add_repairs(state: Kept, repairs: Tensor | None) -> Kept:
     """Count the repairs of living members, (B,) bool or int64."""
     if repairs is None:
         return state
     return state._replace(repairs=state.repairs + repairs * state.alive)
 
 
-def frozen(state: FilterState, sound: Belief) -> FilterState:
-    """Return the state in which members that failed have the belief that was sound."""
-    if not bool(state.status.any()):
-        return state
-    return state._replace(belief=choose(state.alive, state.belief, sound))
+def frozen(state: Kept, sound: Kept) -> Kept:
+    """Return the state in which members that failed have the estimates that were sound."""
+    return state.where(state.alive, sound) if bool(state.status.any()) else state

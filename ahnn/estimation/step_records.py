@@ -9,7 +9,7 @@ from torch import Tensor
 
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.results import Backward, FilterResult, Updated
-from ahnn.estimation.state import FilterState
+from ahnn.estimation.state import MemberState
 
 
 class StepRecord(NamedTuple):
@@ -23,7 +23,7 @@ class StepRecord(NamedTuple):
 
 
 def collected(
-    steps: list[StepRecord], before: FilterState, after: FilterState, measurements: Tensor
+    steps: list[StepRecord], before: MemberState, after: MemberState, measurements: Tensor
 ) -> FilterResult:
     """Return the result of the steps between two states, NaN from the failed step of a member on."""
     present = ~torch.isnan(measurements)
@@ -56,7 +56,7 @@ def collected(
     )
 
 
-def _valid(state: FilterState, failed_step: Tensor, steps: int) -> Tensor | None:
+def _valid(state: MemberState, failed_step: Tensor, steps: int) -> Tensor | None:
     """Return which steps of which members hold, (B, T) bool; None if all do."""
     if not bool(state.status.any()):
         return None

@@ -10,6 +10,10 @@ MODEL = "model"
 SPANS = {"whole": "", "settled": "settled"}
 
 
+TITLES = {"enkf": "EnKF", "particle": "particle filter"}
+"""Names of estimators that are no capitals."""
+
+
 def title(who: Who, label: str) -> str:
     """Return what predicts, for example `ahnn5`, `exact flow + UKF` or `ahnn5 + UKF tuned`.
 
@@ -24,7 +28,7 @@ def title(who: Who, label: str) -> str:
 def estimator_title(estimator: str) -> str:
     """Return the name of an estimator for readers: `ukf_tuned` is `UKF tuned`."""
     first, *rest = estimator.split("_")
-    return " ".join((first.upper() if len(first) <= 4 else first, *rest))
+    return " ".join((TITLES.get(first, first.upper() if len(first) <= 4 else first), *rest))
 
 
 def described(who: Who, label: str) -> str:

@@ -20,7 +20,7 @@ def spring(tmp_path):
     return case_of(SPRING, flow, perturbations(SPRING, 20, seed=0), tmp_path)
 
 
-@pytest.mark.parametrize("name", ["ukf", "ekf"])
+@pytest.mark.parametrize("name", ["ukf", "ekf", "enkf"])
 def test_filters_stay_consistent_beside_biases_many_times_the_noise(spring, name):
     findings = run(spring, *OPTIONS, group=name)
     found = findings.numbers["filters"][name]["floor"]["perturbed"]

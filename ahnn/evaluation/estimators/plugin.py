@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ahnn.arguments import Count, Positive, Within, checked
 from ahnn.errors import UserError
+from ahnn.estimation.covariances import initial_belief
 from ahnn.estimation.estimator import Estimator
 from ahnn.estimation.gate import Gate
 from ahnn.estimation.online import online_process, weights_hash
@@ -36,6 +37,7 @@ from ahnn.evaluation.estimators.noise_options import (
 from ahnn.evaluation.estimators.outcome import Outcome, filtered, fitted, numbers, rows, smoothed
 from ahnn.evaluation.estimators.probe import require_possible
 from ahnn.evaluation.estimators.series import moving_averages
+from ahnn.evaluation.estimators.smoother_option import asked_smoothers
 from ahnn.evaluation.titles import MODEL, described, estimator_title
 from ahnn.measurements import Measurement
 from ahnn.rollouts import clock_of, rollout
@@ -104,12 +106,7 @@ class EstimatorEvaluation:
         require_measurement(measurement)
         self.beside, self.seed, self.least_squares = beside, seed, least_squares
         self.estimator = estimator.gated(None if gate is None else Gate(gate, patience))
-        known = [*self.estimator.smoothers]
-        if isinstance(smoother, str) and smoother not in known:
-            message = f"smoother: expected true, false or one of {', '.join(known)}; received {smoother}"
-            raise UserError(message)
-        last = smoother if isinstance(smoother, str) else known[0]
-        self.smoothers = known[: known.index(last) + 1] if smoother else []
+        self.smoothers = asked_smoothers(smoother, self.estimator)
         self.process_noise: NoiseOption = noise_option(process_noise)
         self.novelty = novelty
         if novelty is not None and not isinstance(self.process_noise, ForceOptions | ParameterOptions):
@@ -147,6 +144,8 @@ class EstimatorEvaluation:
 
     def require_constants(self, setting: Setting, steps: int, size: int) -> None:
         """Refuse constants of the estimator that do not fit states of at most so many components."""
+        del setting, steps
+        self.estimator.start(initial_belief(torch.zeros(1, size), torch.eye(size)))
 
     def tried(
         self, model: Filter, case: Case, setting: Setting, findings: Findings

@@ -34,6 +34,7 @@ class UKFEvaluation(EstimatorEvaluation):
         form: how covariances are carried.
         smoother: whether to add the rows of the smoother; `iterated` adds those of the iterated one too.
         tuning: options of `Tuning`, to add the rows of a tuned filter; None leaves them out.
+        name: what its rows are called, and its node of the configuration.
     """
 
     def __init__(
@@ -59,11 +60,12 @@ class UKFEvaluation(EstimatorEvaluation):
         tuning: dict[str, Any] | None,
         seed: int,
         beside: System | None = None,
+        name: Literal["ukf", "ckf"] = "ukf",
     ) -> None:
         self.parameters = UnscentedParameters(alpha, beta, kappa)
         chosen = {"square_root": SQUARE_ROOT, "standard": STANDARD}[form]
         super().__init__(
-            UnscentedKalmanFilter(self.parameters, chosen),
+            UnscentedKalmanFilter(self.parameters, chosen, name=name),
             cadence=cadence,
             times=times,
             measurement=measurement,
@@ -101,9 +103,9 @@ class UKFEvaluation(EstimatorEvaluation):
         if (options := self.tuning) is None:
             return []
         parts = self.arcs(case, setting, options.trajectories, options.steps, self.seed + 3)
-        tuned = tuned_once(model, setting, parts, options, case.folder / "ukf_tuned.json")
+        tuned = tuned_once(model, setting, parts, options, case.folder / f"{self.estimator.name}_tuned.json")
         findings.numbers["tuning"] = tuned._asdict()
-        return [(Who(MODEL, "true", "ukf_tuned"), tuned.apply(model))]
+        return [(Who(MODEL, "true", f"{self.estimator.name}_tuned"), tuned.apply(model))]
 
     def settings(self, setting: Setting) -> dict[str, Any]:
         """Return what was assumed, for metrics.json."""

@@ -41,6 +41,7 @@ class UnscentedKalmanFilter(GaussianFilter):
         parameters: of the sigma points.
         form: `SQUARE_ROOT` or `STANDARD`.
         gate: refuses improbable measurement rows; None takes all.
+        name: what its rows are called.
 
     Raises:
         ValueError: a form or a gate that is none.
@@ -49,6 +50,7 @@ class UnscentedKalmanFilter(GaussianFilter):
     parameters: UnscentedParameters = DEFAULTS
     form: Form = SQUARE_ROOT
     gate: Gate | None = None
+    name: str = "ukf"  # pyright: ignore[reportIncompatibleMethodOverride] - a property of the base
 
     def __post_init__(self) -> None:
         """Refuse what is no form and no gate."""
@@ -56,11 +58,6 @@ class UnscentedKalmanFilter(GaussianFilter):
             message = f"form: expected a Form, SQUARE_ROOT or STANDARD; received {self.form!r}"
             raise UserError(message)
         super().__post_init__()
-
-    @property
-    def name(self) -> str:
-        """What its rows are called."""
-        return "ukf"
 
     @property
     def definite(self) -> bool:
@@ -91,7 +88,7 @@ class UnscentedKalmanFilter(GaussianFilter):
             return SigmaPoints(unscented_weights(self.parameters, size, device, batch=batch), self.form)
         return SigmaPoints(_weights_of_numbers(self.parameters, size, device), self.form)
 
-    def stepper(self, kernel: Kernel, rows: Tensor, *, smoothing: bool) -> FilterLoop:
+    def stepper(self, kernel: Kernel, rows: Tensor, *, smoothing: bool) -> FilterLoop[FilterState]:
         """Return the steps of a run, whole ones where the library does them."""
         return WholeSteps(rows, cast(SigmaPoints, kernel), smoothing=smoothing)
 

@@ -1,0 +1,156 @@
+"""Filters whose belief is a set of samples, one flow call for those of all members.
+
+What makes such a filter its own is how samples are drawn from a belief, what becomes of them in a step, and
+how a measurement moves or weighs them. Arguments, gate, status and freezing of members are those of every
+filter, see `ahnn.estimation.member_filter`; to others a belief of samples is its moments.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from ahnn.dynamics.flow_at_time import at
+from ahnn.errors import UserError
+from ahnn.estimation.belief import Belief
+from ahnn.estimation.estimator import SensorModel
+from ahnn.estimation.kernel import checked_prediction, decided, measured, propagate
+from ahnn.estimation.member_filter import MemberFilter
+from ahnn.estimation.random_numbers import RandomNumbers
+from ahnn.estimation.results import Backward, Updated
+from ahnn.estimation.rounding import Rounding
+from ahnn.estimation.samples import SampleState
+from ahnn.estimation.state import MemberState, frozen, initial_state
+from ahnn.measurements import residual
+from ahnn.types import Flow
+
+LARGEST_SEED = 2**63 - 1
+
+
+class SampleFilter(MemberFilter[SampleState]):
+    """A filter of N samples for each of B members; subclasses are dataclasses.
+
+    Attributes:
+        seed: of the random numbers; with the same one the same estimates come out, bit for bit.
+    """
+
+    carried: ClassVar[type[MemberState]] = SampleState
+    seed: int
+
+    def __post_init__(self) -> None:
+        """Refuse what is no gate and no seed; raises ValueError."""
+        super().__post_init__()
+        if not isinstance(self.seed, int) or not 0 <= self.seed <= LARGEST_SEED:
+            message = f"seed: expected a whole number from 0 to 2^63 - 1; received {self.seed!r}"
+            raise UserError(message)
+
+    @property
+    @abstractmethod
+    def count(self) -> int:
+        """N."""
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """Plain values that determine its estimates."""
+        return {**super().about, "samples": self.count, "seed": self.seed}
+
+    @abstractmethod
+    def drawn(self, belief: Belief, random: RandomNumbers) -> Tensor:
+        """Return samples (B, N, D) of a belief."""
+
+    @abstractmethod
+    def moments(self, points: Tensor, log_weights: Tensor) -> Belief:
+        """Return the moments of samples (B, N, D) with weights (B, N)."""
+
+    @abstractmethod
+    def noise(self, draw: Tensor, points: Tensor) -> Tensor:
+        """Return normal numbers (B, N, D) as the filter adds them, times a factor of Q, to samples."""
+
+    def followed(self, state: SampleState, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Return samples (B, N, D) and weights (B, N) of a state whose samples have these images."""
+        return images, state.log_weights
+
+    def law(self, before: Tensor, images: Tensor, chol_q: Tensor) -> Backward | None:
+        """Return the law back from images (B, N, D) of samples, Q added; None where there is no smoother."""
+        del before, images, chol_q
+
+    @abstractmethod
+    def conditioned(
+        self, state: SampleState, images: Tensor, y: Tensor, sensor: SensorModel
+    ) -> tuple[SampleState, Updated]:
+        """Return the samples of a state given a row y (B, M), NaN where missing, and the update.
+
+        Args:
+            state: before the update; its `random` is of the update.
+            images: (B, N, M) measurements of its samples.
+            y: the row.
+            sensor: its model.
+        """
+
+    def initial(self, belief: Belief, time: float) -> SampleState:
+        """Return the state of a belief; raises ValueError for a number of samples that does not fit it."""
+        kept, like = initial_state(belief, time), belief.mean
+        seed = torch.tensor(self.seed, dtype=torch.int64, device=like.device)
+        points = self.drawn(belief, RandomNumbers(self.seed, 0, 0))
+        weights = like.new_full((len(like), self.count), -math.log(self.count))
+        moments = self.moments(points, weights)
+        return SampleState(moments, *kept[1:], points, weights, seed, torch.zeros_like(kept.steps))
+
+    def predicted(
+        self,
+        state: SampleState,
+        flow: Flow,
+        dt: float,
+        time: Tensor,
+        chol_q: Tensor,
+        *,
+        smoothing: bool = False,
+    ) -> tuple[SampleState, Backward | None]:
+        """Return the state after a step of the flow that ends at `time`, and the law back, if asked for."""
+        images = propagate(at(flow, state.time), state.points, dt)
+        steps = state.steps + 1
+        after = state._replace(time=time, steps=steps, updates=torch.zeros_like(state.updates))
+        points, weights = self.followed(state, images)
+        if bool(chol_q.any()):
+            draw = after.random.normal(points, *points.shape)
+            points = points + self.noise(draw, points) @ chol_q.mT
+        belief = self.moments(points, weights)
+        after = checked_prediction(after._replace(belief=belief, points=points, log_weights=weights))
+        return frozen(after, state), self.law(state.points, images, chol_q) if smoothing else None
+
+    def updated(
+        self, state: SampleState, y: Tensor, sensor: SensorModel
+    ) -> tuple[SampleState, Updated, Tensor]:
+        """Return the state given a row (B, M), the update, and which rows the gate rejected, (B,) bool."""
+        state = state._replace(updates=state.updates + 1)
+        images = measured(sensor.measurement, state.points, float(state.time))
+        proposed, told = self.conditioned(state, images, y, sensor)
+        after, accepted, rejected = decided(state, told, y, sensor, Rounding())
+        return after.where(~accepted, proposed), told, rejected
+
+
+def image_deviations(
+    images: Tensor, weights: Tensor | float, y: Tensor, sensor: SensorModel
+) -> tuple[Tensor, Tensor]:
+    """Return deviations (B, N, M) of measured samples from their mean, and the innovation (B, M).
+
+    Both are 0 where a component is missing; angles are averaged on the side of the first sample.
+
+    Args:
+        images: (B, N, M) measurements of samples.
+        weights: (B, N, 1) that sum to 1, or their common value.
+        y: (B, M), NaN where missing.
+        sensor: its model says what a difference is.
+    """
+    model, present = sensor.measurement, ~torch.isnan(y)
+    outer = residual(model, images, images[:, :1].expand_as(images))
+    outer = torch.where(present.unsqueeze(1), outer, 0.0)
+    shift = (weights * outer).sum(1)
+    y_pred = images[:, 0] + shift
+    # What is missing is filled in: a residual may mix components.
+    innovation = residual(model, torch.where(present, y, y_pred), y_pred)
+    return outer - shift.unsqueeze(1), torch.where(present, innovation, 0.0)

@@ -1,0 +1,71 @@
+"""Localisation: correlations that a small ensemble finds between distant coordinates are taken as chance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import torch
+from torch import Tensor
+
+from ahnn.arguments import Count, Positive, checked
+from ahnn.errors import UserError
+
+
+@final
+@checked
+@dataclass(frozen=True)
+class Localisation:
+    """A taper of covariances by the distance of coordinates, as their numbers along a chain say it.
+
+    Component k of a state belongs to coordinate k mod `coordinates`: q_i, p_i, and the error of the force on
+    i, are at one place.
+
+    Attributes:
+        radius: distance, in coordinates, from which on there is no correlation.
+        coordinates: of the chain, n.
+        ring: whether the last is beside the first.
+    """
+
+    radius: Positive
+    coordinates: Count
+    ring: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse a taper that reaches around a ring, which may not be positive definite; raises UserError."""
+        if self.ring and 2 * self.radius > self.coordinates:
+            most = f"{self.coordinates / 2:g}, half the ring"
+            message = f"localisation.radius: expected at most {most}; received {self.radius:g}"
+            raise UserError(message)
+
+    def taper(self, size: int) -> Tensor:
+        """Return the factors (D, D) on the covariances of states of D components.
+
+        Raises:
+            UserError: components beside those of the chain, such as biases or learned parameters.
+        """
+        if size % self.coordinates:
+            message = (
+                f"localisation: expected states of a multiple of {self.coordinates} components, the "
+                f"coordinates of the chain; received {size}, of which some have no place on it"
+            )
+            raise UserError(message)
+        place = torch.arange(size) % self.coordinates
+        apart = (place - place.unsqueeze(-1)).abs()
+        if self.ring:
+            apart = torch.minimum(apart, self.coordinates - apart)
+        return gaspari_cohn(apart.double() / (0.5 * self.radius))
+
+
+def gaspari_cohn(z: Tensor) -> Tensor:
+    """Return the correlation at distances z >= 0 in half radii: 1 at 0, 0 from 2 on, twice differentiable.
+
+    Gaspari & Cohn 1999, eq. 4.10: fifth degree piece by piece, positive definite in up to three dimensions.
+    """
+    near = (((-0.25 * z + 0.5) * z + 0.625) * z - 5.0 / 3.0) * z**2 + 1.0
+    far = (
+        ((((z / 12.0 - 0.5) * z + 0.625) * z + 5.0 / 3.0) * z - 5.0) * z
+        + 4.0
+        - 2.0 / (3.0 * z.clamp(min=1.0))
+    )
+    return torch.where(z <= 1.0, near, torch.where(z < 2.0, far, 0.0)).clamp(min=0.0)

@@ -1,0 +1,225 @@
+"""Bootstrap particle filter (Gordon, Salmond & Smith 1993): the flow moves states, measurements weigh them.
+
+Weights are kept as logarithms. Where the effective sample size falls below a fraction of the particles they
+are resampled (systematically: Kitagawa 1996), and moved by a kernel that keeps mean and covariance (Liu &
+West 2001),
+
+    x' = mean + sqrt(1 - h²) (x - mean) + h L z,    L Lᵀ the covariance,
+
+without which copies of one particle would stay together wherever there is no process noise. A measurement
+that is far more precise than its prediction leaves hardly a particle. It is taken in stages (progressive
+correction: Oudjane & Musso 2000): the likelihood to a power that leaves enough effective particles, which are
+resampled and moved, until the powers sum to 1.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, final
+
+import torch
+from torch import Tensor
+
+from ahnn.errors import UserError
+from ahnn.estimation.belief import Belief, choose
+from ahnn.estimation.conditioning import present_noise
+from ahnn.estimation.estimator import SensorModel
+from ahnn.estimation.gate import Gate
+from ahnn.estimation.kernel import measured
+from ahnn.estimation.linalg import tria
+from ahnn.estimation.random_numbers import RandomNumbers
+from ahnn.estimation.results import Updated
+from ahnn.estimation.sample_filter import SampleFilter, image_deviations
+from ahnn.estimation.samples import (
+    SampleState,
+    effective_size,
+    normalised,
+    sample_moments,
+    systematic_resampling,
+)
+from ahnn_plugins.particle.weighing import STAGE_BANDWIDTH, STAGE_SIZE, WeighingRow, exponent
+
+TINY = torch.finfo(torch.float64).tiny
+
+
+@final
+@dataclass(frozen=True)
+class ParticleFilter(SampleFilter):
+    """Bootstrap particle filter with additive Gaussian noise for a batch of B members, see `SampleFilter`.
+
+    A particle that the flow or the measurement takes where no number is has no weight from there on.
+
+    Attributes:
+        particles: how many, N.
+        resample_below: fraction of N; at a smaller effective sample size particles are resampled.
+        bandwidth: h of the kernel, less than 1; 0 for none; None takes (4 / ((D + 2) N))^(1 / (D + 4)), the
+            best for Gaussian beliefs (Silverman 1986, section 4.3), and at least 0.6 between two stages.
+            Narrow modes call for less.
+        stages: most stages in which a measurement is taken; 1 weighs at once, as the bootstrap filter does.
+        seed: of the random numbers.
+        gate: refuses improbable measurement rows; None takes all.
+
+    Raises:
+        UserError: a value beyond its limits.
+    """
+
+    particles: int = 1000
+    resample_below: float = 0.5
+    bandwidth: float | None = None
+    stages: int = 50
+    seed: int = 0
+    gate: Gate | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse values beyond their limits."""
+        super().__post_init__()
+        if not isinstance(self.particles, int) or self.particles < 2:
+            message = f"particles: expected a whole number >= 2; received {self.particles!r}"
+            raise UserError(message)
+        if not isinstance(self.resample_below, int | float) or not 0.0 <= self.resample_below <= 1.0:
+            message = f"resample_below: expected a number from 0 to 1; received {self.resample_below!r}"
+            raise UserError(message)
+        if not isinstance(self.stages, int) or self.stages < 1:
+            message = f"stages: expected a whole number >= 1; received {self.stages!r}"
+            raise UserError(message)
+        h = self.bandwidth
+        if h is not None and (not isinstance(h, int | float) or not 0.0 <= h < 1.0):
+            message = f"bandwidth: expected null or a number from 0 to below 1; received {h!r}"
+            raise UserError(message)
+
+    @property
+    def name(self) -> str:
+        """What its rows are called."""
+        return "particle"
+
+    @property
+    def count(self) -> int:
+        """N."""
+        return self.particles
+
+    @property
+    def definite(self) -> bool:
+        """A likelihood needs a density."""
+        return True
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """Plain values that determine its estimates."""
+        own = {"resample_below": self.resample_below, "bandwidth": self.bandwidth, "stages": self.stages}
+        return {**super().about, **own}
+
+    def drawn(self, belief: Belief, random: RandomNumbers) -> Tensor:
+        """Return particles (B, N, D) of a Gaussian belief."""
+        draw = random.normal(belief.mean, len(belief.mean), self.particles, belief.mean.shape[-1])
+        return belief.mean.unsqueeze(1) + draw @ belief.chol.mT
+
+    def noise(self, draw: Tensor, points: Tensor) -> Tensor:
+        """Return the numbers as they are."""
+        del points
+        return draw
+
+    def moments(self, points: Tensor, log_weights: Tensor) -> Belief:
+        """Return the weighted moments."""
+        return sample_moments(points, log_weights)
+
+    def followed(self, state: SampleState, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the particles after the flow; one that it took where no number is counts no more."""
+        finite = images.isfinite().all(-1)
+        if bool(finite.all()):
+            return images, state.log_weights
+        points = torch.where(finite.unsqueeze(-1), images, state.points)
+        return points, normalised(state.log_weights.masked_fill(~finite, -torch.inf))
+
+    def conditioned(
+        self, state: SampleState, images: Tensor, y: Tensor, sensor: SensorModel
+    ) -> tuple[SampleState, Updated]:
+        """Return the particles of a state given a row, and the update."""
+        finite = images.isfinite().all(-1)
+        state = state._replace(log_weights=state.log_weights.masked_fill(~finite, -torch.inf))
+        best = state.log_weights.argmax(-1)[:, None, None].expand(-1, 1, images.shape[-1])
+        images = torch.where(finite.unsqueeze(-1), images, images.gather(1, best))
+        weights = normalised(state.log_weights).exp().unsqueeze(-1)
+        deviations, innovation = image_deviations(images, weights, y, sensor)
+        noise = present_noise(sensor.chol_r, ~torch.isnan(y))
+        after, log_likelihood = self.weighed(state, images, WeighingRow.of(y, sensor, noise))
+        return after, _told(after.belief, weights.sqrt() * deviations, noise, innovation, log_likelihood)
+
+    def weighed(self, state: SampleState, images: Tensor, row: WeighingRow) -> tuple[SampleState, Tensor]:
+        """Return the particles of a state given a row, in as many stages as it takes, and its log density.
+
+        Args:
+            state: before, weights zero of particles without an image.
+            images: (B, N, M) of its particles.
+            row: with its noise.
+        """
+        least = self.resample_below * self.particles
+        each = max(least, STAGE_SIZE * self.particles)
+        left = torch.ones_like(state.log_likelihood)
+        total = torch.zeros_like(left)
+        for stage in range(self.stages):
+            densities, last = row.log_density(images), stage == self.stages - 1
+            power = left
+            if not last:
+                most = left.clamp(min=TINY)
+                power = torch.minimum(exponent(state.log_weights, densities, most, least, each), left)
+            taken = power > 0.0
+            weighed = state.log_weights + torch.where(taken, power, 1.0).unsqueeze(-1) * densities
+            gained = weighed.logsumexp(-1)
+            weighed = torch.where(taken.unsqueeze(-1), weighed - gained.unsqueeze(-1), state.log_weights)
+            total = total + torch.where(taken, gained, 0.0)
+            left = torch.where(gained.isfinite(), left - power, 0.0)
+            belief = choose(taken, self.moments(state.points, weighed), state.belief)
+            state = state._replace(log_weights=weighed, belief=belief)
+            few = taken & ((left > 0.0) | (effective_size(weighed) < least))
+            if bool(few.any()):
+                h = self.kernel_bandwidth(state.points.shape[-1], left > 0.0)
+                state = self.resampled(state, few, h, stage)
+            if not bool((left > 0.0).any()):
+                break
+            images = measured(row.sensor.measurement, state.points, float(state.time))
+        return state, total
+
+    def resampled(self, state: SampleState, few: Tensor, h: Tensor, stage: int) -> SampleState:
+        """Return the state in which some members are resampled and moved; its moments stay.
+
+        Args:
+            state: whose moments are those of its weights.
+            few: (B,) bool, which members.
+            h: (B,) bandwidths.
+            stage: of the update.
+        """
+        points, belief, random = state.points, state.belief, state.random
+        offset = random.uniform(points, len(points), stage=stage)
+        chosen = systematic_resampling(state.log_weights, offset)
+        drawn = points.gather(1, chosen.unsqueeze(-1).expand_as(points))
+        if bool(h.any()):
+            centre, h = belief.mean.unsqueeze(1), h[:, None, None]
+            move = random.normal(points, *points.shape, stage=stage) @ belief.chol.mT
+            drawn = centre + (1.0 - h * h).sqrt() * (drawn - centre) + h * move
+        weights = torch.full_like(state.log_weights, -math.log(self.particles))
+        return state.where(~few, state._replace(points=drawn, log_weights=weights))
+
+    def kernel_bandwidth(self, size: int, further: Tensor) -> Tensor:
+        """Return h, (B,), for states of D components; `further` says for which members stages follow."""
+        if self.bandwidth is not None:
+            return torch.where(further, self.bandwidth, self.bandwidth).double()
+        best = (4.0 / ((size + 2) * self.particles)) ** (1.0 / (size + 4))
+        return torch.where(further, max(best, STAGE_BANDWIDTH), best).double()
+
+
+def _told(belief: Belief, rows: Tensor, noise: Tensor, innovation: Tensor, log_likelihood: Tensor) -> Updated:
+    """Return the update: innovation and its covariance by the moments of the prediction, the rest as it is.
+
+    Args:
+        belief: after it.
+        rows: (B, N, M) weighted deviations of the measured particles.
+        noise: (B, 2 M, M) rows of R.
+        innovation: (B, M).
+        log_likelihood: (B,) of the row, -inf where no particle explains it.
+    """
+    chol_y = tria(torch.cat((rows, noise), dim=1))
+    white = torch.linalg.solve_triangular(chol_y, innovation.unsqueeze(-1), upper=False)
+    nis = white.square().sum((-2, -1))
+    lost = log_likelihood.isneginf() | (belief.chol.square().sum(-1) == 0.0).any(-1)
+    return Updated(belief, innovation, chol_y.norm(dim=-1), nis, log_likelihood, lost)
