@@ -31,6 +31,8 @@ from families import (
     changes,
     checkpoints,
     commands,
+    controls_arrays,
+    controls_tables,
     disks,
     doors_files,
     environments,
@@ -81,6 +83,8 @@ FAMILIES: dict[str, tuple[Callable, float]] = {
     "tensors x files": (tensors_files.cases, 0.04),
     "finite x infinite": (finite_infinite.cases, 0.07),
     "scales": (scales.cases, 0.06),
+    "controls x tables": (controls_tables.cases, 0.03),
+    "controls x arrays": (controls_arrays.cases, 0.03),
 }
 """Families, and the fraction of the cases that each has: few where a case is a training."""
 ANSWERS = ("worked", "refused", "failed")
