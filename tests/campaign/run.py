@@ -27,6 +27,8 @@ os.environ["PYTHONUNBUFFERED"] = "1"
 
 import torch
 from families import (
+    biased_streams,
+    biases_values,
     caches,
     changes,
     checkpoints,
@@ -60,31 +62,33 @@ from ahnn.errors import TrainingError, UserError
 
 FAMILIES: dict[str, tuple[Callable, float]] = {
     "configuration": (commands.cases, 0.1),
-    "checkpoints, damaged": (checkpoints.cases, 0.05),
+    "checkpoints, damaged": (checkpoints.cases, 0.045),
     "checkpoints, resumed": (resumed.cases, 0.035),
-    "run folders": (foreign.cases, 0.055),
-    "caches": (caches.cases, 0.045),
+    "run folders": (foreign.cases, 0.05),
+    "caches": (caches.cases, 0.04),
     "kills": (kills.cases, 0.035),
     "signals": (signals.cases, 0.015),
     "disks": (disks.cases, 0.015),
     "environments": (environments.cases, 0.01),
-    "filter inputs": (filters.cases, 0.065),
+    "filter inputs": (filters.cases, 0.055),
     "saved states": (states.cases, 0.015),
     "trajectories": (trajectories.cases, 0.03),
     "silent changes": (changes.cases, 0.03),
     "doors x foreign files": (doors_files.cases, 0.08),
-    "fields x messages": (fields_messages.cases, 0.06),
-    "fields x tables": (fields_tables.cases, 0.06),
+    "fields x messages": (fields_messages.cases, 0.05),
+    "fields x tables": (fields_tables.cases, 0.05),
     "fields x element sets": (fields_elements.cases, 0.02),
     "fields x Parquet": (fields_parquet.cases, 0.02),
-    "fields x runs": (fields_runs.cases, 0.06),
+    "fields x runs": (fields_runs.cases, 0.05),
     "fields x streams": (fields_states.cases, 0.02),
     "folders that act": (folders.cases, 0.01),
     "tensors x files": (tensors_files.cases, 0.04),
-    "finite x infinite": (finite_infinite.cases, 0.07),
-    "scales": (scales.cases, 0.06),
+    "finite x infinite": (finite_infinite.cases, 0.05),
+    "scales": (scales.cases, 0.05),
     "controls x tables": (controls_tables.cases, 0.03),
     "controls x arrays": (controls_arrays.cases, 0.03),
+    "biases": (biases_values.cases, 0.02),
+    "streams x biases": (biased_streams.cases, 0.015),
 }
 """Families, and the fraction of the cases that each has: few where a case is a training."""
 ANSWERS = ("worked", "refused", "failed")
