@@ -236,13 +236,14 @@ def test_a_friction_matrix_tells_its_lower_triangle_and_takes_no_coefficient():
     ("options", "said"),
     [
         ({"kind": "actuation", "matrix": [[float("nan")], [1.0]]}, "matrix: expected"),
+        ({"kind": ["actuation"]}, "expected kind, one of"),
         ({"kind": "actuation", "matrix": [[1.0], [1.0]], "of": "positions"}, "no matrix beside of=positions"),
         ({"kind": "friction", "coefficient": [0.1, float("nan")]}, "coefficient: expected"),
         ({"kind": "friction", "coefficient": [0.1, -0.1]}, "coefficient: expected"),
         ({"kind": "forcing", "frequency": 1.0, "sine": [float("inf"), 1.0]}, "sine: expected"),
         ({"kind": "spring", "stiffness": [[float("inf"), 0.0], [0.0, 1.0]]}, "stiffness: expected"),
     ],
-    ids=lambda given: given["kind"] if isinstance(given, dict) else "",
+    ids=lambda given: str(given["kind"]) if isinstance(given, dict) else "",
 )
 def test_numbers_of_forces_that_are_none_are_refused(options, said):
     with pytest.raises(UserError, match=said):
