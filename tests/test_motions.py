@@ -199,6 +199,13 @@ def test_known_controls_are_held_or_interpolated_between_samples():
         steered(exact_flow(ForcedOscillator(name="f", dt=0.05, steps=2)), times, [[1.0], [3.0], [5.0]])
 
 
+def test_controls_that_no_force_takes_are_said(tmp_path, capsys):
+    words = ["system=pushed_spring", "hamiltonian=mechanical", "loss=recursive", "trainer.max_epochs=1"]
+    trained(tmp_path / "run", *words)
+    said = "the controls u of the data push nothing in this model: forces=controls takes them"
+    assert said in capsys.readouterr().err
+
+
 def test_a_training_learns_how_controls_push(tmp_path, capsys):
     options = ["system=pushed_spring", "hamiltonian=mechanical", "forces=controls", "trainer.max_epochs=6"]
     options += ["data.trajectories=60", "data.windows_per_epoch=4000", "data.batch_size=1000"]

@@ -20,7 +20,7 @@ from ahnn.dynamics.flow_at_time import at, steered
 from ahnn.types import Trajectories
 
 from .children import trained
-from .doors import answered, enter
+from .doors import answered, enter, taken
 from .fields_runs import NAN, ODD, changed
 from .pushed_body import FREE, MASS, SPACE, STEP, Table, spec, written
 from .readings import heard
@@ -78,6 +78,7 @@ def cases(draw, folder):
         kind, seed, place = draw.choice(kinds), draw.randrange(10**6), Path(tempfile.mkdtemp(dir=folder))
         name = draw.choice([*NUMBERS, *["nothing"] * 12, *["large", "of each start"] * 2])
         layout = draw.choice(list(LAYOUTS)) if name in GOOD else "numpy"
+        layout = "numpy" if name == "large" and layout == "integers" else layout
         if draw.random() < 0.04:
             words = draw.sample(AGAIN, draw.randint(1, 2))
             yield f"evaluation, {words}", partial(evaluated, place, folder / "cart", words)
@@ -131,12 +132,19 @@ def expect(run: Path, name: str, layout: str) -> None:
     assert not takes or layout != "sparse", "a sparse tensor is accepted"
 
 
+def is_sound(run: Path, name: str, layout: str) -> bool:
+    """Return whether controls must pass."""
+    small = layout == "numpy" or name != "large"
+    return (name in GOOD and layout != "sparse" and small) if run.name == "pushed" else name == "none"
+
+
 def predicted(run: Path, name, layout, seed, linear) -> None:
     """Predict two starts."""
     times, base = drawn(seed, 7)
     given = NUMBERS[name](base)
     given = LAYOUTS[layout](given) if name in GOOD else given
-    found = ahnn.load(run).predict([[0.3, -0.2], [0.0, 1.0]], times, controls=given, linear=linear).states
+    with taken(is_sound(run, name, layout)):
+        found = ahnn.load(run).predict([[0.3, -0.2], [0.0, 1.0]], times, controls=given, linear=linear).states
     expect(run, name, layout)
     moved(
         found, times, base * (1e100 if name == "large" else 1.0) if run.name == "pushed" else 0 * base, linear
@@ -159,9 +167,10 @@ def rolled(run: Path, name, layout, seed, linear) -> None:
     given = LAYOUTS[layout](given) if name in GOOD else given
     lengths = np.full(7, STEP) if linear else np.linspace(0.1, 0.4, 7)
     dt = None if linear else np.stack((lengths, lengths))
-    found = ahnn.load(run).rollout(
-        [[0.3, -0.2], [0.0, 1.0]], 7, dt, start_time=float(seed % 5), controls=given
-    )
+    with taken(is_sound(run, name, layout)):
+        found = ahnn.load(run).rollout(
+            [[0.3, -0.2], [0.0, 1.0]], 7, dt, start_time=float(seed % 5), controls=given
+        )
     expect(run, name, layout)
     times = np.concatenate(([0.0], lengths.cumsum()))
     base = base * (1e100 if name == "large" else 1.0) if run.name == "pushed" else 0 * base
@@ -171,7 +180,8 @@ def rolled(run: Path, name, layout, seed, linear) -> None:
 def followed(run: Path, name, seed) -> None:
     """Step along a flow whose controls are known."""
     times, base = drawn(seed, 7)
-    flow = steered(ahnn.load(run).dynamics, times, NUMBERS[name](base))
+    with taken(name in GOOD):
+        flow = steered(ahnn.load(run).dynamics, times, NUMBERS[name](base))
     x = torch.tensor([[0.3, -0.2], [0.0, 1.0]], dtype=torch.float64)
     path = [x]
     for begin, dt in zip(times, np.diff(times), strict=False):
@@ -211,14 +221,14 @@ def column(texts: list[str], at_row: int, text: str) -> list[str]:
 
 
 COLUMNS = {
-    "u, w": ("t [s],q [m],v [m/s],u,w", "same"), "u1, u2": ("t [s],q [m],v [m/s],u1,u2", "same"),
-    "torque": ("t [s],q [m],v [m/s],torque [Nm],control_2", "same"), "first": ("u,w,t [s],q [m],v [m/s]", "same"),
+    "u, u2": ("t [s],q [m],v [m/s],u,u2", "same"), "u1, u2": ("t [s],q [m],v [m/s],u1,u2", "same"),
+    "torque": ("t [s],q [m],v [m/s],torque [Nm],control_2", "same"), "first": ("u,u2,t [s],q [m],v [m/s]", "same"),
     "commands": ("t [s],q [m],v [m/s],cmd,INPUT_b", "same"), "twice": ("t [s],q [m],v [m/s],u,u", "refused"),
-    "a cell": ("t [s],q [m],v [m/s],u,w", "cell"), "a cell, linear": ("t [s],q [m],v [m/s],u,w", "cell"),
-    "linear": ("t [s],q [m],v [m/s],u,w", "same"), "named": ("t,a,b,c,d", "same"), "named twice": ("t,a,b,c,d", "refused"),
-    "named, gone": ("t,a,b,c,d", "refused"), "no list": ("t,a,b,c,d", "refused"), "cubic": ("t [s],q [m],v [m/s],u,w", "refused"),
-    "other units": ("t [s],q [m],v [m/s],u [N],w [N]", "refused"), "other names": ("t [s],q [m],v [m/s],u,w", "refused"),
-    "other rule": ("t [s],q [m],v [m/s],u,w", "refused"), "a unit that is none": ("t [s],q [m],v [m/s],u [furlong],w [x/]", "same"),
+    "a cell": ("t [s],q [m],v [m/s],u,u2", "cell"), "a cell, linear": ("t [s],q [m],v [m/s],u,u2", "cell"),
+    "linear": ("t [s],q [m],v [m/s],u,u2", "same"), "named": ("t,a,b,c,d", "same"), "named twice": ("t,a,b,c,d", "refused"),
+    "named, gone": ("t,a,b,c,d", "refused"), "no list": ("t,a,b,c,d", "refused"), "cubic": ("t [s],q [m],v [m/s],u,u2", "refused"),
+    "other units": ("t [s],q [m],v [m/s],u [N],u2 [N]", "refused"), "other names": ("t [s],q [m],v [m/s],u,u2", "refused"),
+    "other rule": ("t [s],q [m],v [m/s],u,u2", "refused"), "a unit that is none": ("t [s],q [m],v [m/s],u [furlong],u2 [x/]", "same"),
 }  # fmt: skip
 """Headers of trajectories with controls, and what must become of them."""
 ROLES = {"time": "t", "positions": ["a"], "velocities": ["b"]}
@@ -228,9 +238,9 @@ SIDECARS = {
     "named, gone": {"columns": {**ROLES, "controls": ["c", "e"]}}, "no list": {"columns": {**ROLES, "controls": {"c": 1}}},
 }  # fmt: skip
 SECOND = {
-    "other units": ("u [N],w [N]", "u [kN],w [N]"),
-    "other names": ("u,w", "u,w2"),
-    "other rule": ("u,w", "u,w"),
+    "other units": ("u [N],u2 [N]", "u [kN],u2 [N]"),
+    "other names": ("u,u2", "u,u3"),
+    "other rule": ("u,u2", "u,u2"),
 }
 """Headers of a second file that does not fit the first."""
 
@@ -255,7 +265,7 @@ def read(place: Path, what, cell, seed) -> None:
     if what in SECOND:
         paths.append(place / "other.csv")
         paths[1].write_text("\n".join([head.replace(*SECOND[what]), *lines[1:]]) + "\n")
-    with heard() as said:
+    with taken(expected == "same"), heard() as said:
         files = Files("mine", [*map(str, paths)], MASS)
     assert expected == "same", f"accepted; it says {sorted(said)}"
     found = files.read()

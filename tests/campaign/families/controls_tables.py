@@ -19,7 +19,7 @@ import pyarrow.parquet
 
 from .controls_changes import BASE, START, TIMES, VALUES, changes, parts
 from .damage import damaged
-from .doors import answered, enter
+from .doors import answered, enter, taken
 from .pushed_body import FREE, SPACE, Table, written
 from .scales import table_of
 
@@ -105,7 +105,8 @@ def run_of(place: Path, run: Path | list[Path], controls: object) -> tuple[int, 
 
 def held(place: Path, code: int, said: str, expected: object) -> None:
     """Hold what came of a prediction against what should have come."""
-    answered(code, said)
+    with taken(expected != "refused"):
+        answered(code, said)
     assert expected != "refused", f"accepted; it says {said[-200:]!r}"
     assert expected != "word" or "used" in said or "convert" in said, (
         f"no word of what is not used: {said[-300:]!r}"

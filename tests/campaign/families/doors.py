@@ -5,7 +5,8 @@ from __future__ import annotations
 import importlib
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
@@ -61,6 +62,18 @@ def answered(code: int, said: str, codes: Sequence[int] = (0, 2, 3)) -> None:
     if code:
         assert said.strip(), f"exit code {code} without a word"
         raise UserError(said)
+
+
+@contextmanager
+def taken(sound: bool) -> Iterator[None]:
+    """Let a refusal of sound data be a failure."""
+    try:
+        yield
+    except UserError as error:
+        if sound:
+            message = f"sound data are refused: {error}"
+            raise AssertionError(message) from error
+        raise
 
 
 def numbers(values: Sequence[float]) -> str:
