@@ -170,6 +170,7 @@ MISTAKES = {
     "duration": ([MOLNIYA, START, "duration=1km"], "duration: expected a positive duration"),
     "step": ([MOLNIYA, START, "duration=1h", "step=0"], "step: expected a positive duration"),
     "too long": ([MOLNIYA, START, "duration=1e18"], "duration and step: expected"),
+    "too short a step": ([MOLNIYA, START, "duration=1d", "step=1e-320"], "duration and step: expected"),
     "suffix": ([MOLNIYA, START, "duration=1h", "output=out.xls"], "output: expected a file .csv"),
     "folder": ([MOLNIYA, START, "duration=1h", "output=no/out.csv"], "in a folder that exists"),
     "picture": ([MOLNIYA, START, "duration=1h", "figure=out.gif"], "figure: expected a file .png"),

@@ -51,14 +51,7 @@ FIELDS = {
 CELLS = ["abc", "inf", "1e999", "1e151", "1_000", "", "nan", "0x1", "true"]
 AGAIN = ["system.push=0", "system.push=3", "system.push=-1", "system.push=1e200", "system.push=.nan", "system.held=0", "system.held=1",
          "system.held=1000", "system.held=2.5", "system.controls=[]", "system.signal=1", "model.forces=1", "data.seed=3"]  # fmt: skip
-SMALL = [
-    "system=cart_pole",
-    "hamiltonian=mass_matrix",
-    "inputs=angles",
-    "forces=controls",
-    "loss=recursive",
-    "trainer.max_epochs=1",
-]
+SMALL = ["system=cart_pole", "hamiltonian=mass_matrix", "inputs=angles", "forces=controls", "loss=recursive", "trainer.max_epochs=1"]  # fmt: skip
 
 
 def put(array: np.ndarray, value: object) -> np.ndarray:

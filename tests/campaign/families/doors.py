@@ -101,4 +101,6 @@ def assimilating(measurements: Path, *more: str) -> list[str]:
     words = [MODEL, f"measurements={measurements}", "measurement.sd=0.1", f"start={numbers(START)}"]
     words += ["start_sd=[1,0.001]", NOISE, "epoch=2024-03-01T12:00:00"]
     keys = {word.partition("=")[0] for word in more}
+    if any(word.startswith("+measurement@sensors.") for word in more):  # which say it themselves
+        keys |= {"measurement.sd"}
     return [*(word for word in words if word.partition("=")[0] not in keys), *more]
