@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import io
+import logging
 import os
 import random
 import sys
@@ -124,6 +125,7 @@ def campaign(name: str, cases: Callable, count: int, seed: int) -> Counter[str]:
             answers[answer] += 1
             if answer == "failed":
                 say(f"  FAILED {name}: {what}: {why}")
+    logging.getLogger("ahnn").setLevel(logging.NOTSET)  # some families are silent, the next one listens
     say(row(name, answers, time.monotonic() - started))
     return answers
 

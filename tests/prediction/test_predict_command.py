@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -70,6 +71,18 @@ def test_a_message_goes_on_where_another_begins(here):
     close(torch.from_numpy(found.states), ahnn.load("molniya_mechanical").rollout(STATE, steps=60)[0], 1e-14)
     assert call("ahnn.predict", MOLNIYA, "start=start.oem", "duration=1min", "output=o.csv") == 0
     assert rows(here / "o.csv")[1]["epoch"] == "2016-12-31T23:31:00.000"
+
+
+@pytest.mark.usefixtures("here")
+def test_what_is_not_used_of_a_start_is_said(caplog):
+    states = np.array([STATE, STATE])
+    epoch = instant("2024-03-01", utc=True)
+    orbit = Ephemeris("A", "A", "EARTH", "EME2000", "UTC", epoch, np.array([0.0, 1.0]), states)
+    write_oem("start.oem", [orbit])
+    text = Path("start.oem").read_text()
+    Path("start.oem").write_text(text.replace("META_STOP", "INTERPOLATION = HERMITE\nMETA_STOP"))
+    assert call("ahnn.predict", MOLNIYA, "start=start.oem", "duration=1min") == 0
+    assert "not used: INTERPOLATION" in caplog.text
 
 
 def test_a_band_reaches_every_format_in_its_units(here, cache):

@@ -94,7 +94,7 @@ def becomes(sd: str, memory: str | None) -> str:
 
 def is_sound(sd: str, memory: str | None) -> bool:
     """Return whether the filter of a spring must take two texts."""
-    return sd in ("0.5", "0.6", "[0.5]", "null") and memory in (None, "60", ".inf")
+    return sd in ("0.5", "0.6", "[0.5]", "null") and memory in (None, "60")
 
 
 def words_of(sd: str, memory: str | None) -> list[str]:
