@@ -25,6 +25,8 @@ class Table(Mapping[str, T]):
         self.group, self.own = group, own
 
     def __getitem__(self, name: str) -> T:
+        if not isinstance(name, str):  # whatever stands beside weights
+            raise KeyError(name)
         if name in self.own:
             return self.own[name]
         for point in entry_points(group=self.group, name=name):

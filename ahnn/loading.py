@@ -15,6 +15,7 @@ from ahnn.errors import UserError
 from ahnn.pretrained import names, shipped
 from ahnn.runs import Run
 from ahnn.stored import read_about
+from ahnn.types import Space
 from ahnn.uncertainty import domain_of, load_uncertainty
 from ahnn.uncertainty.posterior import FILE
 
@@ -96,6 +97,7 @@ def made(weights: Weights, folder: Path) -> Run:
     try:
         with fillable(weights.state):
             dynamics = make_dynamics(**about.dynamics)
+        require_controls(dynamics.clock, space)
         domain = domain_of(weights.about, len(space.components))
     except Exception as error:  # whatever the class of a package says of arguments that are none
         reason = error if isinstance(error, UserError) else repr(error)
@@ -111,3 +113,11 @@ def made(weights: Weights, folder: Path) -> Run:
         message = f"run {folder}: expected finite weights; received nan or inf. Take another checkpoint"
         raise UserError(message)
     return Run(dynamics.eval().requires_grad_(False), space, about.dt, weights.about, folder, domain)
+
+
+def require_controls(clock: int, space: Space) -> None:
+    """Refuse dynamics of k = `clock` clock coordinates whose controls are not those of a space."""
+    if clock > 1 and clock - 1 != len(space.controls):
+        names = ", ".join(space.controls) or "none"
+        message = f"space.controls: expected names of {clock - 1}, those of the dynamics; received {names}"
+        raise UserError(message)

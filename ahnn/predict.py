@@ -18,6 +18,8 @@ frame=[EME2000,EARTH,UTC]       frame, centre and time system, where neither mod
 
 from __future__ import annotations
 
+import logging
+
 from ahnn.cli.guard import run_command
 from ahnn.cli.importing import importing
 
@@ -37,7 +39,7 @@ def predict(arguments: list[str]) -> None:
 
 def main() -> None:
     """Entry point of `python -m ahnn.predict` and `ahnn-predict`."""
-    run_command(predict, __doc__)
+    run_command(predict, __doc__, logging.INFO)
 
 
 if __name__ == "__main__":

@@ -104,8 +104,11 @@ def read_about(who: str, content: Any) -> tuple[About, Space]:
     if about.data is not None:
         read(f"{who}.data", Data, about.data)
     names, dof = tuple(said.components), about.dynamics.get("dof", len(said.components) // 2)
-    if len({*names}) < len(names) or len(names) != 2 * dof or not names:
+    if len({*names}) < len(names) or len(names) != 2 * dof or not all((names, *names)):
         message = f"{who}.space.components: expected {2 * dof} different names; received {str(names)[:200]}"
+        raise UserError(message)
+    if len({*names, *said.controls, ""}) <= len(names) + len(said.controls):
+        message = f"{who}.space.controls: expected names of their own; received {str(said.controls)[:200]}"
         raise UserError(message)
     if about.dynamics.get("inertia", said.inertia) != said.inertia:
         message = f"{who}.dynamics.inertia: expected {said.inertia}, as in space; received {made.inertia}"

@@ -109,6 +109,7 @@ MISTAKES = {
     "measurements=fixes.csv plugins.ukf.bias_sd=1": "say it: measurement.bias_sd",
     "measurements=fixes.csv measurement.bias_sd=a": "bias_sd: expected standard deviations of biases",
     "measurements=fixes.csv measurement.bias_sd=[[1]]": "bias_sd: expected standard deviations of biases",
+    "measurements=fixes.csv +measurement@sensors.a=position measurement.bias_sd=1": "says what each one",
     "measurements=fixes.csv system.dt=3 trainer.max_epochs=3": "unknown key 'trainer'",
 }
 

@@ -194,12 +194,22 @@ def test_known_controls_are_held_or_interpolated_between_samples():
     close(at(ramp, 0.05)(x, 0.05), reduced(flow(extended(x, clock), 0.05), 2), 1e-14)
     with pytest.raises(UserError, match="expected the time at which a step begins"):
         held(x, 0.05)
-    with pytest.raises(
-        UserError, match=r"steered: expected times \(T,\) that increase and controls \(T, 1\)"
-    ):
-        steered(flow, times, [[1.0], [3.0]])
+    expected = r"steered: expected finite times \(T,\) that increase and controls \(T, 1\)"
+    for given in ([[1.0], [3.0]], [[1.0], [float("nan")], [5.0]]):
+        with pytest.raises(UserError, match=expected):
+            steered(flow, times, given)
+    three = steered(flow, times, [[[1.0], [3.0], [5.0]]] * 3)
+    with pytest.raises(UserError, match="expected states of 3 members, as controls have; received 1"):
+        at(three, 0.05)(x, 0.05)
     with pytest.raises(UserError, match="steered: expected a flow with controls"):
         steered(exact_flow(ForcedOscillator(name="f", dt=0.05, steps=2)), times, [[1.0], [3.0], [5.0]])
+
+
+def test_controls_that_no_force_takes_are_said(tmp_path, capsys):
+    words = ["system=pushed_spring", "hamiltonian=mechanical", "loss=recursive", "trainer.max_epochs=1"]
+    trained(tmp_path / "run", *words)
+    said = "the controls u of the data push nothing in this model: forces=controls takes them"
+    assert said in capsys.readouterr().err
 
 
 def test_a_training_learns_how_controls_push(tmp_path, capsys):

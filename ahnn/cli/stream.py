@@ -50,7 +50,8 @@ def read_stream(arguments: list[str], usage: str) -> Stream:
     options, nodes, request = asked(arguments, usage)
     run = load(request.source, request.ckpt)
     cfg = run_config(run.folder, with_filter(request, run))
-    refuse(unread_online(cfg.plugins, covariance=run.uncertainty is not None), request.overrides)
+    known = run.uncertainty is not None
+    refuse(unread_online(cfg.plugins, covariance=known, named=bool(nodes)), request.overrides)
     torch.set_num_threads(cfg.threads)
     require_places(options)
     return build_assimilation(options, nodes, cfg, run)

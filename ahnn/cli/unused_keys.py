@@ -113,9 +113,18 @@ def unread_of_plugins(nodes: DictConfig) -> Unread:
         )
 
 
-def unread_online(nodes: DictConfig, *, covariance: bool) -> Unread:
-    """Yield the keys of filters that a stream leaves unread; `covariance`: that of the weights is known."""
+def unread_online(nodes: DictConfig, *, covariance: bool, named: bool = False) -> Unread:
+    """Yield the keys that a stream leaves unread.
+
+    Args:
+        nodes: the filters.
+        covariance: whether that of the weights is known.
+        named: whether the sensors are, in place of the one of the run.
+    """
     yield from unread_of_plugins(nodes)
+    noises = [options.get("process_noise") for _, options in of_plugins(nodes)]
+    if named and not any(_is_fitted(noise, covariance=covariance) for noise in noises):
+        yield "measurement", "sensors.NAME says what each one measures"
     for name, options in of_plugins(nodes):
         yield from ((f"plugins.{name}.{key}", "a stream is filtered, and no more") for key in EVALUATED)
         yield from (

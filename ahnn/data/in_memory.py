@@ -27,7 +27,7 @@ def check_space(space: Space) -> None:
         message = f"space.units: expected ahnn.Units(...); received {space.units!r}"
         raise UserError(message)
     check_values("space.units", Units, space.units._asdict())
-    for text in (space.name, *space.components, *space.units):
+    for text in (space.name, *space.components, *space.controls, *space.units):
         if not text.strip() or not text.isprintable() or "$" in text:
             message = f"space: expected names and units that can be printed, without $; received {text!r}"
             raise UserError(message)
@@ -41,8 +41,10 @@ def check_space(space: Space) -> None:
     if size < 2 or size % 2:
         message = f"space: expected 2n components, positions first; received {size}: {space.components}"
         raise UserError(message)
-    if again := [name for name in space.components if space.components.count(name) > 1]:
-        message = f"space.components: expected different names; received {again[0]!r} twice"
+    named = (*space.components, *space.controls)
+    if again := [name for name in named if named.count(name) > 1]:
+        key = "controls" if again[0] in space.controls else "components"
+        message = f"space.{key}: expected different names; received {again[0]!r} twice"
         raise UserError(message)
 
 

@@ -71,9 +71,16 @@ class Bound(NamedTuple):
 
 
 def of_members(values: Tensor, count: int) -> Tensor:
-    """Return controls (m,) or (B, m) for `count` states, so many in a row for each of B members."""
+    """Return controls (m,) or (B, m) for `count` states, so many in a row for each of B members.
+
+    Raises:
+        UserError: states of another number of members.
+    """
     if values.ndim == 1:
         return values.expand(count, -1)
+    if count % len(values):
+        message = f"steered: expected states of {len(values)} members, as controls have; received {count}"
+        raise UserError(message)
     return values.repeat_interleave(count // len(values), dim=0)
 
 
@@ -118,16 +125,20 @@ def steered(flow: Flow, times: Numbers, controls: Numbers, *, linear: bool = Fal
     A step must not go beyond the next sample of a held control.
 
     Raises:
-        UserError: a flow without controls, or numbers of another shape.
+        UserError: a flow without controls, numbers of another shape, or some that are not finite.
     """
     if isinstance(flow, Wrapped):
         return flow._replace(flow=steered(flow.flow, times, controls, linear=linear))
     moments, given = as_float64(times, "times"), as_float64(controls, "controls")
     size = clock_of(flow) - 1
     shape = (len(moments) if moments.ndim == 1 else -1, size)
-    if size < 1 or given.shape[-2:] != shape or not bool((moments.diff() > 0).all()):
+    finite = bool(moments.isfinite().all() & given.isfinite().all())
+    known = finite and moments.ndim == 1 and bool((moments.diff() > 0).all())
+    if size < 1 or given.ndim not in (2, 3) or given.shape[-2:] != shape or not known:
         expected = (
-            f"times (T,) that increase and controls (T, {size})" if size > 0 else "a flow with controls"
+            f"finite times (T,) that increase and controls (T, {size})"
+            if size > 0
+            else "a flow with controls"
         )
         message = f"steered: expected {expected}; received {tuple(moments.shape)} and {tuple(given.shape)}"
         raise UserError(message)

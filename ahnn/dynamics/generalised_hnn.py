@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any, final
 
-from ahnn.arguments import Count
-from ahnn.dynamics.symplectic_map import Conformal, Shear, SymplecticMap
+from ahnn.dynamics.symplectic_map import Conformal, Layers, Shear, SymplecticMap
 
 
 @final
@@ -21,6 +20,6 @@ class GeneralisedHNN(SymplecticMap):
 
     assumes = "a symplectic map (GHNN)"
 
-    def __init__(self, dof: int, *, scaling: Conformal, layers: Count, network: dict[str, Any]) -> None:
+    def __init__(self, dof: int, *, scaling: Conformal, layers: Layers, network: dict[str, Any]) -> None:
         shears = (Shear(dof, network, of_positions=k % 2 == 0) for k in range(2 * layers))
         super().__init__(dof, scaling, shears)

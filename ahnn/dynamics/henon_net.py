@@ -7,9 +7,8 @@ from typing import Any, final
 import torch
 from torch import Tensor, nn
 
-from ahnn.arguments import Count
 from ahnn.dynamics.networks import make_network
-from ahnn.dynamics.symplectic_map import Conformal, Moves, SymplecticLayer, SymplecticMap
+from ahnn.dynamics.symplectic_map import Conformal, Layers, Moves, SymplecticLayer, SymplecticMap
 
 
 class HenonLayer(SymplecticLayer):
@@ -50,5 +49,5 @@ class HenonNet(SymplecticMap):
 
     assumes = "a symplectic map (HénonNet)"
 
-    def __init__(self, dof: int, *, scaling: Conformal, layers: Count, network: dict[str, Any]) -> None:
+    def __init__(self, dof: int, *, scaling: Conformal, layers: Layers, network: dict[str, Any]) -> None:
         super().__init__(dof, scaling, (HenonLayer(dof, network) for _ in range(layers)))

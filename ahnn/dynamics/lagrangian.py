@@ -14,11 +14,13 @@ import torch
 from torch import Tensor, nn
 from torch.func import vjp
 
+from ahnn.arguments import Positive
 from ahnn.dynamics.fields import IntegratedField
 from ahnn.dynamics.gradients import plain_gradient
 from ahnn.dynamics.inputs import Cartesian
 from ahnn.dynamics.networks import make_network
 from ahnn.dynamics.scaling import Kind
+from ahnn.errors import UserError
 from ahnn.statistics import Statistics
 
 
@@ -86,6 +88,9 @@ class LagrangianDynamics(IntegratedField):
         scaling: minmax, block or none.
         network: width, depth, activation.
         integrator: `name` and options of the one-step method.
+
+    Raises:
+        UserError: another number of masses.
     """
 
     assumes = "a Lagrangian of q and v"
@@ -94,9 +99,12 @@ class LagrangianDynamics(IntegratedField):
         self,
         dof: int,
         *,
-        inertia: float | list[float],
+        inertia: Positive | list[Positive],
         scaling: Kind,
         network: dict[str, Any],
         integrator: dict[str, Any],
     ) -> None:
+        if isinstance(inertia, list) and len(inertia) != dof:
+            message = f"inertia: expected one mass, or {dof}; received {inertia}"
+            raise UserError(message)
         super().__init__(LagrangianField(dof, inertia, scaling, network), integrator)

@@ -9,17 +9,20 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterable
-from typing import Any, Literal, cast
+from typing import Annotated, Any, Literal, cast
 
 import torch
 from torch import Tensor, nn
 
+from ahnn.arguments import Within
 from ahnn.dynamics.networks import make_network
 from ahnn.dynamics.step_map import StepMap
 from ahnn.types import TimeStep
 
 Conformal = Literal["block", "none"]
 """Scalings that leave a symplectic map symplectic."""
+Layers = Annotated[int, Within(1, 1000)]
+"""How many layers a map has: more are a mistake, and take minutes to be made."""
 Moves = tuple[Tensor, Tensor]
 """What a layer adds to scaled positions and momenta, (B, n) each."""
 

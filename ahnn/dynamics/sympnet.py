@@ -8,9 +8,8 @@ from typing import Any, Literal, final
 import torch
 from torch import Tensor, nn
 
-from ahnn.arguments import Count
 from ahnn.dynamics.activations import ACTIVATIONS, ActivationName
-from ahnn.dynamics.symplectic_map import Conformal, Moves, Shear, SymplecticLayer, SymplecticMap
+from ahnn.dynamics.symplectic_map import Conformal, Layers, Moves, Shear, SymplecticLayer, SymplecticMap
 from ahnn.errors import UserError
 
 
@@ -82,8 +81,8 @@ class SympNet(SymplecticMap):
         *,
         scaling: Conformal,
         form: Literal["G", "LA"],
-        layers: Count,
-        shears: Count | None = None,
+        layers: Layers,
+        shears: Layers | None = None,
         network: dict[str, Any],
     ) -> None:
         if form == "G" and shears is not None:

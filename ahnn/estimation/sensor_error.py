@@ -45,9 +45,9 @@ class SensorError(NamedTuple):
 
     @classmethod
     def of(cls, sensors: Mapping[str, Biases | None]) -> SensorError | None:
-        """Return the errors of sensors; None where no sensor has one."""
+        """Return the errors of sensors, in the order of their names; None where no sensor has one."""
         deviations, memories, places = list[float](), list[float](), dict[str, list[int | None]]()
-        for name, biases in sensors.items():
+        for name, biases in sorted(sensors.items()):
             if biases is None:
                 continue
             places[name] = []
@@ -122,7 +122,7 @@ class SensorError(NamedTuple):
                 inner = Factor(covariance_factor(inner, "Q", batch=1, size=size, definite=False))
             return Factor(torch.block_diag(inner.chol, self._kick(dt).diag()))
 
-        about = {**process.about, "sensor_error": self.about}
+        about = {**process.about, "sensor_error": [*self.about, self.places]}
         return process._replace(flow=self.flow(process.flow), noise=noise, lifted=lifted, about=about)
 
     def drawn(self, batch: int, steps: int, dt: float, generator: torch.Generator) -> Tensor:

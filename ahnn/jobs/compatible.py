@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
 from ahnn.data.datamodule import WindowDataModule
@@ -13,6 +14,8 @@ from ahnn.training.normal_equations import memory_of, memory_of_parts
 from ahnn.training.objectives import PARTS
 from ahnn.training.restore import require_resumable
 
+log = logging.getLogger(__name__)
+
 
 def check_together(prepared: Prepared) -> None:
     """Let data, model, trainer and checkpoint refuse each other; model and callbacks do by a method `check`.
@@ -22,6 +25,9 @@ def check_together(prepared: Prepared) -> None:
     """
     data, model, trainer = prepared.data, prepared.model, prepared.trainer
     require_learnable(model, data)
+    if data.source.space.controls and model.dynamics.clock < 2:
+        what = "the controls %s of the data push nothing in this model: forces=controls takes them"
+        log.warning(what, ", ".join(data.source.space.controls))
     if model.curriculum.span is not None:
         data.require_span(model.curriculum.span, model.dynamics.clock)
     else:

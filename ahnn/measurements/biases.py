@@ -67,6 +67,6 @@ class Biases(NamedTuple):
 
 def numbers_of(given: Any) -> list[Any]:
     """Return one number or a list of them as a list; empty where they are none."""
-    values = [*given] if isinstance(given, Sequence) and not isinstance(given, str) else [given]
+    values = [*given] if isinstance(given, Sequence) and not isinstance(given, str | bytes) else [given]
     plain = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
     return values if plain else []

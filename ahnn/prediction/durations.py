@@ -47,8 +47,8 @@ def duration(value: str | float, who: str, base: str) -> float:
 
 def grid(total: float, step: float) -> Tensor:
     """Return the times (T,) from 0 to a duration, a step apart, the last step shorter where it has to be."""
+    require_memory("duration and step", "times", 8.0 * (total / step))  # before it is counted: it may be inf
     count = substeps(total, step)
-    require_memory("duration and step", "times", 8.0 * count)
     times = step * torch.arange(count + 1, dtype=torch.float64)
     times[-1] = total
     return times

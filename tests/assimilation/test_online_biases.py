@@ -76,3 +76,18 @@ def test_a_bias_that_wanders_is_open_again_after_its_memory():
     assert near < 0.5
     assert sd == pytest.approx(1.0, rel=1e-3)
     assert abs(bias) < 1e-6
+
+
+def test_a_stream_goes_on_with_its_sensors_named_in_another_order(tmp_path):
+    def ordered(names):
+        made = {"left": 1.0, "right": 1.0}
+        sensors = {name: StreamSensor.of(Position(1, "m"), 0.05, SPACE, bias_sd=made[name]) for name in names}
+        process = online_process(UnscentedKalmanFilter(), coast, STEP, 1e-6 * Q)
+        return Assimilation(process, sensors, initial_belief([MEAN], P0))
+
+    one, other = ordered(["left", "right"]), ordered(["right", "left"])
+    for k in range(6):
+        one.update(Reading(0.5 * k, (1.2 + 0.1 * k + 0.3 * (k % 2),), ("left", "right")[k % 2]))
+    one.save(tmp_path / "a.state")
+    other.load(tmp_path / "a.state")
+    assert other.biases == one.biases

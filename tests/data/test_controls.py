@@ -106,3 +106,26 @@ def test_controls_of_a_space_without_any_are_refused():
     states = torch.arange(12.0).reshape(2, 3, 2)
     with pytest.raises(UserError, match="names none"):
         Given(Trajectories(states, torch.arange(3.0), torch.zeros(2, 3, 1)), Space("mine", ("q", "p")))
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (("u", "u"), "space.controls: expected different names; received 'u' twice"),
+        (("q", "u"), "space.controls: expected different names; received 'q' twice"),
+        (("", "u"), "expected names and units that can be printed"),
+    ],
+)
+def test_names_of_controls_are_their_own(names, said):
+    with pytest.raises(UserError, match=said):
+        Given(
+            Trajectories(torch.zeros(1, 3, 2), torch.arange(3.0), torch.zeros(1, 3, 2)),
+            SPACE._replace(controls=names),
+        )
+
+
+def test_files_whose_controls_have_other_units_do_not_fit(tmp_path):
+    (tmp_path / "a.csv").write_text(HEAD + ROWS)
+    (tmp_path / "b.csv").write_text(HEAD.replace("[N]", "[kN]") + ROWS)
+    with pytest.raises(UserError, match=r"expected controls u \[N\], as in .*a.csv; received u \[kN\]"):
+        Files("mine", [str(tmp_path / "a.csv"), str(tmp_path / "b.csv")])

@@ -172,7 +172,7 @@ def test_what_makes_no_force_is_a_message():
         make_force("drag", 2, 0, {})
     with pytest.raises(UserError, match="controls: expected data with controls"):
         make_force("controls", 2, 0, {"kind": "actuation"})
-    with pytest.raises(UserError, match="expected 2 coefficients >= 0"):
+    with pytest.raises(UserError, match="coefficient: expected a list of float >= 0"):
         make_force("friction", 2, 0, {"coefficient": [1.0, -1.0]})
     with pytest.raises(UserError, match="expected 2 rows of 1 numbers"):
         make_force("a", 2, 1, {"kind": "actuation", "matrix": [[1.0]]})
@@ -230,3 +230,21 @@ def test_a_friction_matrix_tells_its_lower_triangle_and_takes_no_coefficient():
     close(force.constants()["matrix"].detach(), torch.tensor([1.0, -0.5, 4.25], **DOUBLE), 1e-15)
     with pytest.raises(UserError, match="expected no coefficient beside of=matrix"):
         make_force("own", 2, 0, {"kind": "friction", "of": "matrix", "coefficient": 0.1})
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"kind": "actuation", "matrix": [[float("nan")], [1.0]]}, "matrix: expected"),
+        ({"kind": ["actuation"]}, "expected kind, one of"),
+        ({"kind": "actuation", "matrix": [[1.0], [1.0]], "of": "positions"}, "no matrix beside of=positions"),
+        ({"kind": "friction", "coefficient": [0.1, float("nan")]}, "coefficient: expected"),
+        ({"kind": "friction", "coefficient": [0.1, -0.1]}, "coefficient: expected"),
+        ({"kind": "forcing", "frequency": 1.0, "sine": [float("inf"), 1.0]}, "sine: expected"),
+        ({"kind": "spring", "stiffness": [[float("inf"), 0.0], [0.0, 1.0]]}, "stiffness: expected"),
+    ],
+    ids=lambda given: str(given["kind"]) if isinstance(given, dict) else "",
+)
+def test_numbers_of_forces_that_are_none_are_refused(options, said):
+    with pytest.raises(UserError, match=said):
+        make_force("own", 2, 1, options)

@@ -141,3 +141,17 @@ def test_a_gradient_form_has_no_shears_and_a_lagrangian_no_graph():
     options = {"inertia": 1.0, "scaling": "none", "network": NETWORK, "integrator": {"name": "rk4"}}
     with pytest.raises(UserError, match="export: expected dynamics with a graph; received a Lagrangian"):
         modules(make_dynamics("lagrangian", dof=1, **options), 0.1)
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_layers_that_would_never_be_made_are_refused(name):
+    key = "shears" if name == "sympnet_la" else "layers"
+    with pytest.raises(UserError, match=f"{key}: expected int from 1 to 1000"):
+        made(name, **{key: 10**12})
+
+
+@pytest.mark.parametrize("inertia", [float("nan"), 0.0, [1.0], [1.0, float("inf")]])
+def test_a_mass_of_a_lagrangian_that_is_none_is_refused(inertia):
+    options = {"scaling": "none", "network": NETWORK, "integrator": {"name": "rk4"}}
+    with pytest.raises(UserError, match="inertia: expected"):
+        make_dynamics("lagrangian", dof=2, inertia=inertia, **options)

@@ -138,6 +138,7 @@ def test_biases_are_said_for_all_components_for_each_or_for_one_station_of_sever
         (-1.0, None, "bias_sd: expected"),
         (math.nan, None, "bias_sd: expected"),
         ("a", None, "bias_sd: expected"),
+        (b"a", None, "bias_sd: expected"),
         (["a", "b"], None, "bias_sd: expected"),
         ([None, 1.0], None, "bias_sd: expected"),
         (True, None, "bias_sd: expected"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -70,6 +71,18 @@ def test_a_message_goes_on_where_another_begins(here):
     close(torch.from_numpy(found.states), ahnn.load("molniya_mechanical").rollout(STATE, steps=60)[0], 1e-14)
     assert call("ahnn.predict", MOLNIYA, "start=start.oem", "duration=1min", "output=o.csv") == 0
     assert rows(here / "o.csv")[1]["epoch"] == "2016-12-31T23:31:00.000"
+
+
+@pytest.mark.usefixtures("here")
+def test_what_is_not_used_of_a_start_is_said(caplog):
+    states = np.array([STATE, STATE])
+    epoch = instant("2024-03-01", utc=True)
+    orbit = Ephemeris("A", "A", "EARTH", "EME2000", "UTC", epoch, np.array([0.0, 1.0]), states)
+    write_oem("start.oem", [orbit])
+    text = Path("start.oem").read_text()
+    Path("start.oem").write_text(text.replace("META_STOP", "INTERPOLATION = HERMITE\nMETA_STOP"))
+    assert call("ahnn.predict", MOLNIYA, "start=start.oem", "duration=1min") == 0
+    assert "not used: INTERPOLATION" in caplog.text
 
 
 def test_a_band_reaches_every_format_in_its_units(here, cache):
@@ -170,6 +183,7 @@ MISTAKES = {
     "duration": ([MOLNIYA, START, "duration=1km"], "duration: expected a positive duration"),
     "step": ([MOLNIYA, START, "duration=1h", "step=0"], "step: expected a positive duration"),
     "too long": ([MOLNIYA, START, "duration=1e18"], "duration and step: expected"),
+    "too short a step": ([MOLNIYA, START, "duration=1d", "step=1e-320"], "duration and step: expected"),
     "suffix": ([MOLNIYA, START, "duration=1h", "output=out.xls"], "output: expected a file .csv"),
     "folder": ([MOLNIYA, START, "duration=1h", "output=no/out.csv"], "in a folder that exists"),
     "picture": ([MOLNIYA, START, "duration=1h", "figure=out.gif"], "figure: expected a file .png"),

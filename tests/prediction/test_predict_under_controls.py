@@ -10,11 +10,13 @@ from entry import SMALL, call
 from helpers import close, generator
 
 import ahnn
+from ahnn.checkpoints import FORMAT, Weights, write_weights
 from ahnn.controls import ControlTable, merged
 from ahnn.data.files.control_table import read_controls
 from ahnn.dynamics import make_dynamics
 from ahnn.errors import UserError
 from ahnn.jobs.control_times import known_controls
+from ahnn.stored import about_space
 from ahnn.types import Space, Units
 
 DOUBLE = {"dtype": torch.float64}
@@ -213,3 +215,20 @@ def test_a_model_without_controls_takes_none(capsys):
     words = ["ahnn.predict", "pretrained=molniya_mechanical", "start=[0,-3145,-6173,10,0,0]", "duration=60"]
     assert call(*words, "controls=[1]") == 2
     assert "controls: expected none" in capsys.readouterr().err
+
+
+def test_a_unit_of_a_control_is_said_not_to_be_converted(tmp_path, caplog):
+    (tmp_path / "c.csv").write_text("t,u [kN]\n0,1\n")
+    read_controls(tmp_path / "c.csv", Space("made", ("q", "p"), controls=("u",)))
+    assert "not converted, taken in the units of the training data: u [kN]" in caplog.text
+
+
+def test_weights_whose_controls_are_not_those_of_the_space_are_refused(pushed, tmp_path):
+    for names in ((), ("u", "w"), ("p",), ("",)):
+        folder = tmp_path / f"run{names}"
+        folder.mkdir()
+        about = {"format": FORMAT, "dynamics": pushed.dynamics.spec, "dt": 0.2}
+        about["space"] = about_space(pushed.space._replace(controls=names))
+        write_weights(folder / "weights.safetensors", Weights(pushed.dynamics.state_dict(), about))
+        with pytest.raises(UserError, match=r"space.controls: expected names of (1, those|their own)"):
+            ahnn.load(folder)

@@ -57,6 +57,12 @@ class Content(NamedTuple):
     controls: tuple[str, ...] = ()
     linear: bool = False
 
+    @property
+    def measured_controls(self) -> tuple[str, ...]:
+        """Names of the controls with their units, such as `u [N]`."""
+        units = {column.name: column.unit for column in self.columns}
+        return tuple(f"{name} [{units[name]}]" if units.get(name) else name for name in self.controls)
+
 
 def joined(parts: list[Content], places: list[Place]) -> Content:
     """Return the segments of a file as one content, its times from the first epoch.

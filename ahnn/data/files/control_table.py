@@ -59,6 +59,10 @@ def read_controls(path: Path, space: Space) -> ControlTable:
         refuse(
             Remark(sheet.place, f"not used, since they are no controls: {', '.join(others)}", level="warning")
         )
+    units = {name: sheet.header.units[names.index(name)] for name in space.controls}
+    if given := [f"{name} [{unit}]" for name, unit in units.items() if unit]:
+        what = f"not converted, taken in the units of the training data: {', '.join(given)}"
+        refuse(Remark(sheet.place, what, level="warning"))
     columns = [_column(sheet, names.index(name)) for name in space.controls]
     values = torch.from_numpy(np.stack(columns, axis=1))
     return ControlTable(torch.from_numpy(times), values, said.controls == sidecar.LINEAR)

@@ -98,12 +98,12 @@ def together(paths: list[Path], contents: list[Content]) -> Content:
     if not contents:
         message = "system.path: expected a file or several; received none"
         raise UserError(message)
-    for name in ("positions", "rates", "momenta", "units", "frame", "controls", "linear"):
+    for name in ("positions", "rates", "momenta", "units", "frame", "measured_controls", "linear"):
         first = getattr(contents[0], name)
         for path, content in zip(paths, contents, strict=True):
             if (received := getattr(content, name)) != first:
                 remedy = frame_names.remedy(str(first), str(received)) if name == "frame" else ""
-                expected = f"{name} {spelled(first)}, as in {paths[0]}"
+                expected = f"{name.rpartition('_')[2]} {spelled(first)}, as in {paths[0]}"
                 Place(str(path)).refuse(expected, spelled(received) or "none", remedy)
     return contents[0]
 

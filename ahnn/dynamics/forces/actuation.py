@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal, final
 import torch
 from torch import Tensor, nn
 
-from ahnn.arguments import checked
+from ahnn.arguments import Finite, checked
 from ahnn.dynamics.forces.base import Force, Instant
 from ahnn.dynamics.inputs import Cartesian
 from ahnn.dynamics.networks import make_network
@@ -30,7 +30,7 @@ class Actuation(Force):
         scaling: of the positions that the network sees.
 
     Raises:
-        UserError: a matrix of another shape.
+        UserError: a matrix of another shape, or one beside a network.
     """
 
     controlled: ClassVar[bool] = True
@@ -41,7 +41,7 @@ class Actuation(Force):
         dof: int,
         controls: int,
         *,
-        matrix: list[list[float]] | None = None,
+        matrix: list[list[Finite]] | None = None,
         of: Literal["constant", "positions"] = "constant",
         network: dict[str, Any] | None = None,
         scaling: Kind = "minmax",
@@ -50,6 +50,9 @@ class Actuation(Force):
         self.shape, self.of, self.known = (dof, controls), of, matrix
         self.assumes = "control matrix" if matrix is None else "known control matrix"
         self.register_buffer("unit", torch.ones(controls))
+        if matrix is not None and of != "constant":
+            message = f"actuation: expected no matrix beside of={of}; received {matrix}"
+            raise UserError(message)
         if matrix is not None:
             if [len(row) for row in matrix] != [controls] * dof:
                 message = f"actuation: expected {dof} rows of {controls} numbers; received {matrix}"

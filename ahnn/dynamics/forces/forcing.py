@@ -7,7 +7,7 @@ from typing import ClassVar, final
 import torch
 from torch import Tensor, nn
 
-from ahnn.arguments import Positive, checked
+from ahnn.arguments import Finite, Positive, checked
 from ahnn.dynamics.forces.base import Force, Instant
 from ahnn.errors import UserError
 from ahnn.statistics import Statistics
@@ -37,8 +37,8 @@ class Forcing(Force):
         controls: int = 0,
         *,
         frequency: Positive,
-        cosine: list[float] | None = None,
-        sine: list[float] | None = None,
+        cosine: list[Finite] | None = None,
+        sine: list[Finite] | None = None,
     ) -> None:
         super().__init__()
         del controls

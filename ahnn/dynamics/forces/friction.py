@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, final
+from typing import Any, Literal, final
 
 import torch
 from torch import Tensor, nn
 
-from ahnn.arguments import Within, checked
+from ahnn.arguments import NonNegative, checked
 from ahnn.dynamics.forces.base import Force, Instant
 from ahnn.dynamics.inputs import Cartesian
 from ahnn.dynamics.networks import make_network
@@ -46,7 +46,7 @@ class Friction(Force):
         dof: int,
         controls: int = 0,
         *,
-        coefficient: Annotated[float, Within(0)] | list[float] | None = None,
+        coefficient: NonNegative | list[NonNegative] | None = None,
         of: Literal["constant", "matrix", "positions"] = "constant",
         network: dict[str, Any] | None = None,
         scaling: Kind = "minmax",
@@ -71,7 +71,7 @@ class Friction(Force):
         else:
             self.known = coefficient if isinstance(coefficient, list) else [coefficient] * dof
             self.assumes = "known friction"
-            if len(self.known) != dof or min(self.known) < 0:
+            if len(self.known) != dof:
                 message = f"friction: expected {dof} coefficients >= 0; received {coefficient}"
                 raise UserError(message)
 

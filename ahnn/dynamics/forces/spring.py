@@ -28,7 +28,7 @@ class Spring(Force):
 
     assumes = "known springs"
 
-    def __init__(self, dof: int, controls: int = 0, *, stiffness: Finite | list[list[float]]) -> None:
+    def __init__(self, dof: int, controls: int = 0, *, stiffness: Finite | list[list[Finite]]) -> None:
         super().__init__()
         del controls
         diagonal = not isinstance(stiffness, list)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import importlib
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
@@ -63,6 +64,18 @@ def answered(code: int, said: str, codes: Sequence[int] = (0, 2, 3)) -> None:
         raise UserError(said)
 
 
+@contextmanager
+def taken(sound: bool) -> Iterator[None]:
+    """Let a refusal of sound data be a failure."""
+    try:
+        yield
+    except UserError as error:
+        if sound:
+            message = f"sound data are refused: {error}"
+            raise AssertionError(message) from error
+        raise
+
+
 def numbers(values: Sequence[float]) -> str:
     """Return numbers as a command line takes them."""
     return "[" + ",".join(map(spelled, values)) + "]"
@@ -88,4 +101,6 @@ def assimilating(measurements: Path, *more: str) -> list[str]:
     words = [MODEL, f"measurements={measurements}", "measurement.sd=0.1", f"start={numbers(START)}"]
     words += ["start_sd=[1,0.001]", NOISE, "epoch=2024-03-01T12:00:00"]
     keys = {word.partition("=")[0] for word in more}
+    if any(word.startswith("+measurement@sensors.") for word in more):  # which say it themselves
+        keys |= {"measurement.sd"}
     return [*(word for word in words if word.partition("=")[0] not in keys), *more]
