@@ -7,6 +7,7 @@ from functools import partial
 
 import yaml
 
+from ahnn.cli.guard import in_words
 from ahnn.cli.reevaluation import KEYS, NODES, Request, run_config
 
 from .damage import damaged
@@ -75,7 +76,8 @@ def hostile(draw) -> tuple[str, bytes]:
 def attempt(folder, content) -> None:
     """Read the configuration as an evaluation does; what is accepted must be plain and ours."""
     (folder / "config.yaml").write_bytes(content)
-    cfg = run_config(folder, Request(folder, folder, "best", None, [], trust=False))
+    with in_words():  # as every door calls it
+        cfg = run_config(folder, Request(folder, folder, "best", None, [], trust=False))
     text = str(cfg)
     assert not any(f"'{target}'" in text for target in TARGETS), "a foreign target"
     assert "hunter2" not in text, "a secret"
