@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from contextlib import nullcontext
+
 import pytest
 import torch
 
-from ahnn.data.in_memory import check_trajectories
+from ahnn.data.in_memory import check_trajectories, content_of
 from ahnn.data.sources import Given
 from ahnn.errors import UserError
 from ahnn.types import Space, Trajectories, Units
@@ -52,6 +55,23 @@ def test_positions_alone_are_columns_that_are_left_out_or_nan(states):
     assert source.positions_only
     assert torch.equal(source.read().states[..., :2], STATES[..., :2].double())
     assert bool(source.read().states[..., 2:].isnan().all())
+
+
+def test_numbers_are_used_up_to_those_whose_squares_are_infinite():
+    space, largest = Space("driven", ("q", "p"), controls=("u",)), 1e150
+    for value, refused in ((largest, False), (math.nextafter(largest, math.inf), True)):
+        for sign in (1, -1):
+            states = torch.zeros(1, 2, 2, dtype=torch.float64).index_fill(1, torch.tensor(1), sign * value)
+            times = torch.tensor([[0.0, value]], dtype=torch.float64)
+            zeros = torch.zeros(1, 2, 1, dtype=torch.float64)
+            for who, part in (
+                ("states", Trajectories(states, torch.arange(2.0))),
+                ("times", Trajectories(torch.zeros(1, 2, 2), sign * times.flip(1) if sign < 0 else times)),
+                ("controls", Trajectories(torch.zeros(1, 2, 2), torch.arange(2.0), zeros + sign * value)),
+            ):
+                given = part if who == "controls" else part._replace(controls=zeros)
+                with pytest.raises(UserError, match=who) if refused else nullcontext():
+                    content_of(given, space)
 
 
 def test_one_trajectory_of_one_sample_passes():

@@ -71,9 +71,10 @@ def test_units_say_what_is_an_angle_and_a_model_may_say_otherwise():
         *(math.inf, math.inf),
     )
     wrong = Counter()
-    wrong.periods = (1.0,)
-    with pytest.raises(ValueError, match="periods: expected a number > 0, or inf, for each of angle, double"):
-        periods(wrong)
+    for declared in ((1.0,), (0.0, math.inf), (math.inf, -1.0), (math.nan, 1.0)):
+        wrong.periods = declared
+        with pytest.raises(ValueError, match=r"periods: expected a number > 0, or inf, for each of angle, d"):
+            periods(wrong)
 
 
 def test_a_residual_is_that_of_the_nearest_turn_and_of_plain_numbers_as_before():
