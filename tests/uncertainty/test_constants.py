@@ -32,7 +32,7 @@ def dynamics():
 
 
 def test_constants_have_the_deviations_of_their_parameters():
-    """r = exp(theta) moves by r times as much as theta, an entry of G by its unit."""
+    """A coefficient exp(theta) moves by itself times as much as theta, an entry of G by its unit."""
     made = dynamics()
     made.field.forces["friction"].log_coefficient.data = torch.tensor([0.2, 3.0], **DOUBLE).log()
     made.field.forces["push"].unit.fill_(4.0)
