@@ -12,6 +12,7 @@ from ahnn.data.estimate_table import FIRST, described, is_track, last_estimate, 
 from ahnn.data.files import instant
 from ahnn.data.files.sidecar import beside, parse, write
 from ahnn.data.reference import Reference
+from ahnn.data.starts import starts
 from ahnn.errors import UserError
 from ahnn.types import Space, Units
 
@@ -106,3 +107,13 @@ def test_momenta_have_the_unit_of_what_moves(units, momentum):
         **{"x": units.position, "y": units.position},
         **{"px": momentum, "py": momentum},
     }
+
+
+def test_an_output_is_a_start_at_its_last_time(tmp_path):
+    found = starts(str(lines(tmp_path / "out")), SPACE)
+    assert (found.names, found.times.tolist()) == (("1",), [2.5])
+    assert found.states.tolist() == [[0.1, 1.1, 2.1, 3.1]]
+    assert torch.equal(found.covariances, MATRIX[None])
+    (tmp_path / "infinite").write_text(json.dumps({**ROWS[0], "x": "inf"}))
+    with pytest.raises(UserError, match="start"):
+        starts(str(tmp_path / "infinite"), SPACE)

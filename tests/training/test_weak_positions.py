@@ -113,3 +113,14 @@ def test_equations_of_known_velocities_are_those_of_the_residuals(measurement):
         close(block.matrix, numeric.T @ numeric, 1e-5)
         close(block.gradient, numeric.T @ at(0.0), 1e-5)
         close(loss, at(0.0).square().sum(), 1e-12)
+
+
+@torch.no_grad()
+def test_validation_is_chi_square_for_each_degree_of_freedom():
+    seen, right, wrong = positions(20, 0.01), Well(1.0, 0.5), Well(1.3, 0.5)
+    for model, least, most in ((right, 0.9, 1.1), (wrong, 2.0, 1e9)):
+        problem = Weak().problem(model, seen)
+        squares = problem.integrals(problem.motion.right(model.field), slice(None)).square()
+        found = Weak().validation(model, seen)["loss"]
+        close(found, squares.sum() / squares.numel(), 1e-12)
+        assert least < float(found) < most
