@@ -84,6 +84,8 @@ def test_units_and_frame_are_those_of_the_sidecar(tmp_path):
     path = table(tmp_path / "out.csv")
     ours = Reference("EME2000", "EARTH", "UTC", instant("2024-03-01T12:00:00", utc=True))
     write(path, described(SPACE, ours))
+    assert beside(path) == tmp_path / "out.yaml"
+    assert beside(path).is_file()
     assert last_estimate(path, SPACE).reference == ours
     said = parse(beside(path).read_text(), "out.yaml")
     assert said.units == units_of(SPACE)
