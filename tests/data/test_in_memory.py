@@ -74,6 +74,17 @@ def test_numbers_are_used_up_to_those_whose_squares_are_infinite():
                     content_of(given, space)
 
 
+def test_a_step_ten_times_as_long_as_most_is_a_gap():
+    """Of times on no grid: a shorter one is a step, and a longer one has samples that are missing."""
+    for length, gap in ((9.6, False), (11.4, True)):
+        steps = torch.tensor([[1.0, 1.05, 0.95, length, 1.0, 0.9, 1.1, 1.0]], dtype=torch.float64)
+        times = torch.nn.functional.pad(steps.cumsum(1), (1, 0))
+        states = torch.arange(36.0, dtype=torch.float64).reshape(1, 9, 4)
+        found = Given(Trajectories(states, times), SPACE).read()
+        assert found.states.shape[1] == (9 + 10 if gap else 9)
+        assert int(found.states.isnan().all(-1).sum()) == (10 if gap else 0)
+
+
 def test_one_trajectory_of_one_sample_passes():
     assert checked(STATES[:1, :1], TIMES[:1, :1]).states.shape == (1, 1, 4)
     pair = checked(STATES[..., :2], space=Space("pair", ("q", "p")))

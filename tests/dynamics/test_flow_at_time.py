@@ -70,6 +70,12 @@ def test_known_controls_are_held_or_follow_a_polygon(time, held, linear, slope):
     close(polygon(STATES, 0.2), moved(STATES, 0.2, linear, slope), 1e-7)
 
 
+def test_one_control_is_enough():
+    one = mass({"controls": {"kind": "actuation", "matrix": [[-2.0]]}}, 1)
+    after = flow_at_time.at(steered(one, [0.0, 1.0], [[1.0], [3.0]]), 1.0)(STATES, 0.5)
+    close(after, moved(STATES, 0.5, -6.0), 1e-13)
+
+
 def test_members_have_controls_of_their_own():
     """Two states in a row for each of two members."""
     flow = steered(PUSHED, TIMES, torch.stack((CONTROLS, -2 * CONTROLS))).at(2.5)

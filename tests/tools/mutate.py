@@ -7,8 +7,8 @@ Each mutant is one change in a copy of the tree; the tests that execute its line
 out of time counts as noticed.
 
 Left out is what changes nothing by construction: annotations and messages; the sign of an axis or an index,
-whose number is changed instead; tolerances and cuts far from every size that occurs; sizes of the parts in
-which work is done, constants whose words say how much that is "at once".
+whose number is changed instead; tolerances and cuts far from every size that occurs; how much work is
+done, in constants whose words say that it is so much "at once", "at most" or "about".
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ TESTS = (
 NEGLIGIBLE, HUGE = 1e-8, 1e200
 """Constants beyond these are tolerances and cuts."""
 
-AT_ONCE = "at once"
-"""What the words below a constant say where another number costs time or memory and changes no result."""
+CHOSEN = ("at once", "at most", "about")
+"""What the words below a constant say where somebody chose how much work is done, which no oracle knows."""
 
 SHELLS = (
     "__init__.py",
@@ -155,7 +155,7 @@ def files(kernel: Path) -> list[Path]:
 
 def places(tree: ast.Module) -> list[ast.AST]:
     """Return the nodes of a module that can be changed, annotations, messages and texts left out."""
-    left_out = {id(inner) for part in parts(tree) for inner in ast.walk(part)}
+    left_out = {id(inner) for part in chosen(tree) for inner in ast.walk(part)}
     for node in ast.walk(tree):
         hidden: list[ast.AST | None] = []
         if isinstance(node, ast.FunctionDef):
@@ -175,13 +175,15 @@ def places(tree: ast.Module) -> list[ast.AST]:
     return [node for node in ast.walk(tree) if id(node) not in left_out and can_change(node)]
 
 
-def parts(tree: ast.Module) -> list[ast.stmt]:
-    """Return the constants of a module that say how much is worked on at once."""
+def chosen(tree: ast.Module) -> list[ast.stmt]:
+    """Return the constants of a module that say how much work is done."""
     pairs = zip(tree.body, tree.body[1:], strict=False)
     return [
         node
         for node, below in pairs
-        if isinstance(node, ast.Assign) and isinstance(below, ast.Expr) and AT_ONCE in ast.unparse(below)
+        if isinstance(node, ast.Assign)
+        and isinstance(below, ast.Expr)
+        and any(word in ast.unparse(below).split("\\n")[0].lower() for word in CHOSEN)
     ]
 
 

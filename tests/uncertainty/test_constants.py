@@ -14,11 +14,11 @@ from ahnn.uncertainty.constants import Constant, learned_constants
 DOUBLE = {"dtype": torch.float64}
 
 
-def dynamics():
+def dynamics(dof=2):
     torch.manual_seed(0)
     return make_dynamics(
         "hamiltonian",
-        dof=2,
+        dof=dof,
         inertia=1.0,
         hamiltonian="mechanical",
         mu=None,
@@ -52,6 +52,8 @@ def test_constants_have_the_deviations_of_their_parameters():
         name: pytest.approx(pair, rel=1e-12) for name, pair in expected.items()
     }
     assert [one.numbers() for one in learned_constants(made, None)] == [[one.value, None] for one in found]
+    single = [one.name for one in learned_constants(dynamics(1), None)]
+    assert single == ["friction.coefficient", "push.matrix"]
     assert found[0].numbers() == [found[0].value, found[0].deviation]
 
 
