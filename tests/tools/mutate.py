@@ -243,7 +243,8 @@ def judge(reach: Reach, path: Path, index: int, timeout: float) -> bool:
     """Return whether the nearest tests notice a mutant, and say so if they do not."""
     changed, first, last, what = mutated(path, index)
     inner = str(path.relative_to(ROOT))
-    near = inner.replace("ahnn", "tests", 1).rsplit("/", 1)[0]
+    room = inner.replace("plugins/ahnn_plugins/", "tests/plugins/").replace("ahnn/", "tests/", 1)
+    near = room.rsplit("/", 1)[0]
     names = reach.tests(inner, first, last, near)
     target = reach.tree / inner
     original = target.read_text()
