@@ -100,13 +100,12 @@ def recorded_gradient(x: Tensor, layers: Layers, kernels: Kernels) -> tuple[Tens
     """Return f, shape (B, F), at the inputs x, shape (B, F), and what `reverse` needs of each layer."""
     entered, seen = _upwards(x, layers, kernels)
     ones = torch.ones_like(seen[-1])
-    records, u = [], layers.last
+    records: list[LayerRecord] = []
     for k in reversed(range(len(seen))):
+        u = torch.mm(records[-1].delta, layers.weights[k + 1]) if records else layers.last
         slope = kernels.pull(ones, seen[k])
         bend = kernels.curvature(seen[k], slope).mul_(u)
         records.append(LayerRecord(entered[k], slope, slope * u, bend))
-        if k > 0:
-            u = torch.mm(records[-1].delta, layers.weights[k])
     return _narrow(records[-1].delta, layers.leave), records[::-1]
 
 

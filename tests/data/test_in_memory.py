@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from contextlib import nullcontext
+
 import pytest
 import torch
 
-from ahnn.data.in_memory import check_trajectories
+from ahnn.data.in_memory import check_trajectories, content_of
 from ahnn.data.sources import Given
 from ahnn.errors import UserError
 from ahnn.types import Space, Trajectories, Units
@@ -52,6 +55,34 @@ def test_positions_alone_are_columns_that_are_left_out_or_nan(states):
     assert source.positions_only
     assert torch.equal(source.read().states[..., :2], STATES[..., :2].double())
     assert bool(source.read().states[..., 2:].isnan().all())
+
+
+def test_numbers_are_used_up_to_those_whose_squares_are_infinite():
+    space, largest = Space("driven", ("q", "p"), controls=("u",)), 1e150
+    for value, refused in ((largest, False), (math.nextafter(largest, math.inf), True)):
+        for sign in (1, -1):
+            states = torch.zeros(1, 2, 2, dtype=torch.float64).index_fill(1, torch.tensor(1), sign * value)
+            times = torch.tensor([[0.0, value]], dtype=torch.float64)
+            zeros = torch.zeros(1, 2, 1, dtype=torch.float64)
+            for who, part in (
+                ("states", Trajectories(states, torch.arange(2.0))),
+                ("times", Trajectories(torch.zeros(1, 2, 2), sign * times.flip(1) if sign < 0 else times)),
+                ("controls", Trajectories(torch.zeros(1, 2, 2), torch.arange(2.0), zeros + sign * value)),
+            ):
+                given = part if who == "controls" else part._replace(controls=zeros)
+                with pytest.raises(UserError, match=who) if refused else nullcontext():
+                    content_of(given, space)
+
+
+def test_a_step_ten_times_as_long_as_most_is_a_gap():
+    """Of times on no grid: a shorter one is a step, and a longer one has samples that are missing."""
+    for length, gap in ((9.6, False), (11.4, True)):
+        steps = torch.tensor([[1.0, 1.05, 0.95, length, 1.0, 0.9, 1.1, 1.0]], dtype=torch.float64)
+        times = torch.nn.functional.pad(steps.cumsum(1), (1, 0))
+        states = torch.arange(36.0, dtype=torch.float64).reshape(1, 9, 4)
+        found = Given(Trajectories(states, times), SPACE).read()
+        assert found.states.shape[1] == (9 + 10 if gap else 9)
+        assert int(found.states.isnan().all(-1).sum()) == (10 if gap else 0)
 
 
 def test_one_trajectory_of_one_sample_passes():

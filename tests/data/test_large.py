@@ -163,6 +163,17 @@ def test_few_windows_of_very_many_are_drawn_without_a_permutation(monkeypatch):
     assert 0 <= int(first.min()) < int(first.max()) < len(loader.windows)
 
 
+def test_windows_are_a_part_of_a_permutation_where_they_are_few_or_most_are_drawn(monkeypatch):
+    """And none of that where fast ones are drawn more often."""
+    windows = Windows(generate(SHORT, 40, 0), 3, torch.float64)
+    monkeypatch.setattr("ahnn.data.loader.distinct", lambda *_: pytest.fail("no permutation"))
+    assert WindowLoader(windows, 4, 30, 3).order().unique().numel() == 30
+    monkeypatch.setattr("ahnn.data.loader.PERMUTED", 100)
+    for count in (len(windows) // 2, len(windows)):
+        assert WindowLoader(windows, 4, count, 3).order().unique().numel() == count
+    assert len(WindowLoader(windows, 4, 30, 3, emphasis=1.0).order()) == 30
+
+
 def test_distinct_draws_are_in_random_order():
     pairs = [tuple(distinct(4, 2, generator(seed)).tolist()) for seed in range(1200)]
     counts = [pairs.count((a, b)) for a in range(4) for b in range(4) if a != b]

@@ -34,17 +34,20 @@ def test_forces_are_told_where_a_polynomial_follows_the_motion():
     assert float(found.minimum[0]) < 2 * 0.05  # extremes are those of all samples
 
 
-def test_distances_are_those_of_the_positions_in_the_plane():
+def test_distances_are_those_of_the_positions_in_space():
     """Two samples in ten of a circle of radius 2, counted from a point 5 away from its centre."""
     times = torch.linspace(0, 20, 401, dtype=torch.float64).expand(6, -1)
     phase = times + torch.arange(6.0).double().unsqueeze(1)
-    values = torch.stack((3 + 2 * phase.cos(), 4 + 2 * phase.sin()), dim=-1)
-    instrument = Instrument(Position(2), torch.full((2,), SD, dtype=torch.float64), 0.05, 2, 3.0)
+    centre = torch.tensor([3.0, 2.4, 3.2], dtype=torch.float64)
+    axes = torch.tensor([[2.0, 0.0, 0.0], [0.0, 1.2, 1.6]], dtype=torch.float64)
+    values = centre + torch.stack((phase.cos(), phase.sin()), dim=-1) @ axes
+    instrument = Instrument(Position(3), torch.full((3,), SD, dtype=torch.float64), 0.05, 3, 3.0)
     local = smoothed(instrument, values, times, 5_000)
     found = measured_statistics(local, instrument, Trajectories(values, times))
     close(found.radius, torch.tensor([3.0, 7.0]), 1e-3)
-    close(found.minimum, torch.tensor([1.0, 2.0, -6.0, -6.0]), 1e-2)
-    close(found.rate, torch.tensor([2.0, 2.0, 6.0, 6.0]) / 2**0.5, 3e-2)
+    close(found.minimum, torch.tensor([1.0, 1.2, 1.6, -6.0, -3.6, -4.8]), 1e-2)
+    close(found.maximum, torch.tensor([5.0, 3.6, 4.8, 6.0, 3.6, 4.8]), 1e-2)
+    close(found.rate, torch.tensor([2.0, 1.2, 1.6, 6.0, 3.6, 4.8]) / 2**0.5, 3e-2)
     close(found.increment, 0.05 * found.rate, 1e-9)
-    close(found.forces, 3 * (torch.tensor([3.0, 4.0]) - found.positions), 2e-2)
+    close(found.forces, 3 * (centre - found.positions), 2e-2)
     assert found.dt == pytest.approx(0.05, rel=1e-9)

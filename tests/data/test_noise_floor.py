@@ -59,6 +59,13 @@ def test_the_noise_of_swings_at_random_times_is_found_in_any_unit_of_time(unit):
     assert bool(noise_floor(exact, unit * times).isnan().all())
 
 
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+def test_noise_alone_is_found_in_any_unit(size):
+    draw = size * torch.randn(60, 100, 2, generator=generator(4), dtype=torch.float64)
+    times = torch.arange(100.0, dtype=torch.float64).expand(60, -1)
+    close(noise_floor(draw, times), torch.full((2,), size, dtype=torch.float64), 0.05)
+
+
 @given(st.integers(1, 10), st.integers(0, 1000))
 def test_weights_of_a_difference_are_the_unit_vectors_that_polynomials_of_lower_degree_vanish_in(order, seed):
     times = torch.rand(3, 15, generator=generator(seed), dtype=torch.float64).sort(1).values

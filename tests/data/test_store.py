@@ -53,6 +53,14 @@ def test_nan_beyond_the_end_survives_storage(tmp_path):
     assert torch.equal(store.read(tmp_path / "x.safetensors").states.isnan(), states.isnan())
 
 
+def test_data_begin_at_a_multiple_of_eight_bytes_for_any_recipe_and_any_count():
+    """As safetensors ask; a header that is written again when the count is known has the same length."""
+    for length in range(17):
+        short, long = (store.header({"a": "x" * length}, "0" * 64, [n, 9, 2], [1, 9]) for n in (1, 10**9))
+        assert len(short) == len(long)
+        assert len(short) % 8 == 0
+
+
 @pytest.mark.parametrize("place", [5, 300, -3])
 def test_a_flipped_byte_is_found_and_the_data_are_made_again(tmp_path, caplog, place):
     made = store.load_or_make(tmp_path, RECIPE, make)

@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ahnn.data.windows import Windows
+from ahnn.data.windows import Windows, on_clock
 from ahnn.errors import UserError
 from ahnn.types import Trajectories
 
@@ -102,3 +102,16 @@ def test_samples_that_stand_alone_are_named_and_not_windows_of_one_to_no_steps()
         Windows(numbered([[1, 1], [1]]), 3, torch.float64)
     with pytest.raises(UserError, match="expected windows of 1 to 1 steps"):
         Windows(numbered([[2, 1]]), 3, torch.float64)
+
+
+def test_states_are_put_on_the_clock_of_their_trajectories():
+    data = numbered([[3], [3]])
+    assert on_clock(data, 0) is data
+    timed = on_clock(data, 1).states
+    assert torch.equal(timed[..., 1], data.times)
+    assert torch.equal(timed[..., 3], torch.ones_like(data.times))
+    assert torch.equal(timed[..., ::2], data.states)
+    driven = on_clock(data._replace(controls=7 * data.times.unsqueeze(-1)), 2).states
+    assert torch.equal(driven[..., 2], 7 * data.times)
+    with pytest.raises(UserError, match="forces: expected trajectories with controls; received none"):
+        on_clock(data, 2)

@@ -55,3 +55,12 @@ def test_what_it_has_not_is_refused():
         dynamics(falloff=2.0)
     with pytest.raises(UserError, match="mu: expected None, since mass_matrix has no central body"):
         dynamics(mu=1.0)
+
+
+def test_its_network_sees_positions_alone_as_the_training_has_them():
+    found = dynamics(inputs="cartesian")
+    states = generate(DOUBLE, 8, 0).states.flatten(0, 1)
+    seen = found.field.seen(states)
+    assert seen.shape == (len(states), 2)
+    close(seen, found.field.positions(states[:, :2]), 0)
+    close(seen.abs().max(), torch.tensor(1.0), 1e-6)

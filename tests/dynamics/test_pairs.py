@@ -112,3 +112,17 @@ def test_other_dynamics_and_masses_are_refused():
         for_bodies(dynamics(hamiltonian="generic", dimensions=None, falloff=0.0), [1.0, 1.0])
     with pytest.raises(UserError, match="masses: expected two finite ones > 0 or more"):
         for_bodies(dynamics(), [1.0])
+
+
+def test_its_network_sees_distances_from_the_least_to_the_largest():
+    """Their logarithms, those of the training between -1 and 1."""
+    found = dynamics()
+    q = generate(THREE, 8, 0).states[..., :6].flatten(0, 1).unflatten(-1, (3, 2))
+    logs = torch.stack([(q[:, i] - q[:, j]).norm(dim=-1).log() for i, j in ((0, 1), (0, 2), (1, 2))], -1)
+    seen = found.field.potential.seen(q.flatten(-2))
+    close(seen.diff(dim=-1).clamp(max=0.0), torch.zeros(len(q), 2), 1e-12)
+    logs = logs.sort(-1).values
+    slope = (seen[-1, 2] - seen[-1, 0]) / (logs[-1, 2] - logs[-1, 0])
+    close(seen - seen[-1, 0], slope * (logs - logs[-1, 0]), 1e-9)
+    assert -1.5 < float(seen.detach().min()) < -0.9
+    assert 0.9 < float(seen.detach().max()) < 1.5

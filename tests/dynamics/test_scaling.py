@@ -10,10 +10,11 @@ from helpers import MOLNIYA, SPRING, TINY, close, data_module, generator, random
 from torch import nn
 
 from ahnn.dynamics.hamiltonians import make_hamiltonian
-from ahnn.dynamics.inputs import Isotropic
+from ahnn.dynamics.inputs import Isotropic, position_inputs
 from ahnn.dynamics.scaling import Affine, remark_on_scale
 from ahnn.errors import UserError
 from ahnn.integrators import INTEGRATORS
+from ahnn.statistics import Statistics
 
 SYSTEMS = {"mass_spring": SPRING, "molniya": MOLNIYA, "heavy": dataclasses.replace(MOLNIYA, mass=2.5)}
 
@@ -163,3 +164,15 @@ def test_components_that_one_scale_hides_are_named(factor, said):
     assert [name for name in ("q1", "q2", "p1", "p2") if name in remark] == said
     assert ("scaling=minmax" in remark) == bool(said)
     assert remark_on_scale("minmax", torch.zeros(4), high, ("q1", "q2", "p1", "p2")) == ""
+
+
+@pytest.mark.parametrize(
+    ("scaling", "ends"), [("minmax", [1.0, 1.0]), ("block", [1.0, 0.5]), ("none", [4.0, 2.0])]
+)
+def test_positions_are_scaled_by_their_own_range_and_not_by_that_of_momenta(scaling, ends):
+    inputs = position_inputs("cartesian", 2, scaling).double()
+    least, most = torch.tensor([-4.0, -2.0, -0.1, -0.3]), torch.tensor([4.0, 2.0, 0.2, 0.4])
+    one = torch.zeros(1, 2)
+    inputs.fit(Statistics(least, most, most, most, torch.tensor([0.1, 5.0]), one, one, one, one[:, :1], 0.1))
+    close(inputs(most[:2].double()), torch.tensor(ends), 1e-6)
+    close(inputs(least[:2].double()), -torch.tensor(ends), 1e-6)

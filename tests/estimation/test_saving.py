@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -110,3 +111,48 @@ def test_what_could_not_be_loaded_is_not_saved(tmp_path):
     with pytest.raises(ValueError, match="mean: expected finite"):
         save_state(STATE._replace(belief=belief), tmp_path / "state")
     assert list(tmp_path.iterdir()) == []
+
+
+class Drawn(NamedTuple):
+    """What an estimator of one's own carries beside time and status."""
+
+    particles: torch.Tensor
+    weights: torch.Tensor
+
+
+class Cloud(NamedTuple):
+    time: torch.Tensor
+    status: torch.Tensor
+    drawn: Drawn
+
+    @property
+    def moments(self):
+        raise NotImplementedError
+
+
+def cloud(count=5, dtype=torch.float64):
+    particles = torch.arange(2 * count * 3, dtype=dtype).reshape(2, 3, count).mT  # no plain order in memory
+    drawn = Drawn(particles, torch.full((2, count), torch.nan, dtype=dtype))
+    return Cloud(torch.tensor(0.5, dtype=torch.float64), torch.zeros(2, dtype=torch.int64), drawn)
+
+
+def test_a_state_of_an_estimator_of_ones_own_is_restored_and_any_other_is_refused(tmp_path):
+    path, given = tmp_path / "state", cloud()
+    save_state(given, path)
+    found = load_state(path, like=cloud())
+    assert isinstance(found.drawn, Drawn)
+    for a, b in zip((*found[:2], *found.drawn), (*given[:2], *given.drawn), strict=True):
+        assert a.dtype == b.dtype
+        assert a.stride() == b.stride()
+        assert torch.equal(a.nan_to_num(7), b.nan_to_num(7))
+    for like in (cloud(4), cloud(dtype=torch.float32)):
+        with pytest.raises(ValueError, match=rf"{REFUSED}") as refusal:
+            load_state(path, like=like)
+        assert "particles: expected torch.float" in str(refusal.value)
+    with pytest.raises(
+        ValueError, match=r"expected mean, chol, .*; received particles, status, time, weights"
+    ):
+        load_state(path)
+    twice = given._replace(drawn=cloud())
+    with pytest.raises(ValueError, match="parts of different names; received status, time twice"):
+        save_state(twice, path)

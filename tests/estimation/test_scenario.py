@@ -7,6 +7,8 @@ import torch
 from scipy.stats import chi2
 
 from ahnn.data.generate import generate
+from ahnn.dynamics import make_dynamics
+from ahnn.dynamics.flow_at_time import at
 from ahnn.estimation import Gate, Setting, perturbed_arcs, simulated
 from ahnn.estimation.gate import check_gate, thresholds
 from ahnn.measurements import GroundStation, Position
@@ -100,3 +102,31 @@ def test_problems_are_repeated_member_by_member():
     assert twice.dt == arcs.dt
     assert torch.equal(SETTING.measurement_noise, torch.tensor([[0.1]]).double() ** 2)
     assert torch.equal(SETTING.start_covariance, torch.diag(torch.tensor([4.0, 0.25]).double()))
+
+
+def test_controls_begin_with_the_arc_and_hold_or_follow_a_polygon():
+    """A free mass takes up the integral of its controls; those beyond the end of a member are zero."""
+    made = make_dynamics(
+        "hamiltonian",
+        dof=1,
+        inertia=1.0,
+        hamiltonian="mechanical",
+        mu=None,
+        inputs="cartesian",
+        scaling="none",
+        network={"width": 2, "depth": 1, "activation": "tanh"},
+        integrator={"name": "rk4"},
+        forces={"push": {"kind": "actuation", "matrix": [[1.0]]}},
+        controls=1,
+    ).double()
+    for parameter in made.requires_grad_(False).parameters():
+        parameter.zero_()
+    arcs, x = perturbed_arcs(SETTING, walk(2, 4), 0.5, 2, steps=None, seed=0), torch.zeros(2, 2).double()
+    assert arcs.driven(made) is made
+    controls = torch.tensor([[1.0, 3.0, 7.0, 0.0], [2.0, torch.nan, 0.0, 0.0]]).double().unsqueeze(-1)
+    given = arcs._replace(controls=controls)
+    for linear, gained in ((False, [1.5, 0.0]), (True, [2.5, 0.0])):
+        after = at(given._replace(linear=linear).driven(made), 0.5)(x, 0.5)
+        assert after[:, 1].tolist() == pytest.approx(gained, abs=1e-12)
+    free = lambda x, dt: x  # noqa: E731, ARG005
+    assert given.driven(free) is free

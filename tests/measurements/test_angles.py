@@ -21,6 +21,7 @@ from ahnn.measurements import (
     periods,
     reading,
     residual,
+    wrap,
 )
 from ahnn.systems import CartPole
 from ahnn.types import Space, Trajectories, Units
@@ -73,9 +74,19 @@ def test_units_say_what_is_an_angle_and_a_model_may_say_otherwise():
         *(math.inf, math.inf),
     )
     wrong = Counter()
-    wrong.periods = (1.0,)
-    with pytest.raises(ValueError, match="periods: expected a number > 0, or inf, for each of angle, double"):
-        periods(wrong)
+    for declared in ((1.0,), (0.0, math.inf), (math.inf, -1.0), (math.nan, 1.0)):
+        wrong.periods = declared
+        with pytest.raises(ValueError, match=r"periods: expected a number > 0, or inf, for each of angle, d"):
+            periods(wrong)
+
+
+@pytest.mark.parametrize("turn", [2 * math.pi, 360.0, 0.1])
+def test_an_angle_within_half_a_turn_keeps_its_bits(turn):
+    inside = (
+        turn * (torch.rand(1000, generator=torch.Generator().manual_seed(0), dtype=F64) - 0.5) * (1 - 1e-15)
+    )
+    assert torch.equal(wrap(inside, turn), inside)
+    assert wrap(torch.tensor([-0.5, 0.5], dtype=F64) * turn, turn).tolist() == [0.5 * turn] * 2
 
 
 def test_a_residual_is_that_of_the_nearest_turn_and_of_plain_numbers_as_before():

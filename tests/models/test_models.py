@@ -12,6 +12,7 @@ from helpers import MOLNIYA, SPRING, batch_of, close, data_module, defaults, rea
 from ahnn.checkpoints import read_weights
 from ahnn.cli.preflight import quiet
 from ahnn.dynamics import Dynamics
+from ahnn.dynamics.step_map import require_step
 from ahnn.errors import UserError
 from ahnn.loading import made
 from ahnn.models import AHNN, MLP, NODE, AbstractModel
@@ -73,6 +74,17 @@ def test_an_mlp_refuses_any_other_time_step(cache):
             flow(x, dt)
     same = torch.full((len(x),), 0.01, dtype=torch.float64)
     assert torch.equal(flow(x, same), flow(x, 0.01))
+
+
+@pytest.mark.parametrize("step", [1e-4, 1.0, 60.0])
+def test_the_step_of_a_map_is_known_to_a_millionth(step):
+    """Whatever its unit; of many steps each is."""
+    for dt in (step, step * (1 + 5e-7), torch.tensor([step, step * (1 - 5e-7)]).double()):
+        require_step(step, dt)
+    for off in (1 + 2e-6, 1 - 2e-6, math.nan):
+        for dt in (off * step, torch.tensor([step, off * step]).double()):
+            with pytest.raises(UserError, match="its training"):
+                require_step(step, dt)
 
 
 def test_an_mlp_has_no_derivative_loss(cache):

@@ -11,7 +11,7 @@ from helpers import close, generator
 
 import ahnn
 from ahnn.checkpoints import FORMAT, Weights, write_weights
-from ahnn.controls import ControlTable, merged
+from ahnn.controls import merged
 from ahnn.data.files.control_table import read_controls
 from ahnn.dynamics import make_dynamics
 from ahnn.errors import UserError
@@ -115,36 +115,6 @@ def test_the_only_control_of_a_table_may_have_any_name_of_a_control(tmp_path):
         read_controls(tmp_path / "c.csv", space)
 
 
-def test_a_table_of_controls_is_held_or_interpolated(tmp_path):
-    space = Space("made", ("q", "p"), Units("s", "m", "m/s", "J"), controls=("u", "w"))
-    (tmp_path / "c.csv").write_text("t [min],w,u,note\n0,1,10,0\n1,3,30,0\n")
-    table = read_controls(tmp_path / "c.csv", space)
-    at = torch.tensor([0.0, 30.0, 60.0, 90.0], **DOUBLE)
-    close(table.at(at), torch.tensor([[10.0, 1.0], [10.0, 1.0], [30.0, 3.0], [30.0, 3.0]], **DOUBLE), 0)
-    (tmp_path / "c.yaml").write_text("controls: linear\n")
-    close(read_controls(tmp_path / "c.csv", space).at(at)[1], torch.tensor([20.0, 2.0], **DOUBLE), 1e-12)
-    with pytest.raises(UserError, match="controls: expected them from the start on, at -1; received"):
-        ControlTable(at, at[:, None]).at(at - 1.0)
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("t,v\n0,1\n", "row 1: expected columns u, the controls; received t, v"),
-        ("s,u\n0,1\n", "expected one column t or time"),
-        ("t,u\n0,1\n0,2\n", "row 3, column t: expected times that increase; received 0"),
-        ("t,u\n0,1\n1,\n", "row 3, column u: expected a number in each row; received none. Repeat"),
-        ("t [km],u\n0,1\n", "expected a unit that fits s; received km"),
-        ("t,u\n", "expected a row for each change of a control; received a header alone"),
-    ],
-)
-def test_tables_that_are_no_controls_are_refused_by_row_and_column(text, said, tmp_path):
-    (tmp_path / "c.csv").write_text(text)
-    with pytest.raises(UserError) as error:
-        read_controls(tmp_path / "c.csv", Space("made", ("q", "p"), Units("s", "m", "m/s"), controls=("u",)))
-    assert said in str(error.value)
-
-
 @pytest.fixture(scope="module")
 def spring(tmp_path_factory):
     """A run that learned, badly, how a spring is pushed."""
@@ -192,13 +162,6 @@ def test_a_command_without_controls_says_what_is_missing(given, said, spring, tm
     assert call(*words, *given) == 2
     assert said in capsys.readouterr().err
     assert not Path("out.csv").exists()
-
-
-def test_a_sidecar_of_controls_says_no_columns(tmp_path):
-    (tmp_path / "c.csv").write_text("t,u\n0,1\n")
-    (tmp_path / "c.yaml").write_text("columns: {time: t}\n")
-    with pytest.raises(UserError, match="expected units and controls beside a file of controls"):
-        read_controls(tmp_path / "c.csv", Space("made", ("q", "p"), controls=("u",)))
 
 
 def test_forces_of_time_take_no_controls_whatever_the_data_have():

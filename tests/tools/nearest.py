@@ -73,12 +73,11 @@ class Reach:
         if store.exists():
             self.lines, self.seconds, self.stamps = json.loads(store.read_text())
 
-    def measure(self, folders: Iterable[str], sources: list[str]) -> None:
-        """Run the test files that have changed since they were last measured."""
+    def measure(self, folders: Iterable[str]) -> None:
+        """Run the test files that have changed, or reach what has changed, since they were last measured."""
         files = sorted({f for folder in folders for f in _test_files(self.tree, folder)})
-        state = str(sum(hash_of(p) for s in sources for p in _python_files(self.tree / s)))
-        sizes = {f: f"{hash_of(self.tree / f)} {state}" for f in files}
-        stale = [f for f in files if self.stamps.get(f) != sizes[f]]
+        current = self.current(files)
+        stale = [f for f in files if self.stamps.get(f) != current[f]]
         if not stale:
             return
         result = self.store.with_suffix(".part")
@@ -86,13 +85,22 @@ class Reach:
         lines, seconds = json.loads(result.read_text())
         self.seconds = {t: s for t, s in self.seconds.items() if t.split("::")[0] not in stale} | seconds
         self.lines = {t: x for t, x in self.lines.items() if t.split("::")[0] not in stale} | lines
-        self.stamps |= {f: sizes[f] for f in stale}
+        self.stamps |= self.current(stale)
         self.store.write_text(json.dumps([self.lines, self.seconds, self.stamps]))
+
+    def current(self, files: list[str]) -> dict[str, str]:
+        """Return a stamp of each test file, of its text and of the files that its tests reach."""
+        reached: dict[str, set[str]] = {f: {f} for f in files}
+        for name, sources in self.lines.items():
+            reached.get(name.split("::")[0], set()).update(sources)
+        known = {p: self.tree / p for paths in reached.values() for p in paths}
+        hashes = {p: hash_of(path) for p, path in known.items() if path.exists()}
+        return {f: str([hashes.get(p) for p in sorted(paths)]) for f, paths in reached.items()}
 
     def tests(self, file: str, first: int, last: int, near: str) -> list[str]:
         """Return some tests that execute a line of a file; where only its import does, any line of it.
 
-        Of a file of constants, those below the folder `near`.
+        Of a file of constants, those below the folder `near`, whose tests come first of others, too.
         """
         reaching = [t for t, files in self.lines.items() if file in files]
         exact = [t for t in reaching if any(first <= n <= last for n in self.lines[t][file])]
@@ -104,9 +112,10 @@ class Reach:
         for seconds, name in sorted((self.seconds.get(t, 0.0), t) for t in chosen):
             function = name.split("[")[0]
             seen[function] = seen.get(function, -1) + 1
-            order.append((seconds > SLOW, min(seen[function], 3), seconds, name))  # three cases of each first
+            few = min(seen[function], 3)  # three cases of each first, and those of the room
+            order.append((seconds > SLOW, few, not name.startswith(near), seconds, name))
         names, left = [], LIMIT_SECONDS
-        for _, _, seconds, name in sorted(order)[:LIMIT_TESTS]:
+        for _, _, _, seconds, name in sorted(order)[:LIMIT_TESTS]:
             if seconds <= left or not names:
                 names.append(name)
                 left -= seconds
@@ -190,7 +199,3 @@ def _test_files(tree: Path, folder: str) -> list[str]:
     path = tree / folder
     found = [path] if path.suffix == ".py" else sorted(path.rglob("test_*.py"))
     return [str(p.relative_to(tree)) for p in found if p.exists()]
-
-
-def _python_files(path: Path) -> list[Path]:
-    return [path] if path.suffix == ".py" else sorted(path.rglob("*.py"))

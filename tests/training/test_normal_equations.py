@@ -7,7 +7,14 @@ from helpers import close, generator
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ahnn.training.normal_equations import damped_step, independent, normal_equations, promised_decrease
+from ahnn.training.normal_equations import (
+    TOGETHER,
+    damped_step,
+    independent,
+    memory_of_parts,
+    normal_equations,
+    promised_decrease,
+)
 
 SIZES = [3, 1, 4, 2]
 
@@ -55,3 +62,7 @@ def test_no_residual_depends_on_anything():
     assert blocks == []
     assert torch.equal(step, torch.zeros_like(theta))
     assert float(promised_decrease(blocks, step)) == 0.0
+
+
+def test_parts_take_a_matrix_each_beside_that_of_their_sum():
+    assert memory_of_parts(70) == (TOGETHER + 1) * torch.zeros(70, 70, dtype=torch.float64).nbytes

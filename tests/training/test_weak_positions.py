@@ -94,3 +94,33 @@ def test_a_force_that_is_wrong_is_no_doubt_about_velocities():
     missed = problem._missed(problem.motion.right(wrong.field), nearest.diagonal(dim1=-2, dim2=-1))
     assert float(missed[..., :3].max()) == 0.0
     assert float(missed[..., 3:].amin()) > 0.0
+
+
+@pytest.mark.parametrize("measurement", [State(1), Position(1)], ids=["states", "positions"])
+def test_equations_of_known_velocities_are_those_of_the_residuals(measurement):
+    """Parameters move momenta alone: the rows of positions are zeros, above those of momenta."""
+    model, seen = Well(1.2, 0.4), positions(3, 0.01)
+    if isinstance(measurement, State):
+        momenta = 2 * torch.gradient(seen.values, spacing=0.05, dim=1)[0]
+        sds = torch.tensor([0.01, 0.3], **DOUBLE)
+        instrument = seen.instrument._replace(measurement=measurement, deviations=sds)
+        seen = seen._replace(values=torch.cat((seen.values, momenta), -1), instrument=instrument)
+    problem, theta = Weak().problem(model, seen), torch.tensor([1.2, 0.4], **DOUBLE)
+    loss, _, (block,) = problem.equations(theta, [2])
+    with torch.no_grad():
+        at = lambda shift: problem.integrals(problem._at(theta + shift), slice(None)).flatten()  # noqa: E731
+        numeric = torch.stack([(at(d) - at(-d)) / 2e-5 for d in 1e-5 * torch.eye(2, **DOUBLE)], -1)
+        close(block.matrix, numeric.T @ numeric, 1e-5)
+        close(block.gradient, numeric.T @ at(0.0), 1e-5)
+        close(loss, at(0.0).square().sum(), 1e-12)
+
+
+@torch.no_grad()
+def test_validation_is_chi_square_for_each_degree_of_freedom():
+    seen, right, wrong = positions(20, 0.01), Well(1.0, 0.5), Well(1.3, 0.5)
+    for model, least, most in ((right, 0.9, 1.1), (wrong, 2.0, 1e9)):
+        problem = Weak().problem(model, seen)
+        squares = problem.integrals(problem.motion.right(model.field), slice(None)).square()
+        found = Weak().validation(model, seen)["loss"]
+        close(found, squares.sum() / squares.numel(), 1e-12)
+        assert least < float(found) < most

@@ -132,7 +132,7 @@ def cut(track: Track, samples: int | None) -> list[Track]:
 def trimmed(track: Track) -> Track:
     """Return a track from its first sample without a missing number to its last."""
     chosen = np.flatnonzero(np.isfinite(track.values).all(1))
-    return track.part(slice(chosen[0], chosen[-1] + 1) if len(chosen) else slice(0, 0))
+    return track.part(slice(chosen[0], chosen[-1] + 1) if len(chosen) else slice(0))
 
 
 def stacked(tracks: Sequence[Track], *, linear: bool = False) -> Trajectories:

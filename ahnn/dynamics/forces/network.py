@@ -37,7 +37,7 @@ class NetworkForce(Force):
     def __init__(
         self,
         dof: int,
-        controls: int = 0,
+        controls: int,
         *,
         sees: list[Seen],
         network: dict[str, Any] | None = None,

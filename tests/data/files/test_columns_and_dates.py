@@ -6,6 +6,7 @@ import pytest
 from made_files import ORBIT, csv_of, refused, said
 
 from ahnn.data.files import instant
+from ahnn.data.files.columns import rates_of
 from ahnn.data.files.table import Fault
 
 
@@ -146,3 +147,25 @@ def test_centres_other_than_the_earth_have_no_frames_of_it(tmp_path):
     (tmp_path / "a.yaml").write_text("frame: TEME, Mars")
     with pytest.raises(Fault, match="expected the Earth as the centre of TEME; received MARS"):
         said(tmp_path / "a.csv", "GCRF")
+
+
+@pytest.mark.parametrize(
+    ("position", "velocities", "momenta"),
+    [
+        (
+            "x",
+            "vx velx velocityx xvel xvelocity xdot x' dx dxdt dx/dt v vel velocity",
+            "px xmomentum p momentum",
+        ),
+        ("q2", "vq2 q2dot v2 vel2 velocity2 w2 omega2 angularvelocity2", "pq2 p2 momentum2"),
+        ("theta", "thetadot v omega w", "ptheta momtheta p"),
+        ("rx", "vrx vx velx velocityx rxdot", "prx px momx momentumx"),
+        ("positiony", "vy vely velocityy", "py momy momentumy"),
+    ],
+)
+def test_rates_have_the_names_of_their_positions(position, velocities, momenta):
+    known = rates_of(position)
+    assert set(velocities.split()) <= known["velocities"]
+    assert set(momenta.split()) <= known["momenta"]
+    for kind, names in known.items():
+        assert not names & {"xdot", "yvel", "xvel", "2vel", "xmom", "ymomentum"} or position == "x", kind

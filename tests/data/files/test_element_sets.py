@@ -140,3 +140,45 @@ def test_an_epoch_that_is_none_is_a_fault_of_the_check_too(tmp_path, text):
     path.write_text(f"{signed(f'{FIRST[:18]}{text}{FIRST[32:68]}')}\n{SECOND}\n")
     found = examine([path], FileReading(False, None, 60.0, 600.0))
     assert any("a day of the year" in fault.what for fault in found.faults)
+
+
+def test_an_orbit_that_decays_is_refused_from_when_it_does():
+    api = pytest.importorskip("sgp4.api")
+    heavy = signed(f"{FIRST[:53]} 50000-1{FIRST[61:68]}")
+    low = signed(f"{SECOND[:26]}0001000{SECOND[33:52]}16.00000000{SECOND[63:68]}")
+    satellite = api.Satrec.twoline2rv(heavy, low)
+    code, k = next(
+        (code, k)
+        for k in range(1000)
+        if (code := satellite.sgp4(satellite.jdsatepoch, satellite.jdsatepochF + k / 24)[0])
+    )
+    assert k > 1
+    said = (
+        rf"SGP4 propagates; received after {3600 * k:g} s: {api.SGP4_ERRORS[code]}. Shorten system.duration"
+    )
+    with pytest.raises(UserError, match=said):
+        elements.content(f"{heavy}\n{low}", "a.tle", 3600.0, 3.6e6, weighed=False)
+
+
+PLACES = {
+    "drag term": (0, 54, 61),
+    "ephemeris type": (0, 63, 63),
+    "inclination": (1, 9, 16),
+    "node": (1, 18, 25),
+    "eccentricity": (1, 27, 33),
+    "perigee": (1, 35, 42),
+    "mean anomaly": (1, 44, 51),
+    "mean motion": (1, 53, 63),
+}
+"""Lines and columns of the standard, counted from 1."""
+
+
+@pytest.mark.parametrize(("name", "place"), PLACES.items(), ids=PLACES)
+def test_every_sign_of_a_field_counts_and_none_beside_it(name, place):
+    pytest.importorskip("sgp4")
+    line, begin, end = place
+    for column in range(begin - 1, end):
+        lines = [FIRST, SECOND]
+        lines[line] = signed(f"{lines[line][:column]}x{lines[line][column + 1 : 68]}")
+        with pytest.raises(UserError, match=f"row {line + 1}, column {name}: expected a number"):
+            elements.content("\n".join(lines), "a.tle", 60.0, 600.0, weighed=False)

@@ -204,6 +204,28 @@ def test_a_fault_of_xml_is_named(old, new, expected):
     assert expected in str(caught.value)
 
 
+def test_units_in_xml_are_those_of_the_standard():
+    known = {"X": "km", "Y_DOT": "km/s", "Z_DDOT": "km/s**2", "EPOCH": "", "CX_X": "km**2"}
+    known |= {"CX_DOT_Y": "km**2/s", "CZ_DOT_Z_DOT": "km**2/s**2"}
+    assert {tag: oem_xml.unit_of(tag) for tag in known} == known
+    text = as_xml(TEXT).replace("<X_DOT>", '<X_DOT units="KM/S">')
+    pushed = text.replace("</Z_DOT>", '</Z_DOT><X_DDOT units="km/s^2">0</X_DDOT>', 1)
+    block, _ = oem_xml.blocks_of(pushed, "a.xml")
+    assert ephemeris(block).states.tolist() == read(TEXT)[0].states.tolist()
+    assert "X_DDOT" in block.unused
+    with pytest.raises(UserError, match=r"X_DDOT: expected units km/s\*\*2; received 'km/s'"):
+        oem_xml.blocks_of(pushed.replace("km/s^2", "km/s"), "a.xml")
+
+
+@pytest.mark.parametrize(("end", "kept"), [("00.5", 3), ("00.499", 3), ("00.498999", 2), ("00.501", 3)])
+def test_ends_of_a_span_may_be_rounded_to_milliseconds(end, kept):
+    text = TEXT.replace("\nSTOP_TIME", f"\nUSEABLE_STOP_TIME = 2017-01-01T00:01:{end}\nSTOP_TIME", 1)
+    notes = []
+    found = ephemeris(oem.blocks_of(text, "a.oem")[0], notes.append)
+    assert len(found.times) == len(found.states) == len(found.rows) == kept
+    assert ("1 of 3 states left out" in str(notes)) is (kept == 2)
+
+
 @given(st.integers(-(10**9), 10**9), st.integers(0, SECOND - 1), st.booleans())
 def test_epochs_are_spelled_as_they_are_read(seconds, fraction, utc):
     moment = seconds * SECOND + fraction

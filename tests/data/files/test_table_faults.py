@@ -5,8 +5,10 @@ from __future__ import annotations
 import random
 
 import pytest
+from made_files import csv_of, said
 
 from ahnn.data import Files
+from ahnn.data.files.table import Fault
 from ahnn.errors import UserError
 
 GOOD = "id,t [s],x [km],vx [km/s]\na,0,1,2\na,1,2,3\nb,0,1,2\nb,1,2,3\n"
@@ -149,3 +151,17 @@ def test_a_hundred_faults_in_random_cells_are_found_where_they_are(tmp_path):
         said = message_of(tmp_path, "\n".join(",".join(cells) for cells in (header, *rows)))
         place = "" if kind == "short" else f", column {header[column].split()[0]}"
         assert f"data.csv, row {row + 2}{place}: expected" in said
+
+
+@pytest.mark.parametrize("binary", [False, True], ids=["text", "parquet"])
+def test_numbers_count_up_to_those_whose_squares_are_infinite(tmp_path, binary):
+    path, values = tmp_path / "a", [1e150, -1e150, 1.0000000000000002e150, -1.0000000000000002e150]
+    if binary:
+        pa, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+        pq.write_table(pa.table({"t": [0.0, 1.0, 2.0, 3.0], "x": values}), path)
+    else:
+        path.write_text(csv_of(["t", "x"], enumerate(values)))
+    found, notes = said(path)
+    assert [one.place.row for one in notes if isinstance(one, Fault)] == ([3, 4] if binary else [4, 5])
+    assert all("expected a finite number up to 1e+150" in str(one) for one in notes if isinstance(one, Fault))
+    assert found.tracks[0].values[:2].tolist() == [[1e150], [-1e150]]

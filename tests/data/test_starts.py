@@ -1,0 +1,152 @@
+"""States at which something begins: from numbers and files, in the order and the units of a model."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from ahnn.data.files import Covariance, Ephemeris, instant, write_oem
+from ahnn.data.reference import Reference
+from ahnn.data.starts import Starts, referred, starts
+from ahnn.errors import UserError
+from ahnn.types import Space, Units
+
+PLANE = Space("plane", ("x", "y", "px", "py"), Units("s", "m", "m/s", "J"), inertia=2.0)
+ORBIT = Space(
+    "orbit", ("x", "y", "z", "px", "py", "pz"), Units("min", "m", "m/s", "J"), 3.0, "EME2000, EARTH"
+)
+NOON = instant("2024-03-01T12:00:00", utc=True)
+STATES = np.array(
+    [[7000.0, 1.0, 2.0, 0.5, 7.0, 0.25], [6990.0, 450.0, 3.0, 0.0, 7.0, 0.5], [6970.0, 9e2, 5, 0, 7, 1]]
+)
+
+
+def test_columns_of_a_file_are_put_in_the_order_and_the_units_of_a_model(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text(
+        "id,t [min],y [km],x [m],vy [km/s],vx [m/s]\nA,1,2,3,4,5\nA,2,6,7,8,9\nB,3,1,1,1,1\nB,4,2,3,5,8\n"
+    )
+    found = starts(str(path), PLANE)
+    assert found.names == ("A", "B")
+    assert found.times.tolist() == [60.0, 180.0]
+    assert found.states.tolist() == [[3.0, 2000.0, 10.0, 8000.0], [1.0, 1000.0, 2.0, 2000.0]]
+    late = starts(str(path), PLANE, last=True)
+    assert late.times.tolist() == [120.0, 240.0]
+    expected = torch.tensor([[7.0, 6000.0, 18.0, 16000.0], [3.0, 2000.0, 16.0, 10000.0]]).double()
+    assert torch.allclose(late.states, expected, rtol=1e-14, atol=0)
+    assert found.covariances is late.covariances is None
+
+
+def test_velocities_are_no_momenta_of_a_space_that_is_not_mechanical(tmp_path):
+    path, space = tmp_path / "a.csv", PLANE._replace(mechanical=False)
+    path.write_text("t,x,y,vx,vy\n0,1,2,3,4\n1,1,2,3,4\n")
+    with pytest.raises(UserError, match="start"):
+        starts(str(path), space)
+    path.write_text("t,x,y,px,py\n0,1,2,3,4\n1,1,2,3,4\n")
+    assert starts(str(path), space).states.tolist() == [[1.0, 2.0, 3.0, 4.0]]
+
+
+@pytest.mark.parametrize(
+    ("head", "said"),
+    [
+        ("t,x,z,vx,vz", "expected positions x, y and their velocities or momenta; received x, z. Name the"),
+        ("t,x,y", "received x, y alone. The output of ahnn.assimilate"),
+        ("t [s],x [rad],y [rad],vx [rad/s],vy [rad/s]", "expected numbers in m, or a unit that fits it; rec"),
+    ],
+)
+def test_columns_that_are_no_states_of_a_model_are_refused(head, said, tmp_path):
+    (tmp_path / "a.csv").write_text(
+        "\n".join([head, *[",".join([str(k)] * (head.count(",") + 1)) for k in (1, 2)]])
+    )
+    with pytest.raises(UserError) as error:
+        starts(str(tmp_path / "a.csv"), PLANE)
+    assert said in str(error.value)
+
+
+def message(path, times, seen=()):
+    write_oem(path, [Ephemeris("A", "A", "EARTH", "EME2000", "UTC", NOON, np.array(times), STATES, seen)])
+    return str(path)
+
+
+@pytest.mark.parametrize(("at", "k"), [(0.0, 0), (60.0, 1), (150.0, 2)])
+def test_the_covariance_of_a_message_is_that_of_its_state_in_the_units_of_a_model(tmp_path, at, k):
+    matrix = np.diag([1.0, 4.0, 9.0, 1e-6, 4e-6, 9e-6])
+    matrix[0, 4] = matrix[4, 0] = 1e-4
+    path = message(tmp_path / "a.oem", [0.0, 60.0, 150.0], (Covariance(at, matrix),))
+    scale = 1e3 * torch.tensor([1.0, 1.0, 1.0, 3.0, 3.0, 3.0], dtype=torch.float64)
+    expected = torch.from_numpy(matrix) * torch.outer(scale, scale)
+    states = torch.from_numpy(STATES) * scale
+    first, last = starts(path, ORBIT), starts(path, ORBIT, last=True)
+    assert torch.allclose(first.states[0], states[0], rtol=1e-14, atol=0)
+    assert torch.allclose(last.states[0], states[2], rtol=1e-14, atol=0)
+    assert (first.times.tolist(), last.times.tolist()) == ([0.0], [2.5])
+    assert first.reference.epoch == last.reference.epoch == NOON
+    assert torch.allclose(last.covariances[0], expected, rtol=1e-14, atol=0)
+    if k == 0:
+        assert torch.allclose(first.covariances[0], expected, rtol=1e-14, atol=0)
+    else:
+        assert first.covariances is None
+    if k == 2:
+        assert last.since is None
+    else:
+        assert last.since[0].tolist() == [at / 60]
+        assert torch.allclose(last.since[1][0], states[k], rtol=1e-14, atol=0)
+    replaced = starts(path, ORBIT, last=True, sd=[100.0, 0.5])
+    assert replaced.since is None
+    assert replaced.covariances[0].diagonal().sqrt().tolist() == [100.0] * 3 + [1.5] * 3
+
+
+def test_the_latest_covariance_up_to_a_state_stands_for_it(tmp_path):
+    seen = tuple(Covariance(at, size * np.eye(6)) for at, size in ((0.0, 1.0), (150.0, 3.0), (60.0, 2.0)))
+    for given, at, size in ((seen[:2], None, 3.0), (seen[::2], 1.0, 2.0), (seen[:1], 0.0, 1.0)):
+        found = starts(message(tmp_path / "a.oem", [0.0, 60.0, 150.0], given), ORBIT, last=True)
+        assert found.covariances[0, 0, 0].item() == pytest.approx(1e6 * size, rel=1e-14)
+        assert (None if found.since is None else found.since[0].item()) == at
+
+
+def test_an_epoch_of_a_file_comes_before_that_of_a_model():
+    ours = Reference("EME2000", "EARTH", "TAI", NOON)
+    state = torch.zeros(1, 2)
+    kept = referred(Starts(("1",), state, state[:, 0]), ours)
+    assert kept.reference == ours
+    own = Reference("", "EARTH", "UTC", NOON + 5)
+    assert referred(Starts(("1",), state, state[:, 0], own), ours).reference == ours._replace(
+        epoch=own.on("TAI").epoch
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("mean: [1, 2, 3]\n", r"expected one state or several of .x .m., y .m., px .m/s x 2., py .m/s x 2."),
+        ("sd: [1, 1]\n", "received no mean"),
+        ("mean: [1, 2, 3, 4]\nsd: [1, 1]\ncovariance: [[1]]\n", "received both"),
+        ("mean: [1, 2, 3, 4]\nmore: 1\n", "received more"),
+        ("[1, 2]\n", "received no keys"),
+        (
+            "mean: [1, 2, 3, 4]\ncovariance: [[1, 2], [3, 4]]\n",
+            "covariance of 4 x 4 numbers; received another",
+        ),
+        ("mean: [1, 2, 3, 4]\nepoch: noon\n", "received epoch noon"),
+        ("mean: [1, 2, 3, .inf]\n", "finite"),
+    ],
+)
+def test_a_file_that_is_no_start_is_refused(text, said, tmp_path):
+    (tmp_path / "a.yaml").write_text(text)
+    with pytest.raises(UserError, match=said):
+        starts(str(tmp_path / "a.yaml"), PLANE)
+
+
+def test_a_start_in_another_frame_is_refused_where_it_cannot_be_turned(tmp_path):
+    (tmp_path / "a.yaml").write_text("mean: [1, 2, 3, 4]\nframe: GCRF\nepoch: 2024-03-01T12:00:00\n")
+    path = str(tmp_path / "a.yaml")
+    assert starts(path, PLANE, Reference("ICRF")).reference == Reference("GCRF", clock="UTC", epoch=NOON)
+    with pytest.raises(UserError, match="expected frame EME2000, that of the model; received GCRF"):
+        starts(path, PLANE, Reference("EME2000"))
+
+
+@pytest.mark.parametrize(("ours", "warned"), [("", True), ("EME2000, EARTH", False)])
+def test_a_model_without_a_frame_is_taken_to_be_in_that_of_the_file(tmp_path, caplog, ours, warned):
+    starts(message(tmp_path / "a.oem", [0.0, 60.0, 150.0]), ORBIT, Reference.of(ours))
+    assert ("in EME2000; the model says no frame" in caplog.text) is warned
