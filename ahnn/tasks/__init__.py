@@ -3,8 +3,8 @@
 from ahnn.tasks.bodies import THREE, TWO
 from ahnn.tasks.chains import chain
 from ahnn.tasks.comparison import table
+from ahnn.tasks.definition import Draw, Predict, Task
 from ahnn.tasks.noisy_oscillators import PENDULUM, SPRING
-from ahnn.tasks.task import Draw, Predict, Task
 
 TASKS: dict[str, Task] = {
     "two_bodies": TWO,

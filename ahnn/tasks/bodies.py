@@ -12,7 +12,7 @@ from torch import Tensor
 from ahnn.rollouts import rollout
 from ahnn.systems import NBody
 from ahnn.systems.truth import exact_flow
-from ahnn.tasks.task import Draw, Predict, Task, energy_error, numbers, states
+from ahnn.tasks.definition import Draw, Predict, Task, energy_error, numbers, states
 from ahnn.types import Trajectories
 
 SOURCE = "greydanus/hamiltonian-nn, Apache 2.0; Greydanus, Dzamba & Yosinski 2019, arXiv:1906.01563"

@@ -11,7 +11,7 @@ from torch import Tensor
 from ahnn.rollouts import rollout
 from ahnn.systems import ChainPendulum
 from ahnn.systems.truth import exact_flow
-from ahnn.tasks.task import Draw, Predict, Task, numbers, states
+from ahnn.tasks.definition import Draw, Predict, Task, numbers, states
 from ahnn.types import Trajectories
 
 SOURCE = "mfinzi/constrained-hamiltonian-neural-networks, MIT; Finzi, Wang & Wilson 2020, arXiv:2010.13581"
@@ -19,6 +19,7 @@ CHUNKS, SAMPLES, STEP = 800, 5, 0.03
 LATEST = 300
 """Steps after its start at which the chunk of a trajectory ends, at most."""
 TESTED, LONG = 200, 100
+LONGER = "trainer.max_epochs=80"
 
 
 def points(q: np.ndarray, lengths: np.ndarray) -> np.ndarray:
@@ -100,7 +101,7 @@ def chain(links: int, floor: float, **published: float) -> Task:
         "|x - y| / |x + y| of positions and velocities, geometric mean over 3 units of time",
         "momenta are given; the published models see velocities",
         published,
-        {"mass_matrix": ("model=hnn", "hamiltonian=mass_matrix", "inputs=angles", "loss=recursive")},
+        {"mass_matrix": ("model=hnn", "hamiltonian=mass_matrix", "inputs=angles", "loss=recursive", LONGER)},
         partial(draw, links=links),
         floor,
     )

@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from statistics import median
 
-from ahnn.tasks.task import Task
+from ahnn.tasks.definition import Task
 
 WIDTH = 80
 

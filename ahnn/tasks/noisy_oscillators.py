@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from ahnn.integrators import INTEGRATORS
-from ahnn.tasks.task import Draw, Predict, Task, energy_error, numbers, states
+from ahnn.tasks.definition import Draw, Predict, Task, energy_error, numbers, states
 from ahnn.types import Space, Trajectories
 
 TRAJECTORIES, NOISE, DURATION = 50, 0.1, 3.0

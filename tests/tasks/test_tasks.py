@@ -12,7 +12,7 @@ from ahnn.rollouts import rollout
 from ahnn.systems import ChainPendulum, NBody
 from ahnn.systems.truth import exact_flow
 from ahnn.tasks import TASKS, bodies, chains, comparison, noisy_oscillators
-from ahnn.tasks.task import numbers
+from ahnn.tasks.definition import numbers
 
 DOUBLE = {"dtype": torch.float64}
 
