@@ -10,8 +10,8 @@ import torch
 from entry import call
 
 from ahnn.cli import benchmarking
-from ahnn.cli.benchmarking import BenchmarkRequest, Training
-from ahnn.tasks import TASKS, Draw, Task
+from ahnn.cli.benchmarking import BenchmarkRequest, DrawnTraining
+from ahnn.tasks import TASKS, Draw, FieldTask
 from ahnn.types import Space, Trajectories
 
 
@@ -29,7 +29,9 @@ QUICK = ("model=hnn", "budget=smoke")
 
 @pytest.fixture
 def known(monkeypatch):
-    task = Task("a spring", "nobody", "|energy error|", "in nothing", {"theirs": 0.5}, {"hnn": QUICK}, drawn)
+    task = FieldTask(
+        "a spring", "nobody", "|energy error|", "in nothing", {"theirs": 0.5}, {"hnn": QUICK}, drawn
+    )
     monkeypatch.setitem(TASKS, "spring", task)
     return task
 
@@ -41,7 +43,7 @@ def finished(folder, task, model, draw, score):
 
 
 def test_a_training_leaves_run_and_score_or_nothing(known, tmp_path, monkeypatch):
-    training = Training("spring", "hnn", 0, tmp_path / "spring" / "hnn" / "draw_1")
+    training = DrawnTraining("spring", "hnn", 0, tmp_path / "spring" / "hnn" / "draw_1")
     monkeypatch.setattr(benchmarking, "write_atomically", lambda *_: (_ for _ in ()).throw(OSError("full")))
     with pytest.raises(OSError, match="full"):
         benchmarking.one(training)

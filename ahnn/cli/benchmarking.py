@@ -23,7 +23,7 @@ from ahnn.errors import Occupied, TrainingError, UserError
 from ahnn.evaluation.terminal import show
 from ahnn.files import claimed, whole_folder, write_atomically
 from ahnn.fitting import fit
-from ahnn.tasks import TASKS, Task, table
+from ahnn.tasks import TASKS, FieldTask, table
 
 log = logging.getLogger("ahnn")
 SCORE = "score.json"
@@ -41,7 +41,7 @@ class BenchmarkRequest:
     only: Count | None = None  # this drawing alone, counted from 1: what a command with several jobs starts
 
 
-class Training(NamedTuple):
+class DrawnTraining(NamedTuple):
     """One training on a task: which model, which drawing, and where."""
 
     task: str
@@ -85,7 +85,7 @@ def benchmark(arguments: list[str], usage: str) -> None:
         raise TrainingError(message)
 
 
-def tasks_of(names: list[str], usage: str) -> dict[str, Task]:
+def tasks_of(names: list[str], usage: str) -> dict[str, FieldTask]:
     """Return the tasks of some names; raises UserError for none, or one that is not known."""
     if unknown := [name for name in names if name not in (*TASKS, "all")]:
         message = f"benchmark: expected some of {', '.join(TASKS)}, or all; received {unknown[0]}"
@@ -96,7 +96,7 @@ def tasks_of(names: list[str], usage: str) -> dict[str, Task]:
     return {name: task for name, task in TASKS.items() if name in names or "all" in names}
 
 
-def trainings(tasks: dict[str, Task], asked: BenchmarkRequest) -> Iterator[Training]:
+def trainings(tasks: dict[str, FieldTask], asked: BenchmarkRequest) -> Iterator[DrawnTraining]:
     """Yield the trainings of some tasks, drawing by drawing; raises UserError for a model that none has."""
     known = list(dict.fromkeys(model for task in tasks.values() for model in task.models))
     if unknown := [model for model in asked.models if model not in known]:
@@ -107,16 +107,18 @@ def trainings(tasks: dict[str, Task], asked: BenchmarkRequest) -> Iterator[Train
         for draw in draws:
             for model in task.models:
                 if not asked.models or model in asked.models:
-                    yield Training(name, model, draw, Path(asked.output, name, model, f"draw_{draw + 1}"))
+                    yield DrawnTraining(
+                        name, model, draw, Path(asked.output, name, model, f"draw_{draw + 1}")
+                    )
 
 
-def run(plan: list[Training], asked: BenchmarkRequest) -> list[Training]:
+def run(plan: list[DrawnTraining], asked: BenchmarkRequest) -> list[DrawnTraining]:
     """Train what is not finished, each in a process of its own; return what failed."""
     left = [training for training in plan if not training.finished]
     log.info("benchmark: %d trainings in %s, %d finished", len(plan), asked.output, len(plan) - len(left))
     children: set[subprocess.Popen[bytes]] = set()
 
-    def start(training: Training) -> bool:
+    def start(training: DrawnTraining) -> bool:
         words = [training.task, f"models=[{training.model}]", f"only={training.draw + 1}"]
         child = subprocess.Popen(
             [sys.executable, "-m", "ahnn.benchmark", *words, f"output='{asked.output}'"],
@@ -141,7 +143,7 @@ def run(plan: list[Training], asked: BenchmarkRequest) -> list[Training]:
     return [training for training, well in zip(left, done, strict=True) if not well]
 
 
-def one(training: Training) -> None:
+def one(training: DrawnTraining) -> None:
     """Train and score in this process; the folder appears when both are done."""
     import torch
 
@@ -168,7 +170,7 @@ def turn(folder: Path) -> Iterator[None]:
         yield
 
 
-def scores_of(name: str, plan: list[Training]) -> dict[str, list[dict[str, float]]]:
+def scores_of(name: str, plan: list[DrawnTraining]) -> dict[str, list[dict[str, float]]]:
     """Return what was scored on a task, by the name of the model."""
     found: dict[str, list[dict[str, float]]] = {}
     for training in plan:

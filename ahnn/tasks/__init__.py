@@ -3,10 +3,10 @@
 from ahnn.tasks.bodies import THREE, TWO
 from ahnn.tasks.chains import chain
 from ahnn.tasks.comparison import table
-from ahnn.tasks.definition import Draw, Predict, Task
+from ahnn.tasks.definition import Draw, FieldTask, Predict
 from ahnn.tasks.noisy_oscillators import PENDULUM, SPRING
 
-TASKS: dict[str, Task] = {
+TASKS: dict[str, FieldTask] = {
     "two_bodies": TWO,
     "three_bodies": THREE,
     "noisy_spring": SPRING,
@@ -16,4 +16,4 @@ TASKS: dict[str, Task] = {
     "chain_5": chain(5, 1.5e-4, NODE=0.44, HNN=0.34, CHNN=1.1e-3),
 }
 
-__all__ = ["TASKS", "Draw", "Predict", "Task", "table"]
+__all__ = ["TASKS", "Draw", "FieldTask", "Predict", "table"]

@@ -12,7 +12,7 @@ from torch import Tensor
 from ahnn.rollouts import rollout
 from ahnn.systems import NBody
 from ahnn.systems.truth import exact_flow
-from ahnn.tasks.definition import Draw, Predict, Task, energy_error, numbers, states
+from ahnn.tasks.definition import Draw, FieldTask, Predict, energy_error, numbers, states
 from ahnn.types import Trajectories
 
 SOURCE = "greydanus/hamiltonian-nn, Apache 2.0; Greydanus, Dzamba & Yosinski 2019, arXiv:1906.01563"
@@ -53,7 +53,7 @@ def draw(
 
 
 PAIRS = ("model=hnn", "hamiltonian=pairs", "integrator=dopri8")
-TWO = Task(
+TWO = FieldTask(
     "two bodies from 800 orbits of 50 states",
     SOURCE,
     "squared error of the energy over 25 units of time, 15 starts",
@@ -62,7 +62,7 @@ TWO = Task(
     {"pairs": PAIRS},
     partial(draw, bodies=2, orbits=1000, samples=50, duration=20.0, tested=(15, 25.0)),
 )
-THREE = Task(
+THREE = FieldTask(
     "three bodies from 4,000 orbits of 20 states",
     SOURCE,
     "squared error of the energy over 3 units of time, 15 starts",

@@ -11,7 +11,7 @@ from torch import Tensor
 from ahnn.rollouts import rollout
 from ahnn.systems import ChainPendulum
 from ahnn.systems.truth import exact_flow
-from ahnn.tasks.definition import Draw, Predict, Task, numbers, states
+from ahnn.tasks.definition import Draw, FieldTask, Predict, numbers, states
 from ahnn.types import Trajectories
 
 SOURCE = "mfinzi/constrained-hamiltonian-neural-networks, MIT; Finzi, Wang & Wilson 2020, arXiv:2010.13581"
@@ -93,9 +93,9 @@ def draw(k: int, *, links: int) -> Draw:
     return Draw(Trajectories(chunks, times), system.space, (0.8, 0.15, 0.05), score)
 
 
-def chain(links: int, floor: float, **published: float) -> Task:
+def chain(links: int, floor: float, **published: float) -> FieldTask:
     """Return the task of a chain of so many links."""
-    return Task(
+    return FieldTask(
         f"chain of {links} pendulums from {CHUNKS} chunks of {SAMPLES} states, {STEP:g} apart",
         SOURCE,
         "|x - y| / |x + y| of positions and velocities, geometric mean over 3 units of time",

@@ -6,12 +6,12 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from statistics import median
 
-from ahnn.tasks.definition import Task
+from ahnn.tasks.definition import FieldTask
 
 WIDTH = 80
 
 
-def table(name: str, task: Task, scores: Mapping[str, Sequence[Mapping[str, float]]]) -> str:
+def table(name: str, task: FieldTask, scores: Mapping[str, Sequence[Mapping[str, float]]]) -> str:
     """Return a line for each model: median and range over the draws, beside the best published score.
 
     Args:

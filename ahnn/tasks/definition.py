@@ -31,7 +31,7 @@ class Draw(NamedTuple):
     score: Callable[[Predict], float]
 
 
-class Task(NamedTuple):
+class FieldTask(NamedTuple):
     """A task of the field.
 
     Attributes:

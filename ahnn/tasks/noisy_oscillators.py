@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from ahnn.integrators import INTEGRATORS
-from ahnn.tasks.definition import Draw, Predict, Task, energy_error, numbers, states
+from ahnn.tasks.definition import Draw, FieldTask, Predict, energy_error, numbers, states
 from ahnn.types import Space, Trajectories
 
 TRAJECTORIES, NOISE, DURATION = 50, 0.1, 3.0
@@ -86,7 +86,7 @@ MODELS = {
     "gaussian_process": ("model=hnn", WAVES, *MEASURED),
     "mechanical_gp": ("model=hnn", WAVES, "hamiltonian=mechanical", *MEASURED),
 }
-SPRING = Task(
+SPRING = FieldTask(
     "spring, q^2 + p^2, from 25 trajectories of 30 noisy states",
     SOURCE,
     f"squared error of the energy over {LONG:g} units of time, {STARTS} starts in [-1, 1]^2",
@@ -96,7 +96,7 @@ SPRING = Task(
     partial(draw, slope=lambda q: 2 * q, energy=spring_energy, rate=10, radii=(0.1, 1.0)),
     2.3e-5,
 )
-PENDULUM = Task(
+PENDULUM = FieldTask(
     "pendulum, 2 (1 - cos q) + p^2, from 25 trajectories of 45 noisy states",
     SOURCE,
     f"squared error of the energy over {LONG:g} units of time, {STARTS} starts in [-1, 1]^2",
