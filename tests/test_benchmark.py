@@ -88,6 +88,12 @@ def test_mistakes_are_one_message(words, message, capfd, tmp_path):
     assert error.count("\n") == 1
 
 
+def test_a_place_that_takes_no_folder_is_refused_before_the_work(tmp_path, capfd):
+    (tmp_path / "file").touch()
+    assert call("ahnn.benchmark", "two_bodies", f"output={tmp_path / 'file'}") == 2
+    assert "expected a place that can be written" in capfd.readouterr().err
+
+
 @pytest.mark.usefixtures("known")
 def test_a_failed_training_is_named_and_the_others_are_shown(tmp_path, monkeypatch, capfd):
     finished(tmp_path, "spring", "hnn", 1, 0.25)

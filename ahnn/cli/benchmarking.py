@@ -21,11 +21,13 @@ from ahnn.cli.pairs import divided, read_pairs
 from ahnn.contents import read_plain
 from ahnn.errors import Occupied, TrainingError, UserError
 from ahnn.evaluation.terminal import show
-from ahnn.files import claimed, whole_folder, write_atomically
+from ahnn.files import claimed, require_writable, whole_folder, write_atomically
 from ahnn.fitting import fit
 from ahnn.tasks import TASKS, FieldTask, table
 
 log = logging.getLogger("ahnn")
+SIGNALLED = 128
+"""Exit codes from here on are those of signals."""
 SCORE = "score.json"
 """Of a training, in its folder beside the run."""
 
@@ -75,6 +77,7 @@ def benchmark(arguments: list[str], usage: str) -> None:
         for training in plan:
             one(training)
         return
+    require_writable(Path(asked.output))
     with ended(lambda: "the same command goes on where it was stopped"):
         failed = run(plan, asked)
     for name, task in chosen.items():
@@ -128,7 +131,8 @@ def run(plan: list[DrawnTraining], asked: BenchmarkRequest) -> list[DrawnTrainin
         )
         children.add(child)
         said = child.communicate()[1].decode(errors="replace").strip().splitlines()
-        log.info("%s", said[-1] if said else f"{training.folder}: ended without a word")
+        if child.returncode < SIGNALLED:  # who stopped it has said so
+            log.info("%s", said[-1] if said else f"{training.folder}: ended without a word")
         return child.returncode == 0
 
     pool = ThreadPoolExecutor(asked.jobs)
