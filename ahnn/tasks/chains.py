@@ -19,7 +19,7 @@ CHUNKS, SAMPLES, STEP = 800, 5, 0.03
 LATEST = 300
 """Steps after its start at which the chunk of a trajectory ends, at most."""
 TESTED, LONG = 200, 100
-LONGER = "trainer.max_epochs=80"
+LONGER = ("network=wide_128", "trainer.max_epochs=200")
 
 
 def points(q: np.ndarray, lengths: np.ndarray) -> np.ndarray:
@@ -101,7 +101,7 @@ def chain(links: int, floor: float, **published: float) -> FieldTask:
         "|x - y| / |x + y| of positions and velocities, geometric mean over 3 units of time",
         "momenta are given; the published models see velocities",
         published,
-        {"mass_matrix": ("model=hnn", "hamiltonian=mass_matrix", "inputs=angles", "loss=recursive", LONGER)},
+        {"mass_matrix": ("model=hnn", "hamiltonian=mass_matrix", "inputs=angles", "loss=recursive", *LONGER)},
         partial(draw, links=links),
         floor,
     )

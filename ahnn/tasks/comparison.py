@@ -23,7 +23,7 @@ def table(name: str, task: FieldTask, scores: Mapping[str, Sequence[Mapping[str,
     known = ", ".join(f"{key} {value:.2g}" for key, value in task.published.items())
     if task.floor is not None:
         known += f"; floor {task.floor:.2g}"
-    lines = [f"{name}: {task.title}", f"published: {known}"]
+    lines = [*textwrap.wrap(f"{name}: {task.title}", WIDTH), f"published: {known}"]
     lines.append(f"  {'model':<18}{'median':>10}{'range':>22}{'draws':>7}{'seconds':>9}  of {best}'s")
     for model, found in scores.items():
         values = [one["score"] for one in found]
