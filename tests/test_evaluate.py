@@ -87,7 +87,7 @@ MADE = "expected a key that acts on a finished run and not on its training; "
         ("~plugins", "usage"),
         ("+label=a", r"'\+label=a': expected key=value with one value"),
         ("measurement=null", r"measurement: expected one of .*; received 'measurement=null'"),
-        ("plugins=3", r"plugins: expected one of .*none, planets.*; received 'plugins=3'"),
+        ("plugins=3", r"plugins: expected one of .*none.*planets.*; received 'plugins=3'"),
         ("plugins=ufk", r"ufk"),
         ("system.stifness=9", r"system\.stifness: expected .*; did you mean 'system\.stiffness'"),
         ("system.stiffness=nan", r"system\.stiffness: expected float > 0; received nan"),

@@ -225,7 +225,7 @@ class MemberFilter(ABC, Generic[M]):
     def _begun(self, belief: Belief | M, start_time: float) -> M:
         """Return the state that a run begins with."""
         if not isinstance(belief, self.carried):
-            return self.start(cast(Belief, belief), start_time)
+            return self.start(cast(Belief, belief), checked_time(start_time, "start_time"))
         state = cast(M, belief)
         check_state(state, self.carried)
         if start_time != 0.0:
