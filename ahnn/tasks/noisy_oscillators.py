@@ -2,80 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from ahnn.integrators import INTEGRATORS
+from ahnn.rollouts import rollout
+from ahnn.systems import MassSpring, Pendulum
+from ahnn.systems.truth import exact_flow
 from ahnn.tasks.definition import Draw, FieldTask, Predict, energy_error, numbers, states
 from ahnn.types import Space, Trajectories
 
 TRAJECTORIES, NOISE, DURATION = 50, 0.1, 3.0
 SPLIT = (0.5, 0.4, 0.1)
 STARTS, LONG, STEP = 1000, 20.0, 0.05
-FINE = 20
-"""Steps of Yoshida's sixth-order composition in a step of the data: exact to 1e-12."""
+TWO_SQUARES = MassSpring(name="spring", mass=0.5, stiffness=2.0, dt=0.1, steps=30)
+PLANE_PENDULUM = Pendulum(name="pendulum", mass=0.5, gravity=4.0, dt=0.07, steps=45)
 MEASURED = ("sensor=recorded", "recipe=noisy_states", "data.measured=state", f"data.noise={NOISE}")
 SOURCE = "greydanus/hamiltonian-nn, Apache 2.0; Greydanus, Dzamba & Yosinski 2019, arXiv:1906.01563"
 
 
-def spring_energy(x: Tensor) -> Tensor:
-    """Return q^2 + p^2, shape (...)."""
-    return x.square().sum(-1)
-
-
-def pendulum_energy(x: Tensor) -> Tensor:
-    """Return 2 (1 - cos q) + p^2, shape (...)."""
-    return 2 * (1 - x[..., 0].cos()) + x[..., 1].square()
-
-
-class Oscillator:
-    """dq/dt = 2 p, dp/dt = -dV/dq."""
-
-    def __init__(self, slope: Callable[[Tensor], Tensor]) -> None:
-        self.slope = slope
-
-    def velocity(self, p: Tensor) -> Tensor:
-        """Return 2 p, shape (..., 1)."""
-        return 2 * p
-
-    def force(self, q: Tensor) -> Tensor:
-        """Return -dV/dq, shape (..., 1)."""
-        return -self.slope(q)
-
-    def __call__(self, x: Tensor) -> Tensor:
-        """Return dx/dt, shape (..., 2)."""
-        return torch.cat((self.velocity(x[..., 1:]), self.force(x[..., :1])), dim=-1)
-
-
-def draw(
-    k: int,
-    *,
-    slope: Callable[[Tensor], Tensor],
-    energy: Callable[[Tensor], Tensor],
-    rate: int,
-    radii: tuple[float, float],
-) -> Draw:
+def draw(k: int, *, system: MassSpring | Pendulum, rate: int, radii: tuple[float, float]) -> Draw:
     """Return trajectories from random directions at a random radius, with noise on every number."""
     generator = numbers(k)
     direction = generator.uniform(-1, 1, (TRAJECTORIES, 2))
     radius = generator.uniform(*radii, (TRAJECTORIES, 1))
-    x = states(direction / np.linalg.norm(direction, axis=1, keepdims=True) * radius)
+    begin = states(direction / np.linalg.norm(direction, axis=1, keepdims=True) * radius)
     times = torch.linspace(0, DURATION, int(rate * DURATION), dtype=torch.float64)
-    path, field = [x], Oscillator(slope)
-    for _ in times[1:]:
-        for _ in range(FINE):
-            x = INTEGRATORS["yoshida6"].step(field, x, float(times[1]) / FINE)
-        path.append(x)
-    exact = torch.stack(path, dim=1)
+    with torch.no_grad():
+        exact = rollout(exact_flow(system), begin, float(times[1]), len(times))
     noisy = exact + NOISE * states(generator.standard_normal(exact.shape))
     starts = states(numbers(k, 1).uniform(-1, 1, (STARTS, 2)))
 
     def score(predict: Predict) -> float:
-        return energy_error(predict, starts, round(LONG / STEP), STEP, energy)
+        return energy_error(predict, starts, round(LONG / STEP), STEP, system.energy)
 
     return Draw(Trajectories(noisy, times), Space("oscillator", ("q", "p"), inertia=0.5), SPLIT, score)
 
@@ -93,7 +53,7 @@ SPRING = FieldTask(
     "the published models see exact derivatives beside noisy states; these see noisy states alone",
     {"baseline": 0.17, "HNN": 3.8e-4},
     MODELS,
-    partial(draw, slope=lambda q: 2 * q, energy=spring_energy, rate=10, radii=(0.1, 1.0)),
+    partial(draw, system=TWO_SQUARES, rate=10, radii=(0.1, 1.0)),
     2.3e-5,
 )
 PENDULUM = FieldTask(
@@ -103,5 +63,5 @@ PENDULUM = FieldTask(
     "as in noisy_spring; the published energy of this task is q^2 + p^2, here it is the pendulum's",
     {"baseline": 4.15e-2, "HNN": 2.49e-2},
     MODELS,
-    partial(draw, slope=lambda q: 2 * q.sin(), energy=pendulum_energy, rate=15, radii=(0.2, 2.0)),
+    partial(draw, system=PLANE_PENDULUM, rate=15, radii=(0.2, 2.0)),
 )

@@ -131,64 +131,55 @@ def believed(name, sd, memory) -> None:
     assert all(one > 0 for one in found.memories), "no memories"
 
 
+ERROR = (0.1, 0.3, 0.05)
+"""Standard deviations of a ruler, which sees positions, and of a radar, which sees positions and velocities."""
+NOISE = np.diag([1e-4, 1e-4])
+
+
+def assimilation(names, sd, memory, estimator) -> Assimilation:
+    """A coasting body before two sensors with biases, in some order."""
+    ruler = StreamSensor.of(
+        Position(1, "m"), ERROR[0], SPACE, bias_sd=float(sd[0]), bias_memory=float(memory[0])
+    )
+    biases = {"bias_sd": sd[1:].tolist(), "bias_memory": memory[1:].tolist()}
+    radar = StreamSensor.of(State(1, ("m", "m/s")), [*ERROR[1:]], SPACE, **biases)
+    coasting = lambda x, dt: x @ torch.tensor([[1.0, 0.0], [dt, 1.0]], dtype=torch.float64)  # noqa: E731
+    process, begin = online_process(estimator, coasting, 0.5, NOISE), np.diag([0.5, 0.2])
+    sensors = {"ruler": ruler, "radar": radar}
+    return Assimilation(process, {name: sensors[name] for name in names}, initial_belief([[1.0, 0.3]], begin))
+
+
+def textbook(mean, cov, values, sees, error, sd, memory):
+    """Mean and covariance of body and biases after half a second and a reading."""
+    step = np.diag([1.0, 1.0, *np.exp(-0.5 / memory)])
+    step[0, 1] = 0.5
+    kick = np.diag([*NOISE.diagonal(), *(sd**2 * -np.expm1(-1.0 / memory))])
+    mean, cov = step @ mean, step @ cov @ step.T + kick
+    gain = cov @ sees.T @ np.linalg.inv(sees @ cov @ sees.T + np.diag(np.square(error)))
+    return mean + gain @ (values - sees @ mean), cov - gain @ sees @ cov
+
+
 def filtered(place: Path, seed: int) -> None:
     """Filter readings of two sensors with biases, half of them behind a saved state, and the same by the textbook."""
     draw = np.random.default_rng(seed)
-    sd, memory = (
-        10.0 ** draw.uniform(-2, 1, 3),
-        np.where(draw.random(3) < 0.5, INF, 10.0 ** draw.uniform(0, 3, 3)),
-    )
-    noise, error = np.diag([1e-4, 1e-4]), (0.1, 0.3, 0.05)
-
-    def made(names):
-        all_of = {
-            "ruler": StreamSensor.of(
-                Position(1, "m"), error[0], SPACE, bias_sd=float(sd[0]), bias_memory=float(memory[0])
-            ),
-            "radar": StreamSensor.of(
-                State(1, ("m", "m/s")),
-                [*error[1:]],
-                SPACE,
-                bias_sd=sd[1:].tolist(),
-                bias_memory=memory[1:].tolist(),
-            ),
-        }
-        estimator = ExtendedKalmanFilter() if seed % 2 else UnscentedKalmanFilter()
-        process = online_process(
-            estimator,
-            lambda x, dt: x @ torch.tensor([[1.0, 0.0], [dt, 1.0]], dtype=torch.float64),
-            0.5,
-            noise,
-        )
-        return Assimilation(
-            process, {name: all_of[name] for name in names}, initial_belief([[1.0, 0.3]], np.diag([0.5, 0.2]))
-        )
-
-    filtering, mean, cov = (
-        made(("ruler", "radar")),
-        np.array([1.0, 0.3, 0, 0, 0]),
-        np.diag([0.5, 0.2, *sd**2]),
-    )
+    sd = 10.0 ** draw.uniform(-2, 1, 3)
+    memory = np.where(draw.random(3) < 0.5, INF, 10.0 ** draw.uniform(0, 3, 3))
+    estimator = ExtendedKalmanFilter() if seed % 2 else UnscentedKalmanFilter()
+    filtering = assimilation(("ruler", "radar"), sd, memory, estimator)
+    mean, cov = np.array([1.0, 0.3, 0, 0, 0]), np.diag([0.5, 0.2, *sd**2])
     for k in range(14):
         if k == 7:
             filtering.save(place / "a")
-            filtering = made(("radar", "ruler") if seed % 3 else ("ruler", "radar"))
+            names = ("radar", "ruler") if seed % 3 else ("ruler", "radar")
+            filtering = assimilation(names, sd, memory, estimator)
             filtering.load(place / "a")
-        rows = [0] if k % 3 else [0, 1]
-        values = draw.normal(size=len(rows))
-        filtering.update(Reading(0.5 * (k + 1), tuple(values.tolist()), "ruler" if k % 3 else "radar"))
-        kept = np.exp(-0.5 / memory)
-        step = np.diag([1.0, 1.0, *kept])
-        step[0, 1] = 0.5
-        kick = np.diag([*noise.diagonal(), *(sd**2 * -np.expm1(-1.0 / memory))])
-        mean, cov = step @ mean, step @ cov @ step.T + kick
-        sees = np.eye(5)[rows] + np.eye(5)[[2] if k % 3 else [3, 4]]
-        gain = (
-            cov
-            @ sees.T
-            @ np.linalg.inv(sees @ cov @ sees.T + np.diag(np.square(error[:1] if k % 3 else error[1:])))
+        name, rows, biased, error = (
+            ("ruler", [0], [2], ERROR[:1]) if k % 3 else ("radar", [0, 1], [3, 4], ERROR[1:])
         )
-        mean, cov = mean + gain @ (values - sees @ mean), cov - gain @ sees @ cov
+        values = draw.normal(size=len(rows))
+        filtering.update(Reading(0.5 * (k + 1), tuple(values.tolist()), name))
+        sees = np.eye(5)[rows] + np.eye(5)[biased]
+        mean, cov = textbook(mean, cov, values, sees, error, sd, memory)
     state = filtering.window.state.moments.mean[0, :2].numpy()
     told = [*filtering.biases["ruler"], *filtering.biases["radar"]]
     worst = np.abs(np.array([*state, *(value for value, _ in told)]) - mean) / np.sqrt(cov.diagonal())
