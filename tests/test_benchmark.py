@@ -58,6 +58,14 @@ def test_a_training_leaves_run_and_score_or_nothing(known, tmp_path, monkeypatch
     assert [path.name for path in training.folder.parent.iterdir()] == ["draw_1"]
 
 
+def test_further_scores_and_floors_are_written_and_a_lost_prediction_is_infinitely_far_off(tmp_path):
+    known = drawn(0)._replace(score=lambda _: math.nan, also={"rms": lambda _: 2.0}, floor=lambda: 1e-5)
+    found = benchmarking.scored(known, lambda x, *_: x)
+    assert found == {"score": math.inf, "rms": 2.0, "floor": 1e-5}
+    (tmp_path / "score.json").write_text(json.dumps(found))
+    assert DrawnTraining("spring", "hnn", 0, tmp_path).score == found
+
+
 @pytest.mark.usefixtures("known")
 def test_what_is_finished_is_kept_and_shown(tmp_path, capfd, caplog):
     caplog.set_level("INFO", "ahnn")

@@ -89,7 +89,12 @@ def models(epochs: int, *fields: str, **more: tuple[str, ...]) -> dict[str, tupl
         fields: overrides of the models that have a field.
         more: further rows.
     """
-    budget = ("network=tanh_16", f"trainer.max_epochs={epochs}", "data.windows_per_epoch=null", "plugins=none")
+    budget = (
+        "network=tanh_16",
+        f"trainer.max_epochs={epochs}",
+        "data.windows_per_epoch=null",
+        "plugins=none",
+    )
     named = {
         "mlp": ("model=mlp",),
         "node": ("model=node", "loss=recursive", *fields),
@@ -105,6 +110,8 @@ def models(epochs: int, *fields: str, **more: tuple[str, ...]) -> dict[str, tupl
 
 
 LNN = ("model=lnn", "loss=recursive", "integrator=dopri5")
+MASS_MATRIX = ("model=hnn", "hamiltonian=mass_matrix", "inputs=angles", "loss=recursive", "integrator=dopri5")
+PAIRS = ("model=hnn", "hamiltonian=pairs", "integrator=dopri8", "loss=recursive")
 PENDULUM = Pendulum(name="pendulum", gravity=1.0, dt=0.1, steps=48)
 DOUBLE = ChainPendulum(name="double_pendulum", gravity=1.0, dt=0.1, steps=50)
 THREE = NBody(name="three_body", dt=0.5, steps=10)
@@ -133,7 +140,7 @@ TASKS: dict[str, FieldTask] = {
         models(
             10,
             "integrator=dopri5",
-            mass_matrix=("model=hnn", "hamiltonian=mass_matrix", "inputs=angles", "loss=recursive"),
+            mass_matrix=MASS_MATRIX,
         ),
         partial(draw, sampling=Sampling(DOUBLE, 2000, 100, partial(hanging, links=2, most=0.5))),
     ),
@@ -143,7 +150,11 @@ TASKS: dict[str, FieldTask] = {
         ERROR.format(7, 500),
         SAME,
         {},
-        models(10, "integrator=dopri8", pairs=("model=hnn", "hamiltonian=pairs", "integrator=dopri8", "loss=recursive")),
+        models(
+            10,
+            "integrator=dopri8",
+            pairs=("model=hnn", "hamiltonian=pairs", "integrator=dopri8", "loss=recursive"),
+        ),
         partial(draw, sampling=Sampling(THREE, 5000, 14, bodies)),
     ),
 }

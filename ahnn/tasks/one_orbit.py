@@ -19,8 +19,8 @@ COUPLING = 0.8
 DURATION, RATE, TESTED_RATE = 40.0, 4, 10
 NOISE_VARIANCE = 0.05
 """Of the variance of each component."""
-HORIZONS = (21, 41, 81, 161)
-"""Samples that a start is fitted to, one after the other: 5, 10, 20 and 40 units of time."""
+HORIZONS = (21, 61, 161)
+"""Samples that a start is fitted to, one after the other: 5, 15 and 40 units of time."""
 SYSTEM = HenonHeiles(name="henon_heiles", dt=1 / RATE, steps=round(2 * DURATION * RATE))
 
 

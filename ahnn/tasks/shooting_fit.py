@@ -16,7 +16,7 @@ from ahnn.tasks.definition import Predict
 STEP = 1e-5
 """Half width of central differences, of the size of a component."""
 TRIALS, FACTOR = 40, 4.0
-SETTLED, ROUGHLY = 1e-8, 1e-3
+SETTLED, ROUGHLY = 1e-7, 1e-2
 """Fractions by which squares must fall for another step, of the last fit and of those before it."""
 
 

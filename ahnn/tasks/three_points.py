@@ -88,7 +88,13 @@ def draw(k: int, *, system: System) -> Draw:
     return Draw(data, system.space, (0.9, 0.05, 0.05), flow_error, also={"rms error": rms})
 
 
-MEASURED = ("model=hnn", "sensor=recorded", "recipe=measurements", "data.measured=state", f"data.noise={NOISE}")
+MEASURED = (
+    "model=hnn",
+    "sensor=recorded",
+    "recipe=measurements",
+    "data.measured=state",
+    f"data.noise={NOISE}",
+)
 WAVES = "network=gaussian_process"
 CHAIN = StiffChain(name="fermi_pasta", dt=STEP, steps=STEPS)
 HENON = HenonHeiles(name="henon_heiles", dt=STEP, steps=STEPS)
