@@ -68,7 +68,7 @@ def draw(k: int) -> Draw:
         SYSTEM.space,
         (1 / 3, 1 / 3, 1 / 3),
         score,
-        (f"data.noise={sd.tolist()}",),
+        (f"data.noise={sd.tolist()}", "system.unsound=true"),  # which copies are, without it
         partial(score, true_motion),
     )
 
