@@ -21,6 +21,8 @@ NOISE_VARIANCE = 0.05
 """Of the variance of each component."""
 HORIZONS = (21, 61, 161)
 """Samples that a start is fitted to, one after the other: 5, 15 and 40 units of time."""
+PIECES = 7
+"""Of 23 samples each."""
 SYSTEM = HenonHeiles(name="henon_heiles", dt=1 / RATE, steps=round(2 * DURATION * RATE))
 
 
@@ -41,7 +43,8 @@ def true_motion(x: Tensor, steps: int, dt: float) -> Tensor:
 def draw(k: int) -> Draw:
     """Return one noisy orbit, and the error of its continuation from the start that fits it best.
 
-    There is nothing else to validate and to test on, so that the orbit stands in all three places.
+    Training sees it in pieces, each with a start of its own: shooting through the whole of it has no way to
+    an optimum. There is nothing else to validate and to test on, so that it stands in all three places.
     """
     start = begin(k)
     with torch.no_grad():
@@ -62,9 +65,9 @@ def draw(k: int) -> Draw:
         return float((found - later / unit)[ahead].square().mean().sqrt())
 
     times = torch.arange(len(noisy), dtype=torch.float64) / RATE
-    copies = noisy.expand(3, -1, -1).clone()
+    pieces = Trajectories(*(x.unflatten(0, (PIECES, -1)).repeat(3, *[1] * x.ndim) for x in (noisy, times)))
     return Draw(
-        Trajectories(copies, times),
+        pieces,
         SYSTEM.space,
         (1 / 3, 1 / 3, 1 / 3),
         score,
