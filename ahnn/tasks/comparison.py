@@ -31,7 +31,7 @@ def table(name: str, task: FieldTask, scores: Scores) -> str:
         known += f"; floor {median(floors):.2g} ({spread(floors)})"
     unit, of = reference(task, floors)
     lines = [*textwrap.wrap(f"{name}: {task.title}", WIDTH), f"published: {known}"]
-    lines.append(f"  {'model':<18}{'median':>10}{'range':>22}{'draws':>7}{'seconds':>9}  {of}")
+    lines.append(f"  {'model':<18}{'median':>10}{'range':>22}{'draws':>7}{'seconds':>9}  {of}".rstrip())
     for model, found in scores.items():
         values = [one["score"] for one in found]
         middle, seconds = median(values), median(one["seconds"] for one in found)

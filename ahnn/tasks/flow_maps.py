@@ -21,6 +21,7 @@ from ahnn.tasks.definition import Draw, FieldTask, Predict, numbers, states
 from ahnn.types import Trajectories
 
 SOURCE = "AELITTEN/GHNN, MIT; Horn et al. 2025, J. Comput. Phys. 521, 113536"
+NETWORK, WAVES = ("network=tanh_16",), "network=gaussian_process"
 SPLIT = (0.8, 0.1, 0.1)
 
 
@@ -89,12 +90,7 @@ def models(epochs: int, *fields: str, **more: tuple[str, ...]) -> dict[str, tupl
         fields: overrides of the models that have a field.
         more: further rows.
     """
-    budget = (
-        "network=tanh_16",
-        f"trainer.max_epochs={epochs}",
-        "data.windows_per_epoch=null",
-        "plugins=none",
-    )
+    budget = (f"trainer.max_epochs={epochs}", "data.windows_per_epoch=null", "plugins=none")
     named = {
         "mlp": ("model=mlp",),
         "node": ("model=node", "loss=recursive", *fields),
@@ -104,12 +100,14 @@ def models(epochs: int, *fields: str, **more: tuple[str, ...]) -> dict[str, tupl
         "ghnn": ("model=ghnn",),
         "srnn": ("model=srnn",),
         "hnn": ("model=hnn", "loss=recursive", *fields),
+        "gp_hamiltonian": ("model=hnn", WAVES, "loss=recursive", *fields),
         **more,
     }
-    return {name: (*options, *budget) for name, options in named.items()}
+    return {name: (*row, *(() if WAVES in row else NETWORK), *budget) for name, row in named.items()}
 
 
 LNN = ("model=lnn", "loss=recursive", "integrator=dopri5")
+MECHANICAL = ("model=hnn", "hamiltonian=mechanical", "inputs=angles", "loss=recursive", "integrator=dopri5")
 MASS_MATRIX = ("model=hnn", "hamiltonian=mass_matrix", "inputs=angles", "loss=recursive", "integrator=dopri5")
 PAIRS = ("model=hnn", "hamiltonian=pairs", "integrator=dopri8", "loss=recursive")
 PENDULUM = Pendulum(name="pendulum", gravity=1.0, dt=0.1, steps=48)
@@ -125,7 +123,7 @@ TASKS: dict[str, FieldTask] = {
         ERROR.format(10, 50),
         f"{SAME}; the error over one time for all runs in the place of a period of each",
         {},
-        models(30, "integrator=dopri5", lnn=LNN),
+        models(30, "integrator=dopri5", lnn=LNN, mechanical=MECHANICAL),
         partial(
             draw,
             sampling=Sampling(PENDULUM, 500, 100, partial(hanging, links=1, most=0.95), quarter=True),
@@ -137,11 +135,7 @@ TASKS: dict[str, FieldTask] = {
         ERROR.format(10, 200),
         SAME,
         {},
-        models(
-            10,
-            "integrator=dopri5",
-            mass_matrix=MASS_MATRIX,
-        ),
+        models(5, "integrator=dopri5", mass_matrix=MASS_MATRIX),
         partial(draw, sampling=Sampling(DOUBLE, 2000, 100, partial(hanging, links=2, most=0.5))),
     ),
     "map_three_bodies": FieldTask(
@@ -150,11 +144,7 @@ TASKS: dict[str, FieldTask] = {
         ERROR.format(7, 500),
         SAME,
         {},
-        models(
-            10,
-            "integrator=dopri8",
-            pairs=("model=hnn", "hamiltonian=pairs", "integrator=dopri8", "loss=recursive"),
-        ),
+        models(5, "integrator=dopri8", pairs=PAIRS),
         partial(draw, sampling=Sampling(THREE, 5000, 14, bodies)),
     ),
 }
