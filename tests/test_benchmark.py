@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+import re
 
 import pytest
 import torch
 from entry import call
 
+import ahnn.benchmark
 from ahnn.cli import benchmarking
 from ahnn.cli.benchmarking import BenchmarkRequest, DrawnTraining
 from ahnn.tasks import TASKS, Draw, FieldTask
@@ -94,6 +96,10 @@ def test_mistakes_are_one_message(words, message, capfd, tmp_path):
     error = capfd.readouterr().err
     assert message in error
     assert error.count("\n") == 1
+
+
+def test_help_names_every_task():
+    assert all(re.search(rf"\b{name}\b", ahnn.benchmark.__doc__) for name in TASKS)
 
 
 def test_a_place_that_takes_no_folder_is_refused_before_the_work(tmp_path, capfd):

@@ -16,7 +16,7 @@ TASKS: dict[str, FieldTask] = {
     "chain_3": chain(3, 1.1e-4, NODE=0.27, HNN=4.7e-2, CHNN=3.4e-4),
     "chain_5": chain(5, 1.5e-4, NODE=0.44, HNN=0.34, CHNN=1.1e-3),
     "one_orbit": one_orbit.TASK,
-    **three_points.tasks(),
+    **three_points.TASKS,
     **flow_maps.TASKS,
 }
 

@@ -15,7 +15,7 @@ from ahnn.tasks.definition import Predict
 
 STEP = 1e-5
 """Half width of central differences, of the size of a component."""
-TRIALS, FACTOR = 40, 4.0
+TRIALS, FACTOR, GAUSS_NEWTON = 40, 4.0, 6
 SETTLED, ROUGHLY = 1e-7, 1e-2
 """Fractions by which squares must fall for another step, of the last fit and of those before it."""
 
@@ -75,3 +75,50 @@ def least_squares(
         if gain < settled:
             break
     return here
+
+
+def fitted_constants(
+    predict_of: Callable[[Tensor], Predict], observed: Tensor, dt: float, begin: Tensor
+) -> Tensor:
+    """Return the constants (P,) of a known form that meet many noisy trajectories (B, T, D) best.
+
+    Each trajectory has a start of its own, which is eliminated: Gauss-Newton steps from constants near the
+    optimum, whose rows are projected on what no start can explain (Golub & Pereyra 1973, SIAM J. Numer. Anal.
+    10, 413).
+
+    Args:
+        predict_of: constants (P,) -> a model.
+        observed: every dt, in units in which their noise is alike.
+        dt: between samples.
+        begin: constants to begin at, (P,).
+    """
+    samples = observed.shape[1]
+    starts, constants = observed[:, 0], begin
+    near = STEP * observed.flatten(0, 1).std(0)
+    for _ in range(GAUSS_NEWTON):
+        predict = predict_of(constants)
+
+        def off(x: Tensor, predict: Predict = predict) -> Tensor:
+            return (predict(x, samples - 1, dt) - observed).flatten(1)
+
+        here = off(starts)
+        offsets = torch.diag(near)
+        of_start = torch.stack(
+            [(off(starts + by) - off(starts - by)) / (2 * near[k]) for k, by in enumerate(offsets)], dim=-1
+        )
+        of_constants = torch.stack(
+            [
+                (off(starts, predict_of(constants + by)) - off(starts, predict_of(constants - by)))
+                / (2 * STEP)
+                for by in STEP * torch.eye(len(begin)).to(begin)
+            ],
+            dim=-1,
+        )
+        rows = torch.cat((of_constants, here.unsqueeze(-1)), dim=-1)
+        orthogonal = torch.linalg.qr(of_start).Q
+        left = (rows - orthogonal @ (orthogonal.mT @ rows)).flatten(0, 1)
+        step = torch.linalg.lstsq(left[:, :-1], left[:, -1:]).solution[:, 0]
+        rest = here - of_constants @ step
+        starts = starts - torch.linalg.lstsq(of_start, rest.unsqueeze(-1)).solution.squeeze(-1)
+        constants = constants - step
+    return constants

@@ -9,12 +9,15 @@ import torch
 from helpers import close
 
 from ahnn.rollouts import rollout
+from ahnn.systems import HenonHeiles
 from ahnn.systems.truth import exact_flow
-from ahnn.tasks import TASKS, one_orbit, three_points
+from ahnn.tasks import TASKS, free_forms, one_orbit, three_points
 from ahnn.tasks.definition import numbers
-from ahnn.tasks.shooting_fit import fitted_start, least_squares
+from ahnn.tasks.shooting_fit import fitted_constants, fitted_start, least_squares
 
 DOUBLE = {"dtype": torch.float64}
+HENON = three_points.well([1.0] * 4)
+UNEVEN = three_points.well([0.9, 1.2, 0.8, 1.1])
 
 
 def test_least_squares_find_the_minimum_of_a_line_and_of_a_curved_valley():
@@ -95,7 +98,8 @@ def test_three_points_are_noisy_states_of_the_true_flow(name, monkeypatch):
     radius = clean.data.states[:, 0].norm(dim=-1)
     assert 0.3 <= float(radius.min()) < 0.33
     assert 0.64 < float(radius.max()) <= 0.45**0.5
-    system = TASKS[name].draw.keywords["system"]
+    about = TASKS[name].draw.keywords
+    system = about["form"](about["constants"])
     energy = system.energy(clean.data.states)
     assert float((energy - energy[:, :1]).abs().max()) < 1e-8
     flow = exact_flow(system)
@@ -104,7 +108,7 @@ def test_three_points_are_noisy_states_of_the_true_flow(name, monkeypatch):
 
 def test_a_flow_error_is_the_norm_of_the_mean_error_and_its_rms_that_of_each_number():
     draw = TASKS["points_henon_heiles"].draw(0)
-    flow = exact_flow(three_points.HENON)
+    flow = exact_flow(HENON)
     off = torch.tensor([3.0, 0.0, -4.0, 0.0], **DOUBLE)
 
     def late(x, steps, dt):
@@ -114,7 +118,55 @@ def test_a_flow_error_is_the_norm_of_the_mean_error_and_its_rms_that_of_each_num
     assert draw.also["rms error"](late) == pytest.approx(2.5, rel=1e-9)
 
 
-def test_a_stiff_chain_is_pulled_by_the_slope_of_its_energy():
-    x = three_points.begin(6, 4, numbers(0)).requires_grad_()
-    slope = torch.autograd.grad(three_points.CHAIN.energy(x).sum(), x)[0]
-    close(three_points.CHAIN(x), torch.cat((slope[:, 2:], -slope[:, :2]), 1), 1e-12)
+@pytest.mark.parametrize("system", [HENON, three_points.stiff_chain([1.7, 0.6]), UNEVEN], ids=repr)
+def test_planar_forms_are_pulled_by_the_slope_of_their_energy(system):
+    x = free_forms.begin(6, 4, numbers(0)).requires_grad_()
+    slope = torch.autograd.grad(system.energy(x).sum(), x)[0]
+    close(system(x), torch.cat((slope[:, 2:], -slope[:, :2]), 1), 1e-12)
+
+
+def test_henon_heiles_is_the_well_of_all_ones():
+    x = free_forms.begin(6, 4, numbers(1))
+    system = HenonHeiles(name="henon_heiles", dt=0.8, steps=3)
+    close(HENON.energy(x), system.energy(x), 1e-13)
+    close(HENON(x), system(x), 1e-13)
+
+
+def test_fitted_constants_of_a_spring_are_those_that_made_it_and_their_error_is_that_of_the_noise():
+    """Motion of q'' = -w^2 q, from w^2 = 1.3: without noise exact, with it as the information says."""
+
+    def spring(constants):
+        w = constants[0].sqrt()
+
+        def predict(x, steps, dt):
+            phase = (w * dt * torch.arange(steps + 1, **DOUBLE))[None, :, None]
+            q, p = x[:, None, :1], x[:, None, 1:]
+            return torch.cat(
+                (q * phase.cos() + p / w * phase.sin(), p * phase.cos() - w * q * phase.sin()), -1
+            )
+
+        return predict
+
+    truth = torch.tensor([1.3], **DOUBLE)
+    exact = spring(truth)(free_forms.begin(60, 2, numbers(0)), 3, 0.8)
+    close(fitted_constants(spring, exact, 0.8, torch.ones(1, **DOUBLE)), truth, 1e-9)
+    found = [
+        fitted_constants(
+            spring, exact + 0.05 * torch.as_tensor(numbers(k, 1).standard_normal(exact.shape)), 0.8, truth
+        )
+        for k in range(40)
+    ]
+    spread = torch.cat(found) - truth
+    expected = 0.05 * information(spring, exact, truth).rsqrt()
+    close(spread.square().mean().sqrt(), expected, 0.35)
+    assert abs(float(spread.mean())) < 3 * float(expected) / 40**0.5 + 0.05 * float(expected)
+
+
+def information(predict_of, exact, constants):
+    """Fisher information of one constant, starts unknown, for a noise of 1: by linear motion in the start."""
+    step = 1e-5
+    ahead, behind = (predict_of(constants + by)(exact[:, 0], 3, 0.8) for by in (step, -step))
+    of_constant = ((ahead - behind) / (2 * step)).flatten(1)
+    columns = predict_of(constants)(torch.eye(2, **DOUBLE), 3, 0.8).flatten(1).T
+    orthogonal = torch.linalg.qr(columns).Q
+    return (of_constant - of_constant @ orthogonal @ orthogonal.T).square().sum()
