@@ -77,6 +77,7 @@ MEASURED = (
     "sensor=recorded",
     "recipe=measurements",
     "data.measured=state",
+    "loss.stages=[[whole,1.0]]",
     f"data.noise={NOISE}",
 )
 WAVES = "network=gaussian_process"
