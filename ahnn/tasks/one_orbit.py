@@ -76,7 +76,8 @@ def draw(k: int) -> Draw:
     )
 
 
-MEASURED = ("sensor=recorded", "recipe=noisy_states", "data.measured=state")
+STAGES = "loss.stages=[[4,0.3],[11,0.7],[whole,1.0]]"
+MEASURED = ("sensor=recorded", "recipe=measurements", "data.measured=state", STAGES)
 WAVES = "network=gaussian_process"
 TASK = FieldTask(
     "Hénon-Heiles, mu 0.8, from one orbit of 161 noisy states",
