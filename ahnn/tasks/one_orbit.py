@@ -65,9 +65,9 @@ def draw(k: int) -> Draw:
         return float((found - later / unit)[ahead].square().mean().sqrt())
 
     times = torch.arange(len(noisy), dtype=torch.float64) / RATE
-    pieces = Trajectories(*(x.unflatten(0, (PIECES, -1)).repeat(3, *[1] * x.ndim) for x in (noisy, times)))
+    states_thrice, times_thrice = (torch.cat(3 * [x.unflatten(0, (PIECES, -1))]) for x in (noisy, times))
     return Draw(
-        pieces,
+        Trajectories(states_thrice, times_thrice),
         SYSTEM.space,
         (1 / 3, 1 / 3, 1 / 3),
         score,
