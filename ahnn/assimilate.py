@@ -15,7 +15,7 @@ state=FILE          saved every 1000 lines (every=N); the same command goes on w
 window=SECONDS      late measurements are merged by replay; lines=N are kept for that at most
 measurement=NAME    what is measured; of several sensors: +measurement@sensors.NAME=OPTION for each
 measurement.bias_sd=NUMBER      its bias is estimated; bias_memory=TIME lets it wander; or of sensors.NAME
-plugins=NAME        the filter; plugins.ukf.gate=null takes outliers, too, plugins.ukf.process_noise is Q
+plugins=NAME        the filter; plugins.ukf.gate=0.9999 refuses outliers, plugins.ukf.process_noise is Q
 watch=true          a live view of state, 3 sigma, innovations and NIS on standard error; or --watch
 figures=FOLDER      innovations, consistency and deviations at the end
 oem=FILE            .oem or .xml: an ephemeris message at the end, of object=NAME

@@ -29,10 +29,7 @@ UNREAD = {
     "sensor=spring_states callbacks.rollout.count=3": ("callbacks.rollout.count", "measurements have no"),
     "sensor=spring_states optimizer.tolerance=0.1": ("optimizer.tolerance", "steps on measurements hold"),
     "+trainer.gradient_clip_algorithm=norm": ("trainer.gradient_clip_algorithm", "trainer.gradient_clip_val"),
-    "plugins=ukf plugins.ukf.gate=null plugins.ukf.patience=3": (
-        "plugins.ukf.patience",
-        "gate=null refuses nothing",
-    ),
+    "plugins=ukf plugins.ukf.patience=3": ("plugins.ukf.patience", "gate=null refuses nothing"),
     "plugins=ukf plugins.ukf.times=[0.3] plugins.ukf.cadence=7": ("plugins.ukf.cadence", "times says when"),
     "system=molniya system.periods=2.0 system.steps=9": ("system.steps", "system.periods says"),
 }

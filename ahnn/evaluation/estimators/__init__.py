@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from ahnn.evaluation.estimators.gate_option import GateOption
 from ahnn.evaluation.estimators.plugin import Bias, EstimatorEvaluation
 
-__all__ = ["Bias", "EstimatorEvaluation", "GateOption"]
+__all__ = ["Bias", "EstimatorEvaluation"]

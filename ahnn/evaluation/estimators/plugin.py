@@ -13,6 +13,7 @@ from ahnn.arguments import Count, Positive, Within, checked
 from ahnn.errors import UserError
 from ahnn.estimation.covariances import initial_belief
 from ahnn.estimation.estimator import Estimator
+from ahnn.estimation.gate import Gate
 from ahnn.estimation.online import online_process, weights_hash
 from ahnn.estimation.process_model import Process
 from ahnn.estimation.scenario import Problem, Setting, perturbed_arcs, simulated
@@ -20,7 +21,6 @@ from ahnn.estimation.setting import make_setting, near_system, require_measureme
 from ahnn.estimation.trial import Filter, assimilate, assimilate_all, shown
 from ahnn.evaluation.case import Case, Findings, Start, Who
 from ahnn.evaluation.estimators.filter_figures import filter_figures
-from ahnn.evaluation.estimators.gate_option import GateOption, chosen_gates
 from ahnn.evaluation.estimators.noise_options import (
     ForceOptions,
     GivenNoise,
@@ -74,8 +74,7 @@ class EstimatorEvaluation:
             their covariance says.
         novelty: rate by which the force error grows with the square of novelty - 1, such as 500; None
             lets it not. It needs `force_error` or `parameter_error`.
-        gate: probability beyond which a measurement is refused as an outlier; `streams` refuses beyond
-            0.9999 online and takes all in evaluations, None takes all.
+        gate: probability beyond which a measurement is refused as an outlier; None takes all.
         patience: refusals in a row after which a member has diverged.
         smoother: whether to add the rows of the smoother; a name adds those of all smoothers up to it.
         least_squares: whether to add the rows of batch least squares.
@@ -97,7 +96,7 @@ class EstimatorEvaluation:
         start_sd: list[Positive] | None,
         process_noise: GivenNoise,
         novelty: Annotated[float, Within(0)] | None = None,
-        gate: GateOption,
+        gate: Annotated[float, Within(above=0, below=1)] | None,
         patience: Count,
         smoother: bool | str,
         least_squares: bool,
@@ -106,8 +105,7 @@ class EstimatorEvaluation:
     ) -> None:
         require_measurement(measurement)
         self.beside, self.seed, self.least_squares = beside, seed, least_squares
-        of_rows, of_streams = chosen_gates(gate, patience)
-        self.estimator, self.streamed = estimator.gated(of_rows), estimator.gated(of_streams)
+        self.estimator = estimator.gated(None if gate is None else Gate(gate, patience))
         self.smoothers = asked_smoothers(smoother, self.estimator)
         self.process_noise: NoiseOption = noise_option(process_noise)
         self.novelty = novelty
@@ -210,7 +208,7 @@ class EstimatorEvaluation:
         if noise is None:
             noise = self._found(case())
         about = {"space": space.name, "flow": weights_hash(flow), "novelty": self.novelty}
-        return online_process(self.streamed, flow, interval, *noise, about)
+        return online_process(self.estimator, flow, interval, *noise, about)
 
     @torch.no_grad()
     def _found(self, case: Case) -> Noise:

@@ -9,7 +9,7 @@ from ahnn.errors import UserError
 from ahnn.estimation.scenario import Setting
 from ahnn.estimation.trial import Filter
 from ahnn.evaluation.case import Case, Findings, Who
-from ahnn.evaluation.estimators import Bias, EstimatorEvaluation, GateOption
+from ahnn.evaluation.estimators import Bias, EstimatorEvaluation
 from ahnn.evaluation.estimators.noise_options import GivenNoise
 from ahnn.evaluation.titles import MODEL
 from ahnn.measurements import Measurement
@@ -53,7 +53,7 @@ class UKFEvaluation(EstimatorEvaluation):
         beta: Finite,
         kappa: Finite,
         form: Literal["square_root", "standard"],
-        gate: GateOption,
+        gate: Annotated[float, Within(above=0, below=1)] | None,
         patience: Count,
         smoother: bool | Literal["iterated"],
         least_squares: bool,
