@@ -1,6 +1,6 @@
 """Estimators beside one another on the same scenarios, with the true flow.
 
-    python benchmarks/bench_estimators.py [--seeds 5] [--members 10] [--scenarios A,B] [--estimators "a;b"]
+    python benchmarks/bench_estimators.py [--seeds 5] [--scenarios A,B] [--estimators "a;b"]
 
 For each scenario a table: the error over that of the floor (`estimator_scenarios`), NEES for each component
 of the state (1 if consistent), log-likelihood of a measured number, members that were lost, and the CPU time
@@ -41,7 +41,7 @@ ESTIMATORS: dict[str, Estimator[Any]] = {
     "enkf, square root": EnsembleKalmanFilter(),
     "enkf, stochastic": EnsembleKalmanFilter(form="stochastic"),
     "particle": ParticleFilter(),
-    "particle, ukf proposal": ParticleFilter(proposal="ukf"),
+    "particle, ukf proposal": ParticleFilter(particles=300, proposal="ukf"),
     "particle, bootstrap": ParticleFilter(stages=1, bandwidth=0.0),
 }
 
@@ -101,10 +101,10 @@ def scored(scenario: Scenario, estimator: Estimator[Any], case: Drawn, least: fl
     )
 
 
-def scores(scenario: Scenario, seeds: int, members: int, names: list[str]) -> Iterator[dict[str, Score]]:
+def scores(scenario: Scenario, seeds: int, names: list[str]) -> Iterator[dict[str, Score]]:
     """Yield the scores of the estimators for each seed, and what the floor is."""
     for seed in range(seeds):
-        case = drawn(scenario, members, seed)
+        case = drawn(scenario, seed)
         least = floor(scenario, case)
         yield {
             "floor": Score(least, 0.0, 0.0, 0.0, 0.0),
@@ -137,7 +137,6 @@ def main() -> None:
     every = [make.__name__ for make in SCENARIOS]
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--members", type=int, default=10)
     parser.add_argument("--scenarios", default=",".join(every), help=", ".join(every))
     parser.add_argument("--estimators", default=None, help="; ".join(ESTIMATORS) + "; separated by ;")
     given = parser.parse_args()
@@ -148,7 +147,7 @@ def main() -> None:
         if make.__name__ not in given.scenarios.split(","):
             continue
         scenario = make()
-        found = list(scores(scenario, given.seeds, given.members, names))
+        found = list(scores(scenario, given.seeds, names))
         least = [one["floor"].ratio for one in found]
         print(f"**{scenario.name}**, floor {shown(least)} {scenario.unit}\n")
         print(table(found, names), flush=True)

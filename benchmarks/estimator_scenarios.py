@@ -54,6 +54,7 @@ class Scenario(NamedTuple):
         scored: components whose errors are compared.
         outliers: fraction of rows whose noise is `OUTLIER` times as large; they call for a gate.
         linear: whether the floor is that along the truth.
+        members: how many are drawn at once.
     """
 
     name: str
@@ -70,6 +71,7 @@ class Scenario(NamedTuple):
     scored: slice
     outliers: float = 0.0
     linear: bool = True
+    members: int = 10
 
 
 class Drawn(NamedTuple):
@@ -88,9 +90,9 @@ class Drawn(NamedTuple):
     outlying: Tensor
 
 
-def drawn(scenario: Scenario, members: int, seed: int) -> Drawn:
+def drawn(scenario: Scenario, seed: int) -> Drawn:
     """Return trajectories with process noise, wrong starts and noisy rows."""
-    generator = torch.Generator().manual_seed(seed)
+    generator, members = torch.Generator().manual_seed(seed), scenario.members
 
     def normal(*shape: int) -> Tensor:
         return torch.randn(*shape, generator=generator, dtype=F64)
@@ -210,7 +212,7 @@ def orbit(name: str, system: Molniya, updates: tuple[int, ...], outliers: float 
     start = torch.tensor([10**0.5] * 3 + [1e-3**0.5] * 3, dtype=F64)
     nothing = torch.zeros(6, dtype=F64)
     moved = (exact_flow(system), EVERY, system.steps, system.initial_states, start, nothing)
-    return Scenario(name, "km", *moved, seen, sd, updates, slice(0, 3), outliers)
+    return Scenario(name, "km", *moved, seen, sd, updates, slice(0, 3), outliers, members=4)
 
 
 def tracking() -> Scenario:
