@@ -76,7 +76,7 @@ def test_errors_of_the_dynamics_are_no_colour():
 
 
 def test_a_bias_that_cannot_show_is_said():
-    options = {"dof": 1, "inertia": 1.0, "hamiltonian": "mechanical", "mu": None, "scaling": "none"}
+    options = {"dof": 2, "inertia": 1.0, "hamiltonian": "mechanical", "mu": None, "scaling": "none"}
     options |= {"network": {"width": 4, "depth": 1, "activation": "tanh"}, "integrator": {"name": "rk4"}}
     free = make_dynamics("hamiltonian", **options, inputs="cartesian")
     held = make_dynamics("hamiltonian", **options, inputs="cartesian", forces={"springs": SPRINGS})
