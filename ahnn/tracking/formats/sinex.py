@@ -33,7 +33,7 @@ NEAREST, FARTHEST = 6.33e6, 6.40e6
 """Distances from the centre of the Earth, in m, between which all stations on it are."""
 
 
-class Estimate(NamedTuple):
+class SinexEstimate(NamedTuple):
     """Values of one solution for a point: by type, and the moment to which they refer."""
 
     place: Place
@@ -45,7 +45,7 @@ class Estimate(NamedTuple):
 class _Blocks:
     """What blocks of one file hold, by point and number of the solution."""
 
-    estimates: dict[tuple[str, str], Estimate] = field(default_factory=dict)
+    estimates: dict[tuple[str, str], SinexEstimate] = field(default_factory=dict)
     spans: dict[tuple[str, str], tuple[int | None, int | None]] = field(default_factory=dict)
     eccentricities: dict[str, list[Eccentricity]] = field(default_factory=dict)
 
@@ -116,7 +116,7 @@ def _estimate(blocks: _Blocks, line: str, place: Place) -> None:
         place.refuse(f"an epoch, and {kind} in {UNIT[kind]}", f"{cells[5]} and {cells[6]}")
     low, high = (-FARTHEST, FARTHEST) if kind in COORDINATES else (-10.0, 10.0)
     value = within(cells[8], place._replace(column=f"{kind} of {cells[2]}"), low, high)
-    one = blocks.estimates.setdefault(key, Estimate(place, reference, {}))
+    one = blocks.estimates.setdefault(key, SinexEstimate(place, reference, {}))
     if kind in one.values or one.reference != reference:
         place.refuse(f"each type of a solution once, at one epoch ({kind} of {cells[2]})", "another")
     one.values[kind] = value
@@ -170,7 +170,7 @@ def _solutions(blocks: _Blocks) -> dict[str, list[StationSolution]]:
     return {point: sorted(ones, key=lambda one: one.start or 0) for point, ones in found.items()}
 
 
-def _vector(one: Estimate, names: tuple[str, ...]) -> NDArray[np.float64]:
+def _vector(one: SinexEstimate, names: tuple[str, ...]) -> NDArray[np.float64]:
     """Return three values; raises UserError where one is missing."""
     for name in names:
         if name not in one.values:
