@@ -12,6 +12,15 @@ from ahnn.tracking.tracking_data import KINDS, Event, Kind, TrackingData
 
 UNKNOWN = (math.nan, math.nan, math.nan)
 """Weather where nobody said."""
+BOUNDS: dict[Kind, tuple[float, float]] = {
+    "range": (1e-3, 1e10),
+    "range_rate": (-1e3, 1e3),
+    "azimuth": (-math.pi, 2 * math.pi),
+    "elevation": (-math.pi / 2, math.pi / 2),
+    "right_ascension": (-math.pi, 2 * math.pi),
+    "declination": (-math.pi / 2, math.pi / 2),
+}
+"""Between which a measurement is one."""
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from ahnn.contents import plain_yaml
 from ahnn.data.files import sidecar
 from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.files.table import Fault, Note, Place, refuse, within
-from ahnn.tracking.formats.gathered import TrackingReading, gathered
+from ahnn.tracking.formats.gathered import BOUNDS, TrackingReading, gathered
 from ahnn.tracking.formats.instants import CLOCKS, utc_moment
 from ahnn.tracking.tracking_data import Event, Kind, TrackingData
 
@@ -45,15 +45,6 @@ UNITS = {
     "RA_DEC": {"deg": math.pi / 180, "rad": 1.0},
 }
 """Of each kind, and the factors to km, km/s and rad; the first is taken where nobody says."""
-BOUNDS: dict[Kind, tuple[float, float]] = {
-    "range": (1e-3, 1e10),
-    "range_rate": (-1e3, 1e3),
-    "azimuth": (-math.pi, 2 * math.pi),
-    "elevation": (-math.pi / 2, math.pi / 2),
-    "right_ascension": (-math.pi, 2 * math.pi),
-    "declination": (-math.pi / 2, math.pi / 2),
-}
-"""Between which a measurement is one."""
 EVENTS = ("receive", "transmit", "bounce")
 KEYS = ("object", "clock", "event", "units", "deviations")
 
