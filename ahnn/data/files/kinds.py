@@ -84,13 +84,13 @@ BINARY = {
 }
 SIGNS: tuple[tuple[re.Pattern[str], Kind], ...] = (
     (re.compile(r"#[a-d][PV]\s*\d{4}\s"), "sp3"),
-    (re.compile(r"H1\s+CPF\b", re.IGNORECASE), "cpf"),
-    (re.compile(r"H1\s+CRD\b", re.IGNORECASE), "crd"),
     (re.compile(r"%=SNX\b"), "sinex"),
     (MEAN_ELEMENTS, "omm"),
 )
 """How the first line of formats begins that are read."""
 LINES: tuple[tuple[re.Pattern[str], Kind], ...] = (
+    (re.compile(r"\s*H1\s+CPF\b", re.IGNORECASE), "cpf"),
+    (re.compile(r"\s*H1\s+CRD\b", re.IGNORECASE), "crd"),
     (re.compile(r"\s*\d{4}-\S+T\S+\s+(RANGE|RANGE_RATE|AZ_EL|RA_DEC)\s+\S+\s+[-+.\d]"), "station_table"),
     (re.compile(r"\s*BULLETIN B \d+", re.IGNORECASE), "bulletin_b"),
 )
