@@ -307,5 +307,5 @@ FILES = {
     **{f"{notation}.omm": omm(notation) for notation in ("xml", "kvn", "csv", "json")},
 }
 """Each format by the name of a file."""
-REAL = Path(__file__).parents[3].parent / "shared" / "real"
+REAL = Path(__file__).parents[2] / "shared" / "real"
 """Real files, where the folder beside the checkout has them."""
