@@ -10,7 +10,6 @@ from made_formats import BULLETIN, CRD, REAL, SINEX, TABLE, kvn
 from ahnn.tracking.formats.gathered import TrackingReading, gathered
 from ahnn.tracking.survey import survey
 
-
 NOISE = 1e-3  # km
 
 
