@@ -69,9 +69,10 @@ def tdm_data(text: str, file: str, two_way: TwoWay = "half", note: Note = refuse
             found.setdefault((link.satellite, link.event), []).extend(readings)
             remarks |= dict.fromkeys(link.remarks)
     found = {key: readings for key, readings in found.items() if readings}
-    if not found:
-        Place(file).refuse("ranges, Doppler or angles in a tracking data message (TDM)", "none of them")
     unused = sorted({key for one in segments for _, key, _, _ in one.records} - {*USED_DATA, *WEATHER})
+    if not found:
+        received = ", ".join(unused) or "none of them"
+        Place(file).refuse("ranges, Doppler or angles in a tracking data message (TDM)", received)
     said = (*((f"not used: {', '.join(unused)}",) if unused else ()), *remarks)
     return [
         gathered(satellite, [_with_weather(one, weather) for one in readings], event, said)
