@@ -237,15 +237,15 @@ class _CrdReader:
             return
         known = session.wavelengths
         only = next(iter(known.values())) if len(known) == 1 else None
-        for one in session.points:
+        weather = weather_at(session.weather, [one.moment for one in session.points])
+        for one, air in zip(session.points, weather, strict=True):
             wavelength = known.get(one.configuration, only)
             if wavelength is None:
                 place = Place(self.file, one.row, "record 11")
                 self.note(Fault(place, "record C0 of its configuration", repr(one.configuration)))
                 continue
-            weather = weather_at(session.weather, one.moment)
             reading = TrackingReading(
-                one.moment, self.station, {"range": one.range}, one.row, weather, wavelength
+                one.moment, self.station, {"range": one.range}, one.row, air, wavelength
             )
             self.found.setdefault((self.target, one.event), []).append(reading)
 

@@ -6,10 +6,8 @@ from dataclasses import dataclass, field
 from datetime import date
 from typing import NamedTuple
 
-import numpy as np
-
 from ahnn.data.files import epochs
-from ahnn.tracking.formats.gathered import UNKNOWN
+from ahnn.tracking.formats.gathered import UNKNOWN, between
 from ahnn.tracking.formats.instants import day_moment
 from ahnn.tracking.tracking_data import Event
 
@@ -67,12 +65,12 @@ def moment_near(moment: int, seconds: str) -> int:
     return min(candidates, key=lambda one: abs(one - moment))
 
 
-def weather_at(records: list[WeatherRecord], moment: int) -> tuple[float, float, float]:
-    """Return the weather at a moment, between records linearly and outside of them as in the nearest."""
+def weather_at(records: list[WeatherRecord], moments: list[int]) -> list[tuple[float, float, float]]:
+    """Return the weather at some moments, between records linearly and outside of them as in the nearest."""
     if not records:
-        return UNKNOWN
-    ranked = sorted(records, key=lambda one: one.moment)
-    times = [(one.moment - moment) / epochs.SECOND for one in ranked]
-    columns = np.array([one.values for one in ranked]).T
-    pressure, temperature, humidity = (float(np.interp(0.0, times, column)) for column in columns)
-    return pressure, temperature, humidity
+        return [UNKNOWN] * len(moments)
+    known = [one.moment for one in records]
+    columns = [
+        between(known, list(column), moments) for column in zip(*(one.values for one in records), strict=True)
+    ]
+    return list(zip(*columns, strict=True))

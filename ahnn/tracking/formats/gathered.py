@@ -69,6 +69,20 @@ class TrackingReading:
     deviations: dict[Kind, float] = field(default_factory=dict)
 
 
+def between(known: list[int], values: list[float], moments: list[int]) -> list[float]:
+    """Return values at moments, linear between the known ones and outside as at the nearest.
+
+    Args:
+        known: moments of the values, in any order, at least one.
+        values: at these.
+        moments: at which they are wanted.
+    """
+    origin, order = known[0], np.argsort([float(one - known[0]) for one in known], kind="stable")
+    times = np.array([(one - origin) / epochs.SECOND for one in known])[order]
+    wanted = [(one - origin) / epochs.SECOND for one in moments]
+    return np.interp(wanted, times, np.array(values)[order]).tolist()
+
+
 def gathered(
     name: str, readings: list[TrackingReading], event: Event, remarks: tuple[str, ...] = ()
 ) -> TrackingData:

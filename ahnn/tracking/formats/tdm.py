@@ -7,7 +7,6 @@ half of it; here that is an option, half of it unless somebody says otherwise.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +15,7 @@ import numpy as np
 from ahnn.data.files import epochs
 from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.files.table import Fault, Note, Place, refuse, within
-from ahnn.tracking.formats.gathered import TrackingReading, gathered, measured
+from ahnn.tracking.formats.gathered import TrackingReading, between, gathered, measured
 from ahnn.tracking.formats.instants import utc_moment
 from ahnn.tracking.formats.tdm_link import TdmLink, link_of, tdm_clock
 from ahnn.tracking.formats.tdm_segment import USED_DATA, WEATHER, TdmSegment, kvn_segments
@@ -77,7 +76,7 @@ def tdm_data(text: str, file: str, two_way: TwoWay = "half", note: Note = refuse
         Place(file).refuse("ranges, Doppler or angles in a tracking data message (TDM)", received)
     said = (*((f"not used: {', '.join(unused)}",) if unused else ()), *remarks)
     return [
-        gathered(satellite, [_with_weather(one, weather) for one in readings], event, said)
+        gathered(satellite, _with_weather(readings, weather), event, said)
         for (satellite, event), readings in found.items()
     ]
 
@@ -151,17 +150,24 @@ def station_of(segment: TdmSegment) -> str:
     return segment.meta.get(f"PARTICIPANT_{last}", segment.meta.get("PARTICIPANT_1", ""))
 
 
-def _with_weather(one: TrackingReading, weather: WeatherSeries) -> TrackingReading:
-    """Return a measurement with the weather of its station at its moment, linearly between what is known."""
-    series = weather.get(one.station, {})
-    pressure, temperature, humidity = (_at(series.get(key, ()), one.moment) for key in WEATHER)
-    return replace(one, weather=(pressure, temperature, min(humidity / 100, 1.0)))
+def _with_weather(readings: list[TrackingReading], weather: WeatherSeries) -> list[TrackingReading]:
+    """Return measurements with the weather of their stations, linearly between what is known."""
+    found = {}
+    for station in {one.station for one in readings}:
+        mine = [one.moment for one in readings if one.station == station]
+        series = weather.get(station, {})
+        columns = [_at(series.get(key, []), mine) for key in WEATHER]
+        found[station] = iter(zip(*columns, strict=True))
+    return [
+        replace(one, weather=(pressure, temperature, min(humidity / 100, 1.0)))
+        for one in readings
+        for pressure, temperature, humidity in [next(found[one.station])]
+    ]
 
 
-def _at(series: Sequence[tuple[int, float]], moment: int) -> float:
-    """Return a value at a moment, between the known ones linearly and outside as the nearest; NaN of none."""
+def _at(series: list[tuple[int, float]], moments: list[int]) -> list[float]:
+    """Return values at moments; NaN where there are none."""
     if not series:
-        return math.nan
-    ranked = sorted(series)
-    times = [(when - moment) / epochs.SECOND for when, _ in ranked]
-    return float(np.interp(0.0, times, [value for _, value in ranked]))
+        return [math.nan] * len(moments)
+    known, values = zip(*series, strict=True)
+    return between(list(known), list(values), moments)

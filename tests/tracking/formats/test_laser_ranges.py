@@ -54,7 +54,7 @@ def test_weather_is_linear_between_records_and_that_of_the_nearest_outside():
     assert np.allclose(data.weather[4], [981.7, 300.4, 0.34], rtol=1e-12)
     assert np.isnan(data.weather[5:]).all()
     record = WeatherRecord(0, (900.0, 280.0, 0.5))
-    assert weather_at([record], 5 * SECOND) == record.values
+    assert weather_at([record], [5 * SECOND, -(10**20)]) == [record.values] * 2
 
 
 def test_version_2_with_two_colours():
