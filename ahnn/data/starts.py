@@ -17,7 +17,7 @@ from ahnn.contents import plain_yaml
 from ahnn.data.estimate_table import is_track, last_estimate
 from ahnn.data.files import Files, instant, units
 from ahnn.data.files.epochs import SECOND
-from ahnn.data.files.kinds import kind_of
+from ahnn.data.files.kinds import holds_mean_elements, kind_of
 from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.reference import Reference
 from ahnn.data.start_covariances import covariances_of
@@ -82,7 +82,7 @@ def starts(
         raise UserError(message)
     if path is None:
         found = of_numbers(given, space)
-    elif is_track(path) or path.suffix.lower() in PLAIN:
+    elif is_track(path) or (path.suffix.lower() in PLAIN and not holds_mean_elements(path)):
         found = of_track(path, space) if is_track(path) else of_plain(path, space)
         if frame := found.reference.turn(ours, f"start {path}"):
             message = f"start {path}: expected frame {frame}, that of the model; received {found.reference}"

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Literal, NoReturn
 
+from ahnn.data.files.raw import content_of
 from ahnn.data.files.table import Place
+from ahnn.errors import UserError
 
 Kind = Literal[
     "table",
@@ -144,6 +147,14 @@ def kind_of(raw: bytes, file: str) -> Kind:
         if pattern.match(first) or pattern.match(head[0]):
             refuse(file, name)
     return SUFFIXES.get(suffix, "table")
+
+
+def holds_mean_elements(path: Path) -> bool:
+    """Return whether a file holds mean elements (OMM), which in JSON have no other sign than their keys."""
+    try:
+        return kind_of(content_of(path), str(path)) == "omm"
+    except UserError:
+        return False
 
 
 def refuse(file: str, received: str) -> NoReturn:

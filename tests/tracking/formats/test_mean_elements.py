@@ -6,9 +6,10 @@ import io
 
 import numpy as np
 import pytest
+from entry import call
 from made_orbits import OMM, omm
 
-from ahnn.data.files import Files, instant
+from ahnn.data.files import Files, instant, read_oem
 from ahnn.data.files.kinds import kind_of
 from ahnn.data.files.omm import omm_content
 from ahnn.errors import UserError
@@ -117,6 +118,20 @@ def test_elements_that_decay_and_other_theories_and_units():
         read(omm("json")[:-3])
     with pytest.raises(UserError, match="expected an object of keywords with texts or numbers"):
         read("[1, 2]")
+
+
+@ALL
+def test_a_prediction_begins_at_their_epoch(notation, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    name = f"start.{'json' if notation == 'json' else 'txt'}"
+    (tmp_path / name).write_text(omm(notation))
+    more = ["duration=2min", "step=1min", "output=out.oem", "frame=[GCRF,EARTH]"]
+    assert call("ahnn.predict", "pretrained=molniya_mechanical", f"start={name}", *more) == 0
+    (found,) = read_oem("out.oem")
+    assert (found.frame, found.start) == ("GCRF", instant("2000-06-27T18:50:19.733568", utc=True))
+    (tmp_path / "b.txt").write_text(LINES)
+    other = Files("b", "b.txt", step=60, duration=600, frame="GCRF").trajectories.states[0, 0]
+    assert np.allclose(found.states[0], other.numpy(), rtol=1e-8, atol=1e-5)
 
 
 def test_kinds_are_told_by_content():
