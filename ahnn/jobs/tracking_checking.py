@@ -12,7 +12,7 @@ from ahnn.data.doctor import Finding
 from ahnn.data.files import epochs
 from ahnn.data.files.kinds import ABOUT, kind_of
 from ahnn.data.files.raw import content_of, decoded
-from ahnn.data.files.table import Fault, Remark
+from ahnn.data.files.table import Fault, Place, Remark
 from ahnn.evaluation.data_findings import counted, listed
 from ahnn.tracking.formats.bulletin_b import read_bulletins
 from ahnn.tracking.formats.sinex import sinex_stations
@@ -38,7 +38,9 @@ def tracking_check(path: Path) -> tuple[list[Finding], RenderableType]:
                 shown.append(_table(path, data, series))
                 found += _findings(path, data, series)
         else:
-            shown.append(f"{path.name}: {_stations(path) if kind == 'sinex' else _days(path)}")
+            holds, unused = (_stations if kind == "sinex" else _days)(path)
+            shown.append(f"{path.name}: {holds}")
+            said.append(Remark(Place(str(path)), f"not used: {unused}"))
     except Fault as fault:
         said.append(fault)
     found = [*map(Finding.of, said), *found]
@@ -47,18 +49,20 @@ def tracking_check(path: Path) -> tuple[list[Finding], RenderableType]:
     return found, Group(*body, *findings, f"{path.name}, {ABOUT[kind]}: {counted(found)}")
 
 
-def _stations(path: Path) -> str:
-    """Return what a SINEX file holds."""
+def _stations(path: Path) -> tuple[str, str]:
+    """Return what a SINEX file holds, and what of it is not used."""
     found = sinex_stations(decoded(content_of(path), path), str(path))
-    return f"positions of stations: {len(found.solutions)}, eccentricities: {len(found.eccentricities)}"
+    holds = f"positions of stations: {len(found.solutions)}, eccentricities: {len(found.eccentricities)}"
+    return holds, ", ".join(found.unused) or "nothing"
 
 
-def _days(path: Path) -> str:
-    """Return what a Bulletin B holds."""
+def _days(path: Path) -> tuple[str, str]:
+    """Return what a Bulletin B holds, and what of it is not used."""
     found = read_bulletins(path)
     last = found.mjd[found.final][-1] if found.final.any() else float("nan")
     ends = f"MJD {found.mjd[0]:.0f} to {found.mjd[-1]:.0f}, final until {last:.0f}"
-    return f"polar motion and UT1 - UTC of {len(found.mjd)} days, {ends}"
+    holds = f"polar motion and UT1 - UTC of {len(found.mjd)} days, {ends}"
+    return holds, "standard deviations, sections from 2 on"
 
 
 def _table(path: Path, data: TrackingData, series: list[SeriesSurvey]) -> RenderableType:

@@ -91,8 +91,16 @@ def test_a_noisy_pass_and_a_short_one_have_no_outliers():
             kvn(),
             ["4 measurements of satellite 2024-001A, by times of", "range rate", "RECEIVE_FREQ_1"],
         ),
-        ("d.snx", SINEX, ["d.snx: positions of stations: 1, eccentricities: 1", "(SINEX): 0 faults"]),
-        ("e.txt", BULLETIN, ["of 4 days, MJD 55471 to 55474", "final until 55472"]),
+        (
+            "d.snx",
+            SINEX,
+            [
+                "d.snx: positions of stations: 1, eccentricities: 1",
+                "RBIAS of",
+                "(SINEX): 0 faults",
+            ],
+        ),
+        ("e.txt", BULLETIN, ["of 4 days, MJD 55471 to 55474", "final until 55472", "sections from 2"]),
     ],
 )
 def test_the_command_says_what_is_in_a_file(tmp_path, capsys, name, text, said):

@@ -48,6 +48,7 @@ class _Blocks:
     estimates: dict[tuple[str, str], SinexEstimate] = field(default_factory=dict)
     spans: dict[tuple[str, str], tuple[int | None, int | None]] = field(default_factory=dict)
     eccentricities: dict[str, list[Eccentricity]] = field(default_factory=dict)
+    unused: dict[str, None] = field(default_factory=dict)
 
 
 def read_sinex(*paths: str | Path) -> StationCatalogue:
@@ -67,6 +68,7 @@ def read_sinex(*paths: str | Path) -> StationCatalogue:
                 Place(str(path)).refuse(f"{name} of a station in one file", f"{twice[0]} in two")
         found.solutions.update(one.solutions)
         found.eccentricities.update(one.eccentricities)
+        found.unused.update(one.unused)
     return found
 
 
@@ -88,6 +90,8 @@ def sinex_stations(text: str, file: str) -> StationCatalogue:
             if block:
                 place.refuse(f"-{block} before another block", repr(line.strip()))
             block = line[1:].strip()
+            if block not in READERS:
+                blocks.unused[block] = None
         elif line.startswith("-"):
             if line[1:].strip() != block:
                 place.refuse(f"-{block}" if block else "a block before its end", repr(line.strip()))
@@ -98,7 +102,7 @@ def sinex_stations(text: str, file: str) -> StationCatalogue:
         Place(file).refuse("%ENDSNX at the end", "none", "The file is cut off")
     if not (blocks.estimates or blocks.eccentricities):
         Place(file).refuse(f"one of the blocks {', '.join(READERS)} with stations", "none")
-    return StationCatalogue(_solutions(blocks), blocks.eccentricities)
+    return StationCatalogue(_solutions(blocks), blocks.eccentricities, blocks.unused)
 
 
 def _estimate(blocks: _Blocks, line: str, place: Place) -> None:
@@ -107,6 +111,7 @@ def _estimate(blocks: _Blocks, line: str, place: Place) -> None:
     if len(cells) < 2 or cells[1] not in UNIT:
         if len(cells) < 9 or not cells[0].isdigit():
             place.refuse("index, type, code, point, solution, epoch, unit, constraint and value", repr(cells))
+        blocks.unused[f"{cells[1]} of SOLUTION/ESTIMATE"] = None
         return
     if len(cells) < 9:
         place.refuse("index, type, code, point, solution, epoch, unit, constraint and value", repr(cells))

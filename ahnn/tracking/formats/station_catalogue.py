@@ -65,10 +65,12 @@ class StationCatalogue:
     Attributes:
         solutions: of each code, in the order of their times.
         eccentricities: of each code.
+        unused: blocks and parameters of files that are not read.
     """
 
     solutions: dict[str, list[StationSolution]] = field(default_factory=dict)
     eccentricities: dict[str, list[Eccentricity]] = field(default_factory=dict)
+    unused: dict[str, None] = field(default_factory=dict)
 
     def position(self, code: str, moment: int) -> Vector:
         """Return the point of reference of a station in the terrestrial frame, (3,) km.
