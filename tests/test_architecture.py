@@ -69,6 +69,7 @@ MAY_IMPORT = {
     "dynamics": GROUND,
     "systems": GROUND | {"dynamics"},
     "data": GROUND | {"systems"},
+    "tracking": GROUND | {"data"},
     "tasks": GROUND | {"systems"},
     "shooting": OPEN | {"measurements"},
     "uncertainty": GROUND | {"dynamics", "shooting"},
@@ -84,7 +85,7 @@ MAY_IMPORT = {
     "loading": GROUND | {"dynamics", "pretrained", "runs", "uncertainty"},
     "jobs": GROUND
     | {"assimilation", "data", "dynamics", "evaluation", "graphs", "models", "prediction", "pretrained"}
-    | {"loading", "runs", "shooting", "training", "uncertainty"},
+    | {"loading", "runs", "shooting", "tracking", "training", "uncertainty"},
 }
 ENTRIES = {
     "train",
