@@ -1,0 +1,49 @@
+"""The noise of measurements, estimated from the residuals of a fit."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from ahnn.shooting.robust import HUBER
+
+if TYPE_CHECKING:
+    from ahnn.tracking.orbit_fit import Rows
+
+Array = NDArray[np.float64]
+SMALLEST, MOST = 0.05, 10.0
+"""A noise is at least this fraction, and at most this multiple, of what it was a step before."""
+CONSISTENT = float((2 * norm.cdf(HUBER) - 1) - 2 * HUBER * norm.pdf(HUBER) + 2 * HUBER**2 * norm.sf(HUBER))
+"""Mean of min(e^2, HUBER^2) of a normal e."""
+
+
+def huber_weights(e: Array) -> Array:
+    """Return the weights of Huber's loss of residuals in standard deviations, (M,)."""
+    return HUBER / np.maximum(np.abs(e), HUBER)
+
+
+def noise_deviations_of(rows: Rows, weights: Array, covariance: Array, noise: Array, *, robust: bool) -> Array:
+    """Return the noise by station and kind, (stations, 6), that makes the residuals as large as they should be.
+
+    Of each group: the sum of psi(e)^2 is its mean for a normal e times the number of measurements less those
+    that determine the unknowns (Huber 1981, proposal 2; Förstner 1979 for the redundancy of a group).
+
+    Args:
+        rows: fitted measurements.
+        weights: of a robust loss, (M,).
+        covariance: of the free unknowns.
+        noise: a step before.
+        robust: whether psi is that of Huber.
+    """
+    kind = rows.group % noise.shape[1]
+    spent = np.einsum("mf,fg,mg->m", rows.by, covariance, rows.by) * weights
+    factors = np.ones_like(noise)
+    for k in np.unique(kind):
+        own = kind == k
+        redundancy = max(own.sum() - spent[own].sum(), 1.0)
+        mean = np.sum((weights[own] * rows.e[own]) ** 2) / redundancy
+        factors[:, k] = np.clip(np.sqrt(mean / (CONSISTENT if robust else 1.0)), SMALLEST, MOST)
+    return noise * factors

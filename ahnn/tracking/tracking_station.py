@@ -1,0 +1,103 @@
+"""Where a station stands, what its horizon is, and how the tides of the solid Earth move it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+RADIUS, FLATTENING = 6378.137, 1 / 298.257223563
+"""Of the ellipsoid of WGS 84, km."""
+EARTH_MU = 398600.4415
+LOVE, LOVE_LATITUDE, SHIDA, SHIDA_LATITUDE = 0.6078, -0.0006, 0.0847, 0.0002
+"""h2 and l2 with their change by latitude (IERS Conventions 2010, 7.1.1)."""
+LOVE_3, SHIDA_3 = 0.292, 0.015
+"""h3 and l3."""
+
+
+class TrackingStation(NamedTuple):
+    """A station in the axes of ITRF.
+
+    Attributes:
+        name: as the measurements name it.
+        position: (3,) km from the Earth's centre, of the point that measures.
+        latitude, longitude: geodetic, rad.
+        height: above the ellipsoid, km.
+    """
+
+    name: str
+    position: Array
+    latitude: float
+    longitude: float
+    height: float
+
+    @property
+    def axes(self) -> Array:
+        """Unit vectors to the east, the north and up as rows, (3, 3)."""
+        return local_axes(self.latitude, self.longitude)
+
+
+def geodetic_station(name: str, latitude: float, longitude: float, height: float) -> TrackingStation:
+    """Return the station at geodetic coordinates, degrees and km."""
+    lat, lon = np.radians((latitude, longitude))
+    squared = FLATTENING * (2 - FLATTENING)
+    normal = RADIUS / np.sqrt(1 - squared * np.sin(lat) ** 2)
+    level = (normal + height) * np.cos(lat)
+    up = (normal * (1 - squared) + height) * np.sin(lat)
+    return TrackingStation(
+        name, np.array([level * np.cos(lon), level * np.sin(lon), up]), float(lat), float(lon), height
+    )
+
+
+def cartesian_station(name: str, position: Array, offset: Array | None = None) -> TrackingStation:
+    """Return the station at a point in ITRF, moved by an offset (3,) to the east, the north and up; km."""
+    lat, lon, _ = geodetic(position)
+    if offset is not None:
+        position = position + offset @ local_axes(lat, lon)
+    return TrackingStation(name, position, *geodetic(position))
+
+
+def geodetic(position: Array) -> tuple[float, float, float]:
+    """Return geodetic latitude and longitude in rad and the height in km of a point (3,) outside the core."""
+    x, y, z = position
+    squared, level = FLATTENING * (2 - FLATTENING), np.hypot(x, y)
+    lat = np.arctan2(z, level * (1 - squared))
+    for _ in range(6):  # each step takes off a factor of 300
+        normal = RADIUS / np.sqrt(1 - squared * np.sin(lat) ** 2)
+        lat = np.arctan2(z + squared * normal * np.sin(lat), level)
+    normal = RADIUS / np.sqrt(1 - squared * np.sin(lat) ** 2)
+    height = level * np.cos(lat) + z * np.sin(lat) - normal * (1 - squared * np.sin(lat) ** 2)
+    return float(lat), float(np.arctan2(y, x)), float(height)
+
+
+def local_axes(latitude: float, longitude: float) -> Array:
+    """Return unit vectors to the east, the north and up as rows, (3, 3)."""
+    (sin_lat, sin_lon), (cos_lat, cos_lon) = np.sin((latitude, longitude)), np.cos((latitude, longitude))
+    east, north = (-sin_lon, cos_lon, 0.0), (-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat)
+    return np.array([east, north, (cos_lat * cos_lon, cos_lat * sin_lon, sin_lat)])
+
+
+def tidal_displacement(position: Array, body: Array, mu: float) -> Array:
+    """Return what the tide of a body displaces a station by, in km and ITRF, (T, 3).
+
+    Degrees 2 and 3, in phase (IERS Conventions 2010, 7.5 and 7.6); what is left out, such as the diurnal
+    resonance, is a few mm. The constant part is within: coordinates are tide-free.
+
+    Args:
+        position: of the station, (3,) km in ITRF.
+        body: Sun or Moon, (T, 3) km in ITRF.
+        mu: its gravitational parameter, km^3/s^2.
+    """
+    away = np.linalg.norm(body, axis=-1, keepdims=True)
+    e, distance = body / away, np.linalg.norm(position)
+    up = position / distance
+    cosine = (e @ up)[:, None]
+    strength = mu / EARTH_MU * RADIUS**4 / away**3
+    latitude = (3 * up[2] ** 2 - 1) / 2
+    h, shida = LOVE + LOVE_LATITUDE * latitude, SHIDA + SHIDA_LATITUDE * latitude
+    level = e - cosine * up
+    second = h * up * (1.5 * cosine**2 - 0.5) + 3 * shida * cosine * level
+    third = LOVE_3 * up * (2.5 * cosine**3 - 1.5 * cosine) + SHIDA_3 * (7.5 * cosine**2 - 1.5) * level
+    return strength * (second + RADIUS / away * third)
