@@ -69,6 +69,7 @@ MAY_IMPORT = {
     "dynamics": GROUND,
     "systems": GROUND | {"dynamics"},
     "data": GROUND | {"systems"},
+    "tracking": GROUND | {"data"},
     "tasks": GROUND | {"systems"},
     "shooting": OPEN | {"measurements"},
     "uncertainty": GROUND | {"dynamics", "shooting"},

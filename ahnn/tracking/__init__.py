@@ -1,1 +1,1 @@
-"""Tracking of satellites as ground stations measured it: files, the Earth, light, forces, orbit determination."""
+"""Satellites as ground stations track them: files, the Earth, light, forces, orbit determination."""

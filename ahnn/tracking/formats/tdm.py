@@ -1,0 +1,153 @@
+"""Tracking data messages (CCSDS 503.0-B): ranges, range rates and angles of two-way and one-way links.
+
+The standard leaves it to agencies whether ranges and rates of two-way links are those of the whole way or of
+half of it; here that is an option, half of it unless somebody says otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from ahnn.data.files import epochs
+from ahnn.data.files.raw import content_of, decoded
+from ahnn.data.files.table import Fault, Note, Place, refuse, within
+from ahnn.tracking.formats.gathered import BOUNDS, TrackingReading, gathered
+from ahnn.tracking.formats.instants import utc_moment
+from ahnn.tracking.formats.tdm_link import TdmLink, link_of, tdm_clock
+from ahnn.tracking.formats.tdm_segment import USED_DATA, WEATHER, TdmSegment, kvn_segments
+from ahnn.tracking.formats.tdm_xml import xml_segments
+from ahnn.tracking.tracking_data import Event, Kind, TrackingData
+
+TwoWay = Literal["half", "whole"]
+"""Of which way a two-way range is: half of the way there and back, or the whole."""
+WEATHER_BOUNDS = {"PRESSURE": (300.0, 1200.0), "TEMPERATURE": (180.0, 340.0), "RHUMIDITY": (0.0, 105.0)}
+
+WeatherSeries = dict[str, dict[str, list[tuple[int, float]]]]
+"""Moments and values of each station and keyword."""
+
+
+def read_tdm(path: str | Path, two_way: TwoWay = "half") -> list[TrackingData]:
+    """Return the measurements of a message, for each satellite and event that times tag.
+
+    Args:
+        path: of the file, in either notation.
+        two_way: of which way its two-way ranges and rates are.
+
+    Raises:
+        UserError: names the line of what is wrong.
+    """
+    path = Path(path)
+    return tdm_data(decoded(content_of(path), path), str(path), two_way)
+
+
+def tdm_data(text: str, file: str, two_way: TwoWay = "half", note: Note = refuse) -> list[TrackingData]:
+    """Return the measurements of a message.
+
+    Args:
+        text: of the message, in either notation.
+        file: its name.
+        two_way: of which way its two-way ranges and rates are.
+        note: of a record that is damaged, which is then left out.
+
+    Raises:
+        UserError: a message that cannot be read, no measurement in it, or what `note` raises.
+    """
+    segments = xml_segments(text, file) if text.lstrip().startswith("<") else kvn_segments(text, file)
+    weather: WeatherSeries = {}
+    found: dict[tuple[str, Event], list[TrackingReading]] = {}
+    remarks: dict[str, None] = {}
+    for segment in segments:
+        _add_weather(segment, weather, note)
+        if any(key in USED_DATA for _, key, _, _ in segment.records):
+            link = link_of(segment, two_way)
+            readings = _readings(segment, link, note)
+            found.setdefault((link.satellite, link.event), []).extend(readings)
+            remarks |= dict.fromkeys(link.remarks)
+    found = {key: readings for key, readings in found.items() if readings}
+    if not found:
+        Place(file).refuse("ranges, Doppler or angles in a tracking data message (TDM)", "none of them")
+    unused = sorted({key for one in segments for _, key, _, _ in one.records} - {*USED_DATA, *WEATHER})
+    said = (*((f"not used: {', '.join(unused)}",) if unused else ()), *remarks)
+    return [
+        gathered(satellite, [_with_weather(one, weather) for one in readings], event, said)
+        for (satellite, event), readings in found.items()
+    ]
+
+
+def _readings(segment: TdmSegment, link: TdmLink, note: Note) -> list[TrackingReading]:
+    """Return the measurements of a segment, those of one moment together."""
+    found: dict[int, TrackingReading] = {}
+    for row, key, epoch, text in segment.records:
+        if key not in USED_DATA:
+            continue
+        place = Place(segment.place.file, row, key)
+        try:
+            moment = utc_moment(epoch, place, link.clock)
+            kind, value = _value(key, text, link, place)
+            if key == "DOPPLER_INTEGRATED":
+                moment += round(link.middle * epochs.SECOND)
+            one = found.setdefault(moment, TrackingReading(moment, link.station, {}, row))
+            if kind in one.values:
+                place.refuse("each keyword once at a time", f"{epoch} again, as in row {one.row}")
+            one.values[kind] = value
+        except Fault as fault:
+            note(fault)
+    return [one for one in found.values() if one.values]
+
+
+def _value(key: str, text: str, link: TdmLink, place: Place) -> tuple[Kind, float]:
+    """Return the kind of a measurement, and its value in km, km/s or rad; raises UserError."""
+    if key in ("ANGLE_1", "ANGLE_2"):
+        kind, factor = link.angle(key, place), math.pi / 180
+    elif key == "RANGE":
+        kind, factor = "range", link.range_factor(place)
+    else:
+        kind, factor = "range_rate", link.rate_factor(key, place)
+    low, high = BOUNDS[kind]
+    slack = 1e-9 * (high - low)  # of the rounding of the factor
+    correction = link.corrections.get(key, 0.0)
+    value = within(text, place, (low - slack) / factor, (high + slack) / factor)
+    return kind, factor * (value + correction)
+
+
+def _add_weather(segment: TdmSegment, weather: WeatherSeries, note: Note) -> None:
+    """Add the weather of a segment to that of its station."""
+    for row, key, epoch, text in segment.records:
+        if key in WEATHER:
+            place = Place(segment.place.file, row, key)
+            try:
+                moment = utc_moment(epoch, place, tdm_clock(segment))
+                value = within(text, place, *WEATHER_BOUNDS[key])
+            except Fault as fault:
+                note(fault)
+            else:
+                series = weather.setdefault(station_of(segment), {})
+                series.setdefault(key, []).append((moment, value))
+
+
+def station_of(segment: TdmSegment) -> str:
+    """Return whose weather a segment holds: the last participant of its path, or its only one."""
+    last = segment.meta.get("PATH", "1").split(",")[-1].strip()
+    return segment.meta.get(f"PARTICIPANT_{last}", segment.meta.get("PARTICIPANT_1", ""))
+
+
+def _with_weather(one: TrackingReading, weather: WeatherSeries) -> TrackingReading:
+    """Return a measurement with the weather of its station at its moment, linearly between what is known."""
+    series = weather.get(one.station, {})
+    pressure, temperature, humidity = (_at(series.get(key, ()), one.moment) for key in WEATHER)
+    return replace(one, weather=(pressure, temperature, min(humidity / 100, 1.0)))
+
+
+def _at(series: Sequence[tuple[int, float]], moment: int) -> float:
+    """Return a value at a moment, between the known ones linearly and outside as the nearest; NaN of none."""
+    if not series:
+        return math.nan
+    ranked = sorted(series)
+    times = [(when - moment) / epochs.SECOND for when, _ in ranked]
+    return float(np.interp(0.0, times, [value for _, value in ranked]))
