@@ -170,7 +170,7 @@ def of_track(path: Path, space: Space) -> Starts:
 def of_files(path: Path, space: Space, ours: Reference, *, last: bool, weighed: bool) -> Starts:
     """Return the first or the last state of each trajectory in a data file; raises UserError."""
     kind = kind_of(content_of(path), str(path))
-    second = 1.0 if kind == "elements" else None  # between the two samples that SGP4 gives
+    second = 1.0 if kind in ("elements", "omm") else None  # between the two samples that SGP4 gives
 
     def read(frame: Any = None) -> Files:
         return Files("start", str(path), mass=space.mass, frame=frame, step=second, duration=second)
@@ -197,7 +197,7 @@ def of_files(path: Path, space: Space, ours: Reference, *, last: bool, weighed: 
     require_finite(chosen)
     names = files.names if all(files.names) else numbered(len(states))
     found = Starts(names, chosen, moments, reference)
-    if not weighed or files.epoch is None or kind not in ("oem", "xml"):
+    if not weighed or files.epoch is None or kind not in ("oem", "xml", "opm"):
         return found
     size = units.unit(space.units.time).size
     since = [files.epoch + round(float(time) * size * SECOND) for time in moments]

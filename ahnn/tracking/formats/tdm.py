@@ -10,7 +10,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -22,27 +21,27 @@ from ahnn.tracking.formats.instants import utc_moment
 from ahnn.tracking.formats.tdm_link import TdmLink, link_of, tdm_clock
 from ahnn.tracking.formats.tdm_segment import USED_DATA, WEATHER, TdmSegment, kvn_segments
 from ahnn.tracking.formats.tdm_xml import xml_segments
+from ahnn.tracking.formats.tracking_sidecar import TwoWay, sidecar_of
 from ahnn.tracking.tracking_data import Event, Kind, TrackingData
 
-TwoWay = Literal["half", "whole"]
-"""Of which way a two-way range is: half of the way there and back, or the whole."""
 WEATHER_BOUNDS = {"PRESSURE": (300.0, 1200.0), "TEMPERATURE": (180.0, 340.0), "RHUMIDITY": (0.0, 105.0)}
 
 WeatherSeries = dict[str, dict[str, list[tuple[int, float]]]]
 """Moments and values of each station and keyword."""
 
 
-def read_tdm(path: str | Path, two_way: TwoWay = "half") -> list[TrackingData]:
+def read_tdm(path: str | Path, two_way: TwoWay | None = None) -> list[TrackingData]:
     """Return the measurements of a message, for each satellite and event that times tag.
 
     Args:
         path: of the file, in either notation.
-        two_way: of which way its two-way ranges and rates are.
+        two_way: of which way its two-way ranges and rates are; None is what a sidecar says, else half.
 
     Raises:
         UserError: names the line of what is wrong.
     """
     path = Path(path)
+    two_way = two_way or sidecar_of(path).two_way
     return tdm_data(decoded(content_of(path), path), str(path), two_way)
 
 
