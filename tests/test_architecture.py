@@ -69,7 +69,7 @@ MAY_IMPORT = {
     "dynamics": GROUND,
     "systems": GROUND | {"dynamics"},
     "data": GROUND | {"systems"},
-    "tracking": GROUND | {"data"},
+    "tracking": GROUND | {"data", "shooting", "systems"},
     "tasks": GROUND | {"systems"},
     "shooting": OPEN | {"measurements"},
     "uncertainty": GROUND | {"dynamics", "shooting"},

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 DEVIATIONS = np.geomspace(1e-2, 1e3, 21)
 """Standard deviations that are tried, in units of the basis."""
-LENGTHS = np.geomspace(0.1, 3.0, 10)
+LENGTHS = np.geomspace(0.1, 10.0, 13)
 """Lengths that are tried, as fractions of the time between the first and the last spline."""
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ahnn.errors import TrainingError
 from ahnn.tracking.evidence_of_smoothness import chosen_smoothness
-from ahnn.tracking.residual_noise import huber_weights, noise_deviations_of
+from ahnn.tracking.residual_noise import huber_weights, noise_deviations_of, scatter_of
 from ahnn.tracking.satellite_arc import Forces, SatelliteArc, satellite_arc
 from ahnn.tracking.tracking_data import KINDS
 from ahnn.tracking.tracking_model import ANGLES, TrackingModel
@@ -27,7 +27,7 @@ log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 STEPS, HALVINGS = 25, 8
-ROUGH, FINE = 0.3, 0.01
+ROUGH, FINE = 0.3, 0.03
 """Largest step in standard deviations at which the fit by squares ends, and the whole fit."""
 
 
@@ -108,7 +108,16 @@ class OrbitFit:
         """Those of unseen measurements, of the unknowns and the noise together, (N, 6)."""
         by = self.point.by_unknowns
         known = np.einsum("nkq,qp,nkp->nk", by, self.covariance, by)
-        return np.sqrt(known + self.noise[self.problem.model.data.station] ** 2)
+        return np.sqrt(known + self.scatter[self.problem.model.data.station] ** 2)
+
+    @property
+    def scatter(self) -> Array:
+        """Root mean squares of the fitted residuals by station and kind, (stations, 6), as small as they are.
+
+        They are the noise of a single measurement; the noise of the fit is larger where neighbouring
+        measurements err alike, as angles do. Where fewer than ten were fitted those of all stations count.
+        """
+        return scatter_of(self.point.residuals, self.problem.model.data.station, self.problem.used, self.noise)
 
 
 def linearised(problem: OrbitProblem, x: Array) -> Linearised:

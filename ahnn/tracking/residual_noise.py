@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 SMALLEST, MOST = 0.05, 10.0
 """A noise is at least this fraction, and at most this multiple, of what it was a step before."""
+FEWEST = 10
+"""Measurements of a station from which it has a scatter of its own."""
 CONSISTENT = float((2 * norm.cdf(HUBER) - 1) - 2 * HUBER * norm.pdf(HUBER) + 2 * HUBER**2 * norm.sf(HUBER))
 """Mean of min(e^2, HUBER^2) of a normal e."""
 
@@ -47,3 +49,23 @@ def noise_deviations_of(rows: Rows, weights: Array, covariance: Array, noise: Ar
         mean = np.sum((weights[own] * rows.e[own]) ** 2) / redundancy
         factors[:, k] = np.clip(np.sqrt(mean / (CONSISTENT if robust else 1.0)), SMALLEST, MOST)
     return noise * factors
+
+
+def scatter_of(residuals: Array, station: Array, used: Array, noise: Array) -> Array:
+    """Return root mean squares of residuals by station and kind, (stations, 6).
+
+    Args:
+        residuals: (N, 6), NaN where nothing was measured.
+        station: (N,) place of each measurement's station.
+        used: (N,) which were fitted.
+        noise: (stations, 6), taken where nothing was fitted at all.
+    """
+    table = noise.copy()
+    for k in range(noise.shape[1]):
+        seen = used & np.isfinite(residuals[:, k])
+        for s in range(len(noise)):
+            own = seen & (station == s)
+            own = own if own.sum() >= FEWEST else seen
+            if own.any():
+                table[s, k] = np.sqrt(np.mean(residuals[own, k] ** 2))
+    return table

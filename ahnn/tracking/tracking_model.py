@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ahnn.tracking.accelerations.relativity import LIGHT
-from ahnn.tracking.atmospheric_delay import bending, laser_delay, measured_air, radio_delay
-from ahnn.tracking.earth_orientation import EarthOrientation
+from ahnn.tracking.atmospheric_delay import bending, bending_by_recommendation, laser_delay, measured_air, radio_delay
+from ahnn.tracking.earth_rotation import EarthRotation
 from ahnn.tracking.light_path import LightPath, light_path
 from ahnn.tracking.satellite_arc import SatelliteArc
 from ahnn.tracking.sun_and_moon import MOON_MU, SUN_MU, SunAndMoon
@@ -28,7 +28,7 @@ class Corrections:
 
     Attributes:
         troposphere: whose delay ranges have: none, of radio or of laser light.
-        refraction: whether the elevation has what the air lifts a satellite by.
+        refraction: what air lifts a satellite in elevation: none, that of the weather, or of ITU-R P.834.
         solid_tides: whether the tides of the solid Earth move the stations.
         shapiro: whether the Earth's mass delays light.
         centre_of_mass: km from the point that reflects to the centre of mass, along the line of sight; measured
@@ -36,7 +36,7 @@ class Corrections:
     """
 
     troposphere: Literal["none", "radio", "laser"] = "none"
-    refraction: bool = False
+    refraction: Literal["none", "profile", "p834"] = "none"
     solid_tides: bool = False
     shapiro: bool = False
     centre_of_mass: float = 0.0
@@ -65,7 +65,7 @@ class TrackingModel:
         data: whose times, stations and weather count.
         stations: one for each of those that the data name, in their order.
         corrections: what is taken into account.
-        orientation: of the Earth.
+        rotation: of the Earth.
         bodies: Sun and Moon.
     """
 
@@ -74,15 +74,15 @@ class TrackingModel:
         data: TrackingData,
         stations: tuple[TrackingStation, ...],
         corrections: Corrections,
-        orientation: EarthOrientation,
+        rotation: EarthRotation,
         bodies: SunAndMoon,
     ) -> None:
         self.data, self.stations, self.corrections = data, stations, corrections
-        self._orientation, self._bodies = orientation, bodies
+        self._rotation, self._bodies = rotation, bodies
 
     def site(self, station: TrackingStation, times: Array) -> Array:
         """Return where a station is in GCRF at times (T,), (T, 3) km."""
-        turns, place = self._orientation.matrices(times), np.broadcast_to(station.position, (len(times), 3))
+        turns, place = self._rotation.matrices(times), np.broadcast_to(station.position, (len(times), 3))
         if self.corrections.solid_tides:
             for position, mu in ((self._bodies.sun(times), SUN_MU), (self._bodies.moon(times), MOON_MU)):
                 body = np.einsum("tij,tj->ti", turns, position)
@@ -108,7 +108,7 @@ class TrackingModel:
             self.data.event,
         )
         air = measured_air(self.data.weather[rows], station.height)
-        axes = np.einsum("ij,tjk->tik", station.axes, self._orientation.matrices(path.receive))
+        axes = np.einsum("ij,tjk->tik", station.axes, self._rotation.matrices(path.receive))
         values, by_state = np.empty((len(path.bounce), 6)), np.zeros((len(path.bounce), 6, 6))
         values[:, 1:3], by_state[:, 1:3, :3] = directions(np.einsum("tij,tj->ti", axes, path.down), azimuth=True)
         by_state[:, 1:3, :3] = by_state[:, 1:3, :3] @ axes
@@ -117,8 +117,10 @@ class TrackingModel:
         values[:, 0], by_state[:, 0, :3] = half_round_trip(path)
         values[:, 0] += self._delay(path, elevation, air, station, self.data.wavelength[rows])
         values[:, 3], by_state[:, 3] = self._range_rate(arc, station, path)
-        if self.corrections.refraction:
+        if self.corrections.refraction == "profile":
             values[:, 2] += bending(elevation, air)
+        elif self.corrections.refraction == "p834":
+            values[:, 2] += bending_by_recommendation(elevation, station.height)
         return Predicted(values, by_state, path.bounce, elevation)
 
     def _delay(self, path: LightPath, elevation: Array, air, station: TrackingStation, wavelength: Array) -> Array:

@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ahnn.tracking.formats.station_catalogue import geodetic, local_axes
+
 Array = NDArray[np.float64]
 RADIUS, FLATTENING = 6378.137, 1 / 298.257223563
 """Of the ellipsoid of WGS 84, km."""
@@ -36,7 +38,7 @@ class TrackingStation(NamedTuple):
     @property
     def axes(self) -> Array:
         """Unit vectors to the east, the north and up as rows, (3, 3)."""
-        return local_axes(self.latitude, self.longitude)
+        return local_axes(self.position)[[2, 1, 0]]
 
 
 def geodetic_station(name: str, latitude: float, longitude: float, height: float) -> TrackingStation:
@@ -51,32 +53,9 @@ def geodetic_station(name: str, latitude: float, longitude: float, height: float
     )
 
 
-def cartesian_station(name: str, position: Array, offset: Array | None = None) -> TrackingStation:
-    """Return the station at a point in ITRF, moved by an offset (3,) to the east, the north and up; km."""
-    lat, lon, _ = geodetic(position)
-    if offset is not None:
-        position = position + offset @ local_axes(lat, lon)
+def cartesian_station(name: str, position: Array) -> TrackingStation:
+    """Return the station at a point in ITRF, (3,) km."""
     return TrackingStation(name, position, *geodetic(position))
-
-
-def geodetic(position: Array) -> tuple[float, float, float]:
-    """Return geodetic latitude and longitude in rad and the height in km of a point (3,) outside the core."""
-    x, y, z = position
-    squared, level = FLATTENING * (2 - FLATTENING), np.hypot(x, y)
-    lat = np.arctan2(z, level * (1 - squared))
-    for _ in range(6):  # each step takes off a factor of 300
-        normal = RADIUS / np.sqrt(1 - squared * np.sin(lat) ** 2)
-        lat = np.arctan2(z + squared * normal * np.sin(lat), level)
-    normal = RADIUS / np.sqrt(1 - squared * np.sin(lat) ** 2)
-    height = level * np.cos(lat) + z * np.sin(lat) - normal * (1 - squared * np.sin(lat) ** 2)
-    return float(lat), float(np.arctan2(y, x)), float(height)
-
-
-def local_axes(latitude: float, longitude: float) -> Array:
-    """Return unit vectors to the east, the north and up as rows, (3, 3)."""
-    (sin_lat, sin_lon), (cos_lat, cos_lon) = np.sin((latitude, longitude)), np.cos((latitude, longitude))
-    east, north = (-sin_lon, cos_lon, 0.0), (-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat)
-    return np.array([east, north, (cos_lat * cos_lon, cos_lat * sin_lon, sin_lat)])
 
 
 def tidal_displacement(position: Array, body: Array, mu: float) -> Array:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ahnn.systems.gravity import GravityField
 from ahnn.systems.gravity.harmonics import gradient, in_a_row
 from ahnn.tracking.accelerations.contract import Acceleration, Array, known
-from ahnn.tracking.earth_orientation import EarthOrientation
+from ahnn.tracking.earth_rotation import EarthRotation
 
 
 class EarthGravity:
@@ -16,13 +16,13 @@ class EarthGravity:
 
     Args:
         field: its coefficients, in the axes of ITRF.
-        orientation: of these axes.
+        rotation: of these axes.
     """
 
     parameters: tuple[str, ...] = ()
 
-    def __init__(self, field: GravityField, orientation: EarthOrientation) -> None:
-        self.field, self._orientation = field, orientation
+    def __init__(self, field: GravityField, rotation: EarthRotation) -> None:
+        self.field, self._rotation = field, rotation
         first = gradient(field.cosines, field.sines)
         second = [part for one in first for part in gradient(*one)]
         wide = [tuple(np.pad(part, ((0, 1), (0, 1))) for part in one) for one in first]  # as long as those
@@ -32,7 +32,7 @@ class EarthGravity:
     def __call__(self, t: float, r: Array, v: Array, p: Array) -> Acceleration:
         """Return the attraction at a state; see `AccelerationTerm`."""
         del v, p
-        turn = self._orientation.matrices(np.array([t]))[0]
+        turn = self._rotation.matrices(np.array([t]))[0]
         field = self.field
         series = harmonics_at(turn @ r, field.radius, self._recursion).view(np.float64) @ self._series
         value = field.mu / field.radius**2 * series[:3]

@@ -6,7 +6,6 @@ IERS Conventions (2010), chapter 5, the way of the celestial intermediate origin
 from __future__ import annotations
 
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,53 +15,41 @@ from ahnn.data.files import epochs
 from ahnn.data.files.frames import terrestrial
 from ahnn.data.files.optional_libraries import library
 from ahnn.errors import UserError
+from ahnn.tracking.formats.bulletin_b import EarthOrientation
 
 Array = NDArray[np.float64]
 MJD_2000 = 51544
 """Modified Julian date of the first day of 2000."""
 TT_TO_TAI = -32.184
+ARCSECOND = np.pi / 648000
 NODES = 3600.0
 """Seconds between the epochs at which precession and nutation are computed; the shortest terms have days."""
 MARGIN = 4 * NODES
 """Seconds by which these reach beyond what is asked for."""
 
 
-class OrientationRows(NamedTuple):
-    """Measured orientation of the Earth at midnights of UTC.
-
-    Attributes:
-        days: (D,) modified Julian dates, increasing.
-        ut1_minus_utc: (D,) seconds.
-        pole: (D, 2) coordinates x and y of the pole, rad.
-    """
-
-    days: Array
-    ut1_minus_utc: Array
-    pole: Array
-
-
-class EarthOrientation:
+class EarthRotation:
     """Matrices from GCRF to ITRF at times.
 
     Args:
         epoch: of time zero, picoseconds of UTC as in `TrackingData`.
         first, last: seconds after the epoch between which matrices are asked for.
-        rows: measured orientation, at least four days that enclose these times. Tides of less than a day in
+        rows: orientation as measured, at least four days that enclose these times. Tides of less than a day in
             UT1 and in the pole (a few cm on the ground) are left out.
 
     Raises:
         UserError: the rows do not reach that far, or pyerfa is missing.
     """
 
-    def __init__(self, epoch: int, first: float, last: float, rows: OrientationRows) -> None:
+    def __init__(self, epoch: int, first: float, last: float, rows: EarthOrientation) -> None:
         self.epoch, self.first, self.last, self.rows = epoch, first, last, rows
         self._erfa = library("erfa", "pyerfa", "orbit", "the Earth's rotation")
         since = self._since
-        if len(rows.days) < 4 or since[0] > first or since[-1] < last:
-            asked, known = (self.day(first), self.day(last)), (rows.days[0], rows.days[-1])
+        if len(rows.mjd) < 4 or since[0] > first or since[-1] < last:
+            asked, known = (self.day(first), self.day(last)), (rows.mjd[0], rows.mjd[-1])
             message = (
                 f"Earth orientation: expected four days and more that enclose MJD {asked[0]:.1f} to {asked[1]:.1f}; "
-                f"received {len(rows.days)} from {known[0]:.0f} to {known[1]:.0f}. Give a bulletin of that time"
+                f"received {len(rows.mjd)} from {known[0]:.0f} to {known[1]:.0f}. Give a bulletin of that time"
             )
             raise UserError(message)
 
@@ -73,30 +60,32 @@ class EarthOrientation:
     @cached_property
     def _since(self) -> Array:
         """The midnights of the rows as seconds after the epoch, leap seconds counted."""
-        days = np.round(self.rows.days).astype(int) - MJD_2000
+        days = np.round(self.rows.mjd).astype(int) - MJD_2000
         seconds = np.array([int(d) * epochs.DAY + epochs.leaps(int(d)) for d in days])
         return seconds - self.epoch / epochs.SECOND
 
     @cached_property
     def _measured(self) -> CubicSpline:
-        """UT1 less a clock without leap seconds, and the pole, as smooth functions of time: (T,) -> (T, 3)."""
-        leaps = np.array([epochs.leaps(int(round(d)) - MJD_2000) for d in self.rows.days])
-        return CubicSpline(
-            self._since, np.column_stack((self.rows.ut1_minus_utc - leaps, self.rows.pole)), axis=0
-        )
+        """TAI - 10 s less UT1, x and y of the pole and offsets of the celestial pole; s and rad, (T,) -> (T, 5)."""
+        rows = self.rows
+        leaps = np.array([epochs.leaps(int(round(d)) - MJD_2000) for d in rows.mjd])
+        angles = ARCSECOND * np.column_stack((rows.x, rows.y, rows.pole))
+        return CubicSpline(self._since, np.column_stack((leaps - rows.ut1_utc, angles)), axis=0)
 
     @cached_property
     def _intermediate(self) -> CubicSpline:
         """Matrices from GCRF to the celestial intermediate frame, (T,) -> (T, 3, 3)."""
         nodes = np.arange(self.first - MARGIN, self.last + MARGIN + NODES, NODES)
-        return CubicSpline(nodes, self._erfa.c2i06a(*terrestrial(self.epoch, nodes, "UTC")), axis=0)
+        x, y, s = self._erfa.xys06a(*terrestrial(self.epoch, nodes, "UTC"))
+        measured = self._measured(nodes)
+        return CubicSpline(nodes, self._erfa.c2ixys(x + measured[:, 3], y + measured[:, 4], s), axis=0)
 
     def matrices(self, times: Array) -> Array:
         """Return the matrices from GCRF to ITRF at times (T,), shape (T, 3, 3)."""
         measured = self._measured(times)
         tt, fraction = terrestrial(self.epoch, times, "UTC")
         # The clock of instants is TAI - 10 s, as of all epochs that count the leap seconds since 1972.
-        ut1 = fraction + (measured[:, 0] - 10 + TT_TO_TAI) / epochs.DAY
+        ut1 = fraction + (TT_TO_TAI - 10 - measured[:, 0]) / epochs.DAY
         angle = self._erfa.era00(tt, ut1)
         polar = self._erfa.pom00(measured[:, 1], measured[:, 2], self._erfa.sp00(tt, fraction))
         turn = np.zeros((len(times), 3, 3))
