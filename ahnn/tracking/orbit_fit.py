@@ -27,8 +27,10 @@ log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 STEPS, HALVINGS = 25, 8
-ROUGH, FINE = 0.3, 0.03
-"""Largest step in standard deviations at which the fit by squares ends, and the whole fit."""
+NEAR, FINE = 30.0, 0.03
+"""Largest step in standard deviations from which noise and smoothness are chosen, and at which the fit ends."""
+STEADY = 0.03
+"""Change of the noise from step to step at which the fit may end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +119,9 @@ class OrbitFit:
         They are the noise of a single measurement; the noise of the fit is larger where neighbouring
         measurements err alike, as angles do. Where fewer than ten were fitted those of all stations count.
         """
-        return scatter_of(self.point.residuals, self.problem.model.data.station, self.problem.used, self.noise)
+        return scatter_of(
+            self.point.residuals, self.problem.model.data.station, self.problem.used, self.noise
+        )
 
 
 def linearised(problem: OrbitProblem, x: Array) -> Linearised:
@@ -169,34 +173,41 @@ def orbit_fit(problem: OrbitProblem) -> OrbitFit:
     Raises:
         TrainingError: no step goes down from a point that is no solution, or a path cannot be continued.
     """
-    noise, smooth, x = problem.noise.copy(), problem.smooth, problem.unknowns.mean.copy()
-    point, robust, steps, converged = linearised(problem, x), False, 0, False
-    free = problem.unknowns.free
+    noise, smooth, free = problem.noise, problem.smooth, problem.unknowns.free
+    point, robust, steady, converged = linearised(problem, problem.unknowns.mean.copy()), False, False, False
     for steps in range(1, STEPS + 1):
         rows = rows_of(problem, point, noise)
         weights = huber_weights(rows.e) if robust else np.ones_like(rows.e)
         precision = problem.unknowns.precision(smooth)[np.ix_(free, free)]
-        normal = rows.by.T @ (weights[:, None] * rows.by) + precision
         pull = rows.by.T @ (weights * rows.e) + precision @ (problem.unknowns.mean - point.x)[free]
-        covariance = scaled_inverse(normal)
-        step, sd = covariance @ pull, np.sqrt(np.diagonal(covariance))
-        size = float(np.abs(step / sd).max())
+        covariance = scaled_inverse(rows.by.T @ (weights[:, None] * rows.by) + precision)
+        step = covariance @ pull
+        size = float(np.abs(step / np.sqrt(np.diagonal(covariance))).max())
         log.info("orbit: step %d, %.3g standard deviations", steps, size)
-        if size < (FINE if robust or not problem.robust else ROUGH) and (robust or not problem.robust):
-            converged = True
+        if converged := size < FINE and steady:
             break
         point = lower(problem, point, step, noise, weights, precision)
-        if size < 30:
-            robust = problem.robust
-            rows = rows_of(problem, point, noise)
-            weights = huber_weights(rows.e) if robust else np.ones_like(rows.e)
-            if not problem.noise_known:
-                noise = noise_deviations_of(rows, weights, scaled_inverse(normal), noise, robust=robust)
-            if problem.smooth is not None and smooth is not None:
-                smooth = chosen_smoothness(problem.unknowns, rows_of(problem, point, noise), weights, point.x, smooth)
-    full = np.zeros((len(x), len(x)))
+        if size < NEAR:
+            before, robust = (noise, smooth), problem.robust
+            noise, smooth = refined(problem, point, covariance, noise, smooth)
+            steady = smooth == before[1] and bool(np.nanmax(np.abs(noise / before[0] - 1)) < STEADY)
+    full = np.zeros((len(free), len(free)))
     full[np.ix_(free, free)] = covariance
     return OrbitFit(problem, point, full, noise, smooth, steps, converged)
+
+
+def refined(
+    problem: OrbitProblem, point: Linearised, covariance: Array, noise: Array, smooth: Smoothness | None
+) -> tuple[Array, Smoothness | None]:
+    """Return noise and smoothness as the residuals around a point have them."""
+    rows = rows_of(problem, point, noise)
+    weights = huber_weights(rows.e) if problem.robust else np.ones_like(rows.e)
+    if not problem.noise_known:
+        noise = noise_deviations_of(rows, weights, covariance, noise, robust=problem.robust)
+        rows = rows_of(problem, point, noise)
+    if smooth is not None:
+        smooth = chosen_smoothness(problem.unknowns, rows, weights, point.x, smooth)
+    return noise, smooth
 
 
 def scaled_inverse(normal: Array) -> Array:

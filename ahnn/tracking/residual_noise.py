@@ -27,7 +27,9 @@ def huber_weights(e: Array) -> Array:
     return HUBER / np.maximum(np.abs(e), HUBER)
 
 
-def noise_deviations_of(rows: Rows, weights: Array, covariance: Array, noise: Array, *, robust: bool) -> Array:
+def noise_deviations_of(
+    rows: Rows, weights: Array, covariance: Array, noise: Array, *, robust: bool
+) -> Array:
     """Return the noise by station and kind, (stations, 6), that makes the residuals as large as they should be.
 
     Of each group: the sum of psi(e)^2 is its mean for a normal e times the number of measurements less those

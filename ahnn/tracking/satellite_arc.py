@@ -129,7 +129,14 @@ def satellite_arc(
         if end == at:
             return None
         done = solve_ivp(
-            slope, (at, end), begin, "DOP853", dense_output=True, rtol=precision, atol=floor, max_step=forces.longest
+            slope,
+            (at, end),
+            begin,
+            "DOP853",
+            dense_output=True,
+            rtol=precision,
+            atol=floor,
+            max_step=forces.longest,
         )
         if not done.success or not np.isfinite(done.y[:6]).all():
             message = f"orbit: the path from {at:.0f} s stops at {done.t[-1]:.0f} s: {done.message}"

@@ -9,7 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ahnn.tracking.accelerations.relativity import LIGHT
-from ahnn.tracking.atmospheric_delay import bending, bending_by_recommendation, laser_delay, measured_air, radio_delay
+from ahnn.tracking.atmospheric_delay import (
+    bending,
+    bending_by_recommendation,
+    laser_delay,
+    measured_air,
+    radio_delay,
+)
 from ahnn.tracking.earth_rotation import EarthRotation
 from ahnn.tracking.light_path import LightPath, light_path
 from ahnn.tracking.satellite_arc import SatelliteArc
@@ -110,7 +116,9 @@ class TrackingModel:
         air = measured_air(self.data.weather[rows], station.height)
         axes = np.einsum("ij,tjk->tik", station.axes, self._rotation.matrices(path.receive))
         values, by_state = np.empty((len(path.bounce), 6)), np.zeros((len(path.bounce), 6, 6))
-        values[:, 1:3], by_state[:, 1:3, :3] = directions(np.einsum("tij,tj->ti", axes, path.down), azimuth=True)
+        values[:, 1:3], by_state[:, 1:3, :3] = directions(
+            np.einsum("tij,tj->ti", axes, path.down), azimuth=True
+        )
         by_state[:, 1:3, :3] = by_state[:, 1:3, :3] @ axes
         values[:, 4:6], by_state[:, 4:6, :3] = directions(path.down, azimuth=False)
         elevation = values[:, 2].copy()
@@ -123,7 +131,9 @@ class TrackingModel:
             values[:, 2] += bending_by_recommendation(elevation, station.height)
         return Predicted(values, by_state, path.bounce, elevation)
 
-    def _delay(self, path: LightPath, elevation: Array, air, station: TrackingStation, wavelength: Array) -> Array:
+    def _delay(
+        self, path: LightPath, elevation: Array, air, station: TrackingStation, wavelength: Array
+    ) -> Array:
         """Return what makes measured ranges longer, (T,) km."""
         chosen, place = self.corrections, (station.latitude, station.height)
         delay = np.full(len(elevation), -chosen.centre_of_mass)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ahnn.tracking.accelerations.acceleration_of_time import AccelerationOfTime, CubicSplines
+from ahnn.tracking.accelerations.acceleration_of_time import CubicSplines
 
 Array = NDArray[np.float64]
 START = ("x", "y", "z", "vx", "vy", "vz")
@@ -96,12 +96,3 @@ class Unknowns:
         for (station, kind), value in zip(self.bias, x[6 + self.forces :], strict=True):
             table[station, kind] = value
         return table
-
-
-def smooth_blocks(terms: list[tuple[int, Callable[..., object]]]) -> tuple[SmoothBlock, ...]:
-    """Return the learned accelerations among terms, each with the place of its first parameter."""
-    return tuple(
-        SmoothBlock(6 + at, term.basis)
-        for at, term in terms
-        if isinstance(term, AccelerationOfTime) and isinstance(term.basis, CubicSplines)
-    )

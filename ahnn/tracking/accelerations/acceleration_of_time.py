@@ -33,7 +33,9 @@ class Powers:
 
     def __call__(self, t: Array) -> Array:
         """Return the powers at times (T,), shape (T, size)."""
-        return ((np.asarray(t, dtype=np.float64) - self.origin) / self.length)[:, None] ** np.arange(self.size)
+        return ((np.asarray(t, dtype=np.float64) - self.origin) / self.length)[:, None] ** np.arange(
+            self.size
+        )
 
 
 class CubicSplines:

@@ -15,7 +15,14 @@ from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.files.table import Place, number
 from ahnn.tracking.formats.bulletin_b import EarthOrientation
 
-COLUMNS = {"MJD": (7, 15), "x": (18, 27), "y": (37, 46), "UT1-UTC": (58, 68), "dX": (97, 106), "dY": (116, 125)}
+COLUMNS = {
+    "MJD": (7, 15),
+    "x": (18, 27),
+    "y": (37, 46),
+    "UT1-UTC": (58, 68),
+    "dX": (97, 106),
+    "dY": (116, 125),
+}
 """Where each number stands."""
 PREDICTED = 57
 """Where a P says that UT1 is predicted."""
