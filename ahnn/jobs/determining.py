@@ -87,7 +87,8 @@ def headline(title: str, fit: OrbitFit) -> list[str]:
     stations = f"{len(data.stations)} station{'s' if len(data.stations) > 1 else ''}"
     free = int(fit.problem.unknowns.free.sum())
     return [
-        f"{name}: {count} measurements of {stations} over {hours:.1f} h, {free} unknowns, {ended} in {fit.steps} steps",
+        f"{name}: {count} measurements of {stations} over {hours:.1f} h, {free} unknowns, {ended} in "
+        f"{fit.steps} steps",
         "residuals, measured less predicted:",
     ]
 
@@ -170,8 +171,8 @@ def compared(ready: PreparedOrbit, fit: OrbitFit, path: Path) -> list[str]:
     radial, along, normal = np.sqrt(np.mean(np.einsum("tij,ti->tj", axes, off) ** 2, axis=0))
     size = np.linalg.norm(off, axis=1)
     return [
-        f"from {path.name}, {inside.sum()} positions: {np.sqrt(np.mean(size**2)):.3f} m rms, {size.max():.3f} m at most "
-        f"(rms radial {radial:.3f}, along {along:.3f}, normal {normal:.3f} m)"
+        f"from {path.name}, {inside.sum()} positions: {np.sqrt(np.mean(size**2)):.3f} m rms, "
+        f"{size.max():.3f} m at most (rms radial {radial:.3f}, along {along:.3f}, normal {normal:.3f} m)"
     ]
 
 

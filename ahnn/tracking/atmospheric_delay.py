@@ -1,4 +1,4 @@
-"""What the troposphere delays: radio by Saastamoinen, laser light by Mendes and Pavlis; and how it bends both."""
+"""Delay of radio (Saastamoinen) and of laser light (Mendes and Pavlis) in the troposphere, and refraction."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Air(NamedTuple):
 
     @property
     def vapour(self) -> Array:
-        """Pressure of water vapour in hPa (Marini & Murray 1973, as IERS Conventions 2010, 9.1.1, give it)."""
+        """Pressure of water vapour in hPa (Marini & Murray 1973; IERS Conventions 2010, 9.1.1)."""
         celsius = self.temperature - 273.15
         return self.humidity * 6.11 * 10 ** (7.5 * celsius / (237.3 + celsius))
 

@@ -1,6 +1,6 @@
 """The turn of the Earth: matrices from GCRF to ITRF by IAU 2006/2000A, with UT1 and polar motion as measured.
 
-IERS Conventions (2010), chapter 5, the way of the celestial intermediate origin; the routines are those of ERFA.
+IERS Conventions (2010), chapter 5, by the celestial intermediate origin; the routines are those of ERFA.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ class EarthRotation:
     Args:
         epoch: of time zero, picoseconds of UTC as in `TrackingData`.
         first, last: seconds after the epoch between which matrices are asked for.
-        rows: orientation as measured, at least four days that enclose these times. Tides of less than a day in
-            UT1 and in the pole (a few cm on the ground) are left out.
+        rows: orientation as measured, at least four days that enclose these times. Tides of less than a day
+            in UT1 and in the pole (a few cm on the ground) are left out.
 
     Raises:
         UserError: the rows do not reach that far, or pyerfa is missing.
@@ -48,13 +48,13 @@ class EarthRotation:
         if len(rows.mjd) < 4 or since[0] > first or since[-1] < last:
             asked, known = (self.day(first), self.day(last)), (rows.mjd[0], rows.mjd[-1])
             message = (
-                f"Earth orientation: expected four days and more that enclose MJD {asked[0]:.1f} to {asked[1]:.1f}; "
-                f"received {len(rows.mjd)} from {known[0]:.0f} to {known[1]:.0f}. Give a bulletin of that time"
+                f"orientation: expected four days that enclose MJD {asked[0]:.1f} to {asked[1]:.1f}; "
+                f"received {len(rows.mjd)} from {known[0]:.0f} to {known[1]:.0f}. Give bulletins of that time"
             )
             raise UserError(message)
 
     def day(self, time: float) -> float:
-        """Return the modified Julian date of a time, to within a second."""
+        """Return the modified Julian date of a time, to within half a minute."""
         return MJD_2000 + (self.epoch / epochs.SECOND + time) / epochs.DAY
 
     @cached_property
@@ -66,9 +66,9 @@ class EarthRotation:
 
     @cached_property
     def _measured(self) -> CubicSpline:
-        """TAI - 10 s less UT1, x and y of the pole and offsets of the celestial pole; s and rad, (T,) -> (T, 5)."""
+        """TAI - 10 s less UT1 in s, the pole's x and y and offsets dX, dY in rad: (T,) -> (T, 5)."""
         rows = self.rows
-        leaps = np.array([epochs.leaps(int(round(d)) - MJD_2000) for d in rows.mjd])
+        leaps = np.array([epochs.leaps(round(d) - MJD_2000) for d in rows.mjd])
         angles = ARCSECOND * np.column_stack((rows.x, rows.y, rows.pole))
         return CubicSpline(self._since, np.column_stack((leaps - rows.ut1_utc, angles)), axis=0)
 

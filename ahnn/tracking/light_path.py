@@ -58,7 +58,7 @@ def light_path(satellite: Motion, site: Motion, times: Array, event: Event) -> L
 
 
 def _at_station(site: Motion, bounce: Array, place: Array, sign: float) -> tuple[Array, Array]:
-    """Return when a signal is at the station after the satellite, before it for sign -1, and where that is."""
+    """Return when a signal is at the station after the satellite, for sign -1 before it, and where."""
     time, where = bounce, site(bounce)
     for _ in range(ROUNDS):
         time = bounce + sign * np.linalg.norm(place - where, axis=1) / LIGHT

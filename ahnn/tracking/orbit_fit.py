@@ -8,8 +8,7 @@ loss, the noise estimated from the residuals and the smoothness of learned accel
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +27,7 @@ log = logging.getLogger(__name__)
 Array = NDArray[np.float64]
 STEPS, HALVINGS = 25, 8
 NEAR, FINE = 30.0, 0.03
-"""Largest step in standard deviations from which noise and smoothness are chosen, and at which the fit ends."""
+"""Largest step in standard deviations at which noise and smoothness are chosen, and the fit ends."""
 STEADY = 0.03
 """Change of the noise from step to step at which the fit may end."""
 
@@ -175,6 +174,7 @@ def orbit_fit(problem: OrbitProblem) -> OrbitFit:
     """
     noise, smooth, free = problem.noise, problem.smooth, problem.unknowns.free
     point, robust, steady, converged = linearised(problem, problem.unknowns.mean.copy()), False, False, False
+    covariance, steps = np.empty((0, 0)), 0
     for steps in range(1, STEPS + 1):
         rows = rows_of(problem, point, noise)
         weights = huber_weights(rows.e) if robust else np.ones_like(rows.e)

@@ -73,7 +73,8 @@ def prepared_forces(
         date: YYYY-MM-DD of the start.
         rotation: of the Earth.
         bodies: Sun and Moon.
-        first, last: between which a learned acceleration acts, s.
+        first: time from which a learned acceleration acts, s.
+        last: until which.
 
     Raises:
         UserError: see `gravity_field`.

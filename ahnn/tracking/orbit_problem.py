@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import NamedTuple
@@ -25,11 +24,13 @@ from ahnn.tracking.orbit_forces import prepared_forces
 from ahnn.tracking.orbit_setup import KindChoice, OrbitSetup
 from ahnn.tracking.sun_and_moon import sun_and_moon
 from ahnn.tracking.tracking_data import KINDS, TrackingData
-from ahnn.tracking.tracking_model import ANGLES, TrackingModel
+from ahnn.tracking.tracking_model import TrackingModel
 from ahnn.tracking.tracking_station import TrackingStation, cartesian_station, geodetic_station
-from ahnn.tracking.unknowns import START, Smoothness, SmoothBlock, Unknowns
+from ahnn.tracking.unknowns import START, SmoothBlock, Smoothness, Unknowns
 
 Array = NDArray[np.float64]
+TURNING = np.array([kind not in ("range", "range_rate") for kind in KINDS])
+"""Which of `KINDS` are angles."""
 MARGIN = 60.0
 """Seconds by which Earth, Sun and Moon are known beyond the measurements; light needs less."""
 SMOOTH = (10.0, 0.3)
@@ -50,15 +51,12 @@ class PreparedOrbit(NamedTuple):
     learned: tuple[AccelerationOfTime, int] | None
 
 
-def prepared_orbit(
-    setup: OrbitSetup, folder: Path, reach: tuple[float, float] | None = None
-) -> PreparedOrbit:
+def prepared_orbit(setup: OrbitSetup, folder: Path) -> PreparedOrbit:
     """Return the problem of a setup.
 
     Args:
         setup: what the user says.
         folder: that the names of files start from.
-        reach: times of an orbit to compare with, picoseconds, that the Earth has to be known for.
 
     Raises:
         UserError: what is wrong with a file, or with a station.
@@ -146,19 +144,20 @@ def stations_of(setup: OrbitSetup, folder: Path, data: TrackingData) -> tuple[Tr
     found = []
     for name in data.stations:
         place = places.get(name)
-        numbers = (
-            isinstance(place, Sequence) and len(place) == 3 and all(isinstance(x, int | float) for x in place)
-        )
-        if not numbers or not -90 <= place[0] <= 90 or not np.isfinite(place).all():
+        listed = place if isinstance(place, list) else []
+        numbers = [float(one) for one in listed if isinstance(one, int | float)]
+        if len(listed) != 3 or len(numbers) != 3 or not np.isfinite(numbers).all() or abs(numbers[0]) > 90:
             known = "" if name in places else nearest(name, places)
-            message = f"stations.{name}: expected [latitude, longitude, height] in degrees and m; received {place}{known}"
-            raise UserError(message)
-        found.append(geodetic_station(name, *place[:2], place[2] / 1e3))
+            message = (
+                f"stations.{name}: expected [latitude, longitude, height], degrees and m; received {place}"
+            )
+            raise UserError(message + known)
+        latitude, longitude, height = numbers
+        found.append(geodetic_station(name, latitude, longitude, height / 1e3))
     if unused := [name for name in places if name not in data.stations]:
-        message = (
-            f"stations.{unused[0]}: expected a station of {setup.measurements}: {', '.join(data.stations)}"
-        )
-        raise UserError(f"{message}; received another. Leave it out")
+        known = ", ".join(data.stations)
+        message = f"stations.{unused[0]}: expected one of {setup.measurements}: {known}; received another"
+        raise UserError(message)
     return tuple(found)
 
 
@@ -166,15 +165,11 @@ def by_kind(choice: KindChoice) -> Array:
     """Return the numbers of each kind in km, rad and km/s, (6,); NaN where none is."""
     given = [getattr(choice, one.name) for one in sorted(fields(choice), key=lambda f: KINDS.index(f.name))]
     numbers = np.array([np.nan if one is None else one for one in given], dtype=np.float64)
-    return np.where(
-        ANGLES | (np.array(KINDS) == "elevation") | (np.array(KINDS) == "declination"),
-        np.radians(numbers),
-        numbers,
-    )
+    return np.where(TURNING, np.radians(numbers), numbers)
 
 
 def noise_of(setup: OrbitSetup, data: TrackingData) -> Array:
-    """Return the noise by station and kind, (stations, 6): the setup's, else the median of what the file states.
+    """Return the noise by station and kind, (stations, 6): the setup's, else the file's median.
 
     Raises:
         UserError: neither says one of what was measured.
@@ -185,10 +180,9 @@ def noise_of(setup: OrbitSetup, data: TrackingData) -> Array:
         if np.isfinite(data.values[own, k]).any():
             stated = data.deviations[own, k][np.isfinite(data.deviations[own, k])]
             if not len(stated):
-                message = (
-                    f"noise.{KINDS[k]}: expected a standard deviation of what {data.stations[s]} measured"
-                )
-                raise UserError(f"{message}; received none")
+                who = f"noise.{KINDS[k]}: expected a standard deviation of what {data.stations[s]} measured"
+                message = f"{who}; received none"
+                raise UserError(message)
             table[s, k] = np.median(stated)
     return table
 

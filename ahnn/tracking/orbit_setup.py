@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from types import NoneType
 from typing import Annotated, Any, Literal, TypeVar, get_args
 
-from ahnn.arguments import Count, Finite, NonNegative, Positive, Within, check_arguments, type_hints
+from ahnn.arguments import Finite, Positive, Within, check_arguments, type_hints
 from ahnn.errors import UserError
 from ahnn.tracking.accelerations.acceleration_of_time import Axes
 from ahnn.tracking.tracking_model import Corrections
@@ -157,7 +157,7 @@ def setup_of(values: Mapping[str, Any]) -> OrbitSetup:
     setup = choice_of(OrbitSetup, values, "")
     for name in ("position", "velocity"):
         if len(given := getattr(setup.start, name)) != 3:
-            message = f"start.{name}: expected three numbers in {'km' if name == 'position' else 'km/s'}; received {given}"
+            message = f"start.{name}: expected three numbers, km or km/s; received {given}"
             raise UserError(message)
     for section in (setup.noise, setup.biases):
         for one in fields(section):

@@ -33,11 +33,11 @@ def residuals_csv(fit: OrbitFit) -> bytes:
     """Return every residual with its predicted standard deviation, in m, deg and mm/s."""
     data, sd = fit.problem.model.data, fit.predicted_deviations
     rows = []
-    for n, k in np.argwhere(np.isfinite(fit.point.residuals)):
+    for n, k in np.argwhere(np.isfinite(fit.point.residuals)).tolist():
         unit, factor = SHOWN[KINDS[k]]
         rows.append(
             (
-                epochs.spelled(data.epoch + round(data.times[n] * epochs.SECOND), utc=True),
+                epochs.spelled(data.epoch + round(float(data.times[n]) * epochs.SECOND), utc=True),
                 data.stations[data.station[n]],
                 KINDS[k],
                 unit,
@@ -60,7 +60,7 @@ def unknowns_csv(fit: OrbitFit) -> bytes:
 def learned_acceleration(
     fit: OrbitFit, term: AccelerationOfTime, place: int, times: Array
 ) -> tuple[Array, Array, Array]:
-    """Return a learned acceleration at times (T,): its components in its own axes, their covariances and norms.
+    """Return a learned acceleration at times (T,): components in its own axes, covariances, norms.
 
     Returns:
         Components (T, 3) and covariances (T, 3, 3) in m/s^2, and the norm with its deviation, (T, 2).
@@ -89,7 +89,10 @@ def acceleration_csv(fit: OrbitFit, term: AccelerationOfTime, place: int, times:
         "norm_sd",
     )
     rows = (
-        (epochs.spelled(epoch + round(t * epochs.SECOND), utc=True), *(f"{one:.6e}" for one in numbers))
+        (
+            epochs.spelled(epoch + round(float(t) * epochs.SECOND), utc=True),
+            *(f"{one:.6e}" for one in numbers),
+        )
         for t, numbers in zip(times, np.column_stack((values, deviations, norms)), strict=True)
     )
     return as_csv(head, rows)

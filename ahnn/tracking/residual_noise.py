@@ -30,7 +30,7 @@ def huber_weights(e: Array) -> Array:
 def noise_deviations_of(
     rows: Rows, weights: Array, covariance: Array, noise: Array, *, robust: bool
 ) -> Array:
-    """Return the noise by station and kind, (stations, 6), that makes the residuals as large as they should be.
+    """Return the noise by station and kind, (stations, 6), that makes residuals as large as they should be.
 
     Of each group: the sum of psi(e)^2 is its mean for a normal e times the number of measurements less those
     that determine the unknowns (Huber 1981, proposal 2; Förstner 1979 for the redundancy of a group).
@@ -53,7 +53,7 @@ def noise_deviations_of(
     return noise * factors
 
 
-def scatter_of(residuals: Array, station: Array, used: Array, noise: Array) -> Array:
+def scatter_of(residuals: Array, station: NDArray[np.int64], used: NDArray[np.bool_], noise: Array) -> Array:
     """Return root mean squares of residuals by station and kind, (stations, 6).
 
     Args:

@@ -30,7 +30,7 @@ class ResidualRow(NamedTuple):
 
     Attributes:
         station, kind: their names.
-        count: of measurements.
+        number: of measurements.
         mean, sd: of the residuals.
         trend: per second, with its standard error.
         correlation: of neighbours.
@@ -40,7 +40,7 @@ class ResidualRow(NamedTuple):
 
     station: str
     kind: str
-    count: int
+    number: int
     mean: float
     sd: float
     trend: tuple[float, float]
@@ -80,7 +80,7 @@ def effective(count: int, correlation: float) -> float:
 
 
 def trend_of(t: Array, e: Array) -> tuple[float, float]:
-    """Return the slope of residuals (T,) in time and its standard error; 0 and infinity for fewer than five."""
+    """Return the slope of residuals (T,) in time and its standard error; 0 and infinity for few."""
     if len(e) < FEWEST or t.std() == 0:
         return 0.0, np.inf
     slope = float(((t - t.mean()) @ e) / ((t - t.mean()) @ (t - t.mean())))
@@ -92,9 +92,9 @@ def trend_of(t: Array, e: Array) -> tuple[float, float]:
 def verdict(row: ResidualRow) -> str:
     """Return in words what is wrong with the residuals of a row, or that they fit."""
     unit, factor = SHOWN[row.kind]
-    error = row.sd / np.sqrt(effective(row.count, row.correlation))
+    error = row.sd / np.sqrt(effective(row.number, row.correlation))
     found = []
-    if row.count >= FEWEST and abs(row.mean) > CERTAIN * error and abs(row.mean) > 0.1 * row.noise:
+    if row.number >= FEWEST and abs(row.mean) > CERTAIN * error and abs(row.mean) > 0.1 * row.noise:
         way = "estimate a bias" if np.isnan(row.bias[0]) else "its prior is too narrow"
         found.append(f"a bias of {factor * row.mean:.3g} {unit} is left: {way}")
     if abs(row.trend[0]) > CERTAIN * row.trend[1]:
@@ -108,7 +108,8 @@ def verdict(row: ResidualRow) -> str:
 
 def table_lines(rows: list[ResidualRow]) -> list[str]:
     """Return the rows as lines of text, with units and verdicts."""
-    head = f"  {'station':12s}{'kind':12s}{'count':>6s}{'mean':>11s}{'sd':>11s}{'bias':>13s}{'± 1 sd':>11s}  verdict"
+    head = f"  {'station':12s}{'kind':12s}{'count':>6s}{'mean':>11s}{'sd':>11s}"
+    head += f"{'bias':>13s}{'± 1 sd':>11s}  verdict"
     lines = [head]
     for row in rows:
         unit, factor = SHOWN[row.kind]
@@ -116,7 +117,7 @@ def table_lines(rows: list[ResidualRow]) -> list[str]:
         sd = f"{factor * row.bias[1]:.2g}" if sd else ""
         kind = f"{row.kind}, {unit}"
         lines.append(
-            f"  {row.station:12s}{kind:12s}{row.count:>6d}{factor * row.mean:>11.3g}{factor * row.sd:>11.3g}"
+            f"  {row.station:12s}{kind:12s}{row.number:>6d}{factor * row.mean:>11.3g}{factor * row.sd:>11.3g}"
             f"{bias:>13s}{sd:>11s}  {verdict(row)}"
         )
     return lines
@@ -134,7 +135,7 @@ def pooled(fit: OrbitFit, used: NDArray[np.bool_]) -> dict[str, tuple[int, float
 
 
 def coverage(fit: OrbitFit, unseen: NDArray[np.bool_]) -> dict[str, tuple[int, float, float]]:
-    """Return count, fraction within 2 sd and root mean square of unseen measurements by kind, and of `all`."""
+    """Return count, fraction within 2 sd and root mean square of unseen measurements by kind, and all."""
     e, sd = fit.point.residuals[unseen], fit.predicted_deviations[unseen]
     inside = np.abs(e) <= 2 * sd
     found = {}

@@ -96,15 +96,16 @@ def satellite_arc(
     """Return the path from a start, with its sensitivities.
 
     The method is that of Dormand and Prince of order 8 with its interpolant of order 7 (Hairer, Nørsett &
-    Wanner, Solving Ordinary Differential Equations I, section II.10); the state alone chooses its steps, since
-    the sensitivities move with the same forces.
+    Wanner, Solving Ordinary Differential Equations I, section II.10); the state alone chooses its steps,
+    since the sensitivities move with the same forces.
 
     Args:
         forces: on the satellite.
         start: state (6,) in GCRF, km and km/s.
         p: parameters of the forces, (P,).
         at: time of the start.
-        first, last: ends of the path, first <= at <= last.
+        first: where the path begins, at or before the start.
+        last: where it ends, at or after the start.
 
     Raises:
         TrainingError: the path cannot be continued, as of a satellite that falls into the Earth.

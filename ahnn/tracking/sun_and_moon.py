@@ -1,4 +1,4 @@
-"""Where Sun and Moon stand, seen from the Earth's centre, by the ephemeris DE421 (Folkner et al., JPL 2009)."""
+"""Where Sun and Moon stand, seen from the Earth's centre, by DE421 (Folkner et al., JPL 2009)."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ def sun_and_moon(epoch: int, first: float, last: float) -> SunAndMoon:
 
     Args:
         epoch: of time zero, picoseconds of UTC as in `TrackingData`.
-        first, last: seconds after the epoch.
+        first: seconds after the epoch.
+        last: likewise.
 
     Raises:
         UserError: jplephem or de421 is missing.

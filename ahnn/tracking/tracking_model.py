@@ -37,8 +37,8 @@ class Corrections:
         refraction: what air lifts a satellite in elevation: none, that of the weather, or of ITU-R P.834.
         solid_tides: whether the tides of the solid Earth move the stations.
         shapiro: whether the Earth's mass delays light.
-        centre_of_mass: km from the point that reflects to the centre of mass, along the line of sight; measured
-            ranges are that much shorter.
+        centre_of_mass: km from the point that reflects to the centre of mass, along the line of sight;
+            measured ranges are that much shorter.
     """
 
     troposphere: Literal["none", "radio", "laser"] = "none"
@@ -146,7 +146,7 @@ class TrackingModel:
     def _range_rate(
         self, arc: SatelliteArc, station: TrackingStation, path: LightPath
     ) -> tuple[Array, Array]:
-        """Return the rate of the distance at reception, (T,) km/s, and its derivatives by the state, (T, 6)."""
+        """Return the range rate at reception, (T,) km/s, and its derivatives by the state, (T, 6)."""
         drift = (self.site(station, path.receive + 0.5) - self.site(station, path.receive - 0.5)) / 1.0
         relative = arc.states(path.bounce)[:, 3:] - drift
         distance = np.linalg.norm(path.down, axis=1, keepdims=True)
@@ -185,8 +185,8 @@ def directions(line: Array, *, azimuth: bool) -> tuple[Array, Array]:
 def shapiro(path: LightPath) -> Array:
     """Return the relativistic delay of light in the Earth's field as km of half the way there and back, (T,).
 
-    2 mu / c^2 ln((a + b + d) / (a + b - d)) one way, a and b the distances of its ends from the Earth's centre
-    and d from one another (IERS Conventions 2010, 11.17).
+    2 mu / c^2 ln((a + b + d) / (a + b - d)) one way, a and b the distances of its ends from the Earth's
+    centre and d from one another (IERS Conventions 2010, 11.17).
     """
     a, distance = np.linalg.norm(path.site, axis=1), np.linalg.norm(path.down, axis=1)
     both = a + np.linalg.norm(path.site + path.down, axis=1)

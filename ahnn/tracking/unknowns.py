@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -14,7 +13,7 @@ from ahnn.tracking.accelerations.acceleration_of_time import CubicSplines
 Array = NDArray[np.float64]
 START = ("x", "y", "z", "vx", "vy", "vz")
 NUGGET = 1e-6
-"""Of the variance, on the diagonal of the prior covariance of a smooth function, so that it can be inverted."""
+"""Of the variance, on the diagonal of a smooth function's prior covariance, which is then inverted."""
 
 
 class Smoothness(NamedTuple):
@@ -48,8 +47,8 @@ class SmoothBlock(NamedTuple):
     def precision(self, smooth: Smoothness) -> Array:
         """Return the inverse of the prior covariance of its weights, (3 K, 3 K).
 
-        That of a Gaussian process with the Matern covariance of order 5/2 (Rasmussen & Williams 2006, 4.17) at
-        the centres of the splines, the same and independent for each axis.
+        That of a Gaussian process with the Matern covariance of order 5/2 (Rasmussen & Williams 2006, 4.17)
+        at the centres of the splines, the same and independent for each axis.
         """
         apart = np.abs(np.subtract.outer(self.basis.centres, self.basis.centres)) * np.sqrt(5) / smooth.length
         covariance = smooth.deviation**2 * (1 + apart + apart**2 / 3) * np.exp(-apart)
@@ -86,8 +85,9 @@ class Unknowns:
         """Return the inverse of the prior covariance of all, (Q, Q); 0 of what nothing is known of."""
         with np.errstate(divide="ignore"):
             matrix = np.diag(np.where(self.free, self.deviations, np.inf) ** -2.0)
-        for block in self.smooth if smooth is not None else ():
-            matrix[block.places, block.places] = block.precision(smooth)
+        if smooth is not None:
+            for block in self.smooth:
+                matrix[block.places, block.places] = block.precision(smooth)
         return matrix
 
     def biases(self, x: Array, shape: tuple[int, int]) -> Array:

@@ -1,6 +1,6 @@
-"""EIGEN-6S to degree and order 12 (Förste et al. 2011, GFZ and GRGS), a field of the Earth from satellites alone.
+"""EIGEN-6S to degree and order 12 (Förste et al. 2011, GFZ and GRGS), a field of the Earth from satellites.
 
-At 2013-01-01: the published coefficients of 2005 with their trends, without their annual and semiannual terms.
+At 2013-01-01: the published coefficients of 2005 with their trends, without annual and semiannual terms.
 """
 
 from __future__ import annotations

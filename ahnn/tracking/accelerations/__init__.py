@@ -1,4 +1,4 @@
-"""What accelerates a satellite: known terms and learned ones, each with derivatives by state and parameters."""
+"""What accelerates a satellite: known terms and learned ones, with their derivatives."""
 
 from __future__ import annotations
 

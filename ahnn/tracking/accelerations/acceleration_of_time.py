@@ -1,4 +1,4 @@
-"""An acceleration that depends on time as a sum of basis functions: polynomials, or a spline that is learned."""
+"""An acceleration as a sum of functions of time: polynomials, or a spline that is learned."""
 
 from __future__ import annotations
 
@@ -33,9 +33,8 @@ class Powers:
 
     def __call__(self, t: Array) -> Array:
         """Return the powers at times (T,), shape (T, size)."""
-        return ((np.asarray(t, dtype=np.float64) - self.origin) / self.length)[:, None] ** np.arange(
-            self.size
-        )
+        s = (np.asarray(t, dtype=np.float64) - self.origin) / self.length
+        return np.column_stack([s**k for k in range(self.size)])
 
 
 class CubicSplines:
@@ -77,7 +76,7 @@ class AccelerationOfTime:
         self.parameters = tuple(f"{name} {letter}{k}" for letter in LETTERS[axes] for k in range(basis.size))
 
     def __call__(self, t: float, r: Array, v: Array, p: Array) -> Acceleration:
-        """Return the acceleration at a state; orbital axes turn with it, of which derivatives are left out."""
+        """Return the acceleration at a state; derivatives leave out that orbital axes turn with it."""
         values = self.basis.unit * self.basis(np.array([t]))[0]
         frame = np.eye(3) if self.axes == "inertial" else orbital_axes(r, v)
         by_parameters = (frame[:, :, None] * values).reshape(3, -1)

@@ -58,7 +58,7 @@ class AtmosphericDrag:
 
 
 def atmosphere(height: float) -> tuple[float, float]:
-    """Return density in kg/m^3 and scale height in km at a height in km; below 150 km the lowest layer goes on."""
+    """Return density in kg/m^3 and scale height in km at a height in km; the lowest layer goes on down."""
     layer = max(0, int(np.searchsorted(LAYERS[:, 0], height, side="right")) - 1)
     base, density, scale = LAYERS[layer]
     return float(density * np.exp((base - height) / scale)), float(scale)

@@ -57,7 +57,7 @@ def recursion(degree: int, order: int) -> Recursion:
     return tuple(found)
 
 
-def harmonics_at(q: Array, radius: float, factors: Recursion) -> NDArray[np.complex128]:
+def harmonics_at(q: Array, radius: float, factors: Recursion) -> NDArray[np.complexfloating]:
     """Return V_nm + i W_nm, (K,), at one point (3,).
 
     `solid_harmonics` takes all points of a batch at once; a path is followed from point to point, where plain

@@ -1,4 +1,4 @@
-"""The bulge that Sun and Moon raise on the solid Earth, of degree 2 (IERS Conventions 2010, 6.2.1, k2 alone)."""
+"""The bulge that Sun and Moon raise on the solid Earth, of degree 2 (IERS Conventions 2010, 6.2.1)."""
 
 from __future__ import annotations
 

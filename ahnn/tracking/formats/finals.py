@@ -1,7 +1,7 @@
 """The daily orientation of the Earth as the package astropy-iers-data brings it: finals2000A of the IERS.
 
-Columns by the IERS's readme.finals2000A: modified Julian date, x and y of the pole in arcseconds, UT1 - UTC in
-seconds and offsets dX, dY of the celestial pole in mas, all of Bulletin A.
+Columns by the IERS's readme.finals2000A: modified Julian date, x and y of the pole in arcseconds, UT1 - UTC
+in seconds and offsets dX, dY of the celestial pole in mas, all of Bulletin A.
 """
 
 from __future__ import annotations
@@ -55,4 +55,5 @@ def finals_orientation(text: str, file: str) -> EarthOrientation:
     if not rows:
         Place(file).refuse("days with UT1-UTC, as in finals2000A", "none")
     table = np.array(rows)
-    return EarthOrientation(*table[:, :4].T, table[:, 4:6] / 1000, table[:, 6] > 0)
+    mjd, x, y, ut1 = table[:, :4].T
+    return EarthOrientation(mjd, x, y, ut1, table[:, 4:6] / 1000, table[:, 6] > 0)
