@@ -1,1 +1,1 @@
-"""Satellites as ground stations track them: files, the Earth, light, forces, orbit determination."""
+"""Real tracking of satellites: files, the Earth, light, forces, orbit determination."""

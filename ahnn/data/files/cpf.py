@@ -16,7 +16,7 @@ from ahnn.data.files.content import Content
 from ahnn.data.files.ephemeris import of_orbits
 from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.files.samples import Track, ordered
-from ahnn.data.files.table import Fault, Note, Place, Remark, number, refuse, within
+from ahnn.data.files.table import Fault, Note, Place, Remark, refuse, within
 
 FRAMES = {
     "0": "ITRF, EARTH, UTC",
@@ -30,6 +30,8 @@ FIRST_DAY, LAST_DAY = 41317.0, 125000.0
 """Days of the modified Julian date from 1972 to 2201."""
 FARTHEST = 2e9
 """Metres; the Moon is at 4e8."""
+FASTEST = 3e5
+"""Metres a second; a body as far away, in a frame that turns with the Earth, has half of it."""
 UNUSED = {
     "00": "comments",
     "h3": "expected accuracies",
@@ -158,7 +160,7 @@ class _CpfReader:
         """Read record 20: the velocity at the position before it."""
         if not self.rows or len(cells) != 4:
             place.refuse("direction and three velocities behind a position", f"{len(cells)} values")
-        numbers = [number(cell, place, "") / 1000 for cell in cells[1:]]
+        numbers = [within(cell, place, -FASTEST, FASTEST) / 1000 for cell in cells[1:]]
         self.velocities[len(self.rows) - 1] = numbers
 
     def content(self, weighed: bool, note: Note) -> Content:

@@ -84,17 +84,17 @@ BINARY = {
 }
 SIGNS: tuple[tuple[re.Pattern[str], Kind], ...] = (
     (re.compile(r"#[a-d][PV]\s*\d{4}\s"), "sp3"),
-    (re.compile(r"H1\s+CPF\b", re.IGNORECASE), "cpf"),
-    (re.compile(r"H1\s+CRD\b", re.IGNORECASE), "crd"),
     (re.compile(r"%=SNX\b"), "sinex"),
     (MEAN_ELEMENTS, "omm"),
 )
 """How the first line of formats begins that are read."""
 LINES: tuple[tuple[re.Pattern[str], Kind], ...] = (
+    (re.compile(r"\s*H1\s+CPF\b", re.IGNORECASE), "cpf"),
+    (re.compile(r"\s*H1\s+CRD\b", re.IGNORECASE), "crd"),
     (re.compile(r"\s*\d{4}-\S+T\S+\s+(RANGE|RANGE_RATE|AZ_EL|RA_DEC)\s+\S+\s+[-+.\d]"), "station_table"),
     (re.compile(r"\s*BULLETIN B \d+", re.IGNORECASE), "bulletin_b"),
 )
-"""And the first line that is no remark."""
+"""And one of the first lines that are no remarks."""
 TEXTS = (
     (re.compile(r".{60}(RINEX|CRINEX) VERS"), "RINEX"),
     (re.compile(r".{60}(IONEX|ANTEX) VERS"), "IONEX or ANTEX"),
@@ -135,7 +135,7 @@ def kind_of(raw: bytes, file: str) -> Kind:
     plain = [line for line in head if not line.startswith("#")]
     if any(ELEMENTS.match(line) for line in plain[:2]):
         return "elements"
-    for signs, lines in ((SIGNS, head[:1]), (LINES, plain[:1])):
+    for signs, lines in ((SIGNS, head[:1]), (LINES, plain[:5])):
         for pattern, kind in signs:
             if any(pattern.match(line) or pattern.match(line.lstrip()) for line in lines):
                 return kind

@@ -167,12 +167,12 @@ class _Sp3Reader:
                 Fault(place, f"{self.count} epochs and EOF", f"{self.epochs}{end}", "The file is cut off")
             )
         for count, what in (
-            (self.absent, "positions are missing"),
-            (self.moved, "positions are of satellites that manoeuvre"),
-            (self.predicted, "positions are predicted"),
+            (self.absent, "positions missing"),
+            (self.moved, "positions of satellites that manoeuvre"),
+            (self.predicted, "positions predicted"),
         ):
             if count:
-                self.note(Remark(place, f"{count} {what}"))
+                self.note(Remark(place, f"{what}: {count}"))
         self.note(Remark(place, f"frame {self.system} taken for ITRF; clocks and accuracies are not used"))
         start = min(min(one.moments) for one in self.orbits.values())
         moving = all(None not in one.velocities for one in self.orbits.values())

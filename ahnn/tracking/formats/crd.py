@@ -196,11 +196,11 @@ class _CrdReader:
         if len(cells) < 4:
             place.refuse("seconds, pressure, temperature and humidity", repr(" ".join(cells)))
         session = self.opened(place)
-        seconds = within(cells[0], place, 0.0, 3 * epochs.DAY)
+        within(cells[0], place, 0.0, 3 * epochs.DAY)
         pressure = within(cells[1], place, 300.0, 1200.0)
         temperature = within(cells[2], place, 180.0, 340.0)
         humidity = within(cells[3], place, 0.0, 105.0) / 100
-        moment = moment_near(session.start, seconds)
+        moment = moment_near(session.start, cells[0])
         session.weather.append(WeatherRecord(moment, (pressure, temperature, min(humidity, 1.0))))
 
     def point(self, cells: list[str], place: Place) -> None:
@@ -211,9 +211,9 @@ class _CrdReader:
         event = EVENTS.get(cells[3])
         if event is None:
             place.refuse("epoch event 0, 1 or 2 of a two-way range", repr(cells[3]))
-        seconds = within(cells[0], place, 0.0, 3 * epochs.DAY)
+        within(cells[0], place, 0.0, 3 * epochs.DAY)
         flight = within(cells[1], place, 1e-4, 30.0)
-        moment = moment_near(session.last, seconds, cells[0])
+        moment = moment_near(session.last, cells[0])
         before = moment < session.start - SLACK
         if before or (session.stop is not None and moment > session.stop + SLACK):
             place.refuse("a time within its session (H4)", repr(cells[0]))

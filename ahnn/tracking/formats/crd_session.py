@@ -50,19 +50,18 @@ class RangingSession:
     points: list[NormalPoint] = field(default_factory=list)
 
 
-def moment_near(moment: int, seconds: float, digits: str = "") -> int:
+def moment_near(moment: int, seconds: str) -> int:
     """Return the moment at so many seconds of a day, of that day which brings it nearest to another moment.
 
     Args:
         moment: another one.
-        seconds: of the day; some stations count on after midnight, some begin again.
-        digits: the same seconds as a decimal number, of which no picosecond is lost.
+        seconds: of the day, a number of which no picosecond is lost; some stations count on after midnight,
+            some begin again.
     """
-    whole, _, fraction = (digits or f"{seconds:.12f}").lower().partition(".")
+    whole, _, fraction = seconds.partition(".")
     plain = whole.isdigit() and (fraction or "0").isdigit()
-    of_day = (
-        int(whole) * epochs.SECOND + int(fraction[:12].ljust(12, "0")) if plain else round(seconds * 1e12)
-    )
+    parts = int(fraction[:12].ljust(12, "0")) if plain else 0
+    of_day = int(whole) * epochs.SECOND + parts if plain else round(float(seconds) * epochs.SECOND)
     today = date(2000, 1, 1).toordinal() + moment // DAY_PS
     candidates = [day_moment(today + k) + of_day for k in (-4, -3, -2, -1, 0, 1)]
     return min(candidates, key=lambda one: abs(one - moment))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ahnn.data.files import epochs
+from ahnn.data.files.table import Place, within
 from ahnn.tracking.tracking_data import KINDS, Event, Kind, TrackingData
 
 UNKNOWN = (math.nan, math.nan, math.nan)
@@ -21,6 +22,28 @@ BOUNDS: dict[Kind, tuple[float, float]] = {
     "declination": (-math.pi / 2, math.pi / 2),
 }
 """Between which a measurement is one."""
+ROUNDING = 1e-12
+"""Of factors from degrees."""
+
+
+def measured(kind: Kind, text: str, factor: float, place: Place, correction: float = 0.0) -> float:
+    """Return a measurement in km, rad or km/s.
+
+    Args:
+        kind: of the measurement.
+        text: the number in a file.
+        factor: from its unit.
+        place: where it stands.
+        correction: added to the number.
+
+    Raises:
+        UserError: no number, or one that no measurement of this kind has.
+    """
+    value = factor * (within(text, place, -1e30, 1e30) + correction)
+    low, high = BOUNDS[kind]
+    if not low - ROUNDING * abs(low) <= value <= high + ROUNDING * abs(high):
+        place.refuse(f"a number from {low / factor:.10g} to {high / factor:.10g}", repr(text))
+    return value
 
 
 @dataclass(frozen=True)

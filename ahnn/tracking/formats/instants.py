@@ -43,7 +43,7 @@ def calendar_days(cells: list[str], place: Place) -> int:
     try:
         year, month, day = map(int, cells)
         found = date(year, month, day)
-    except ValueError:
+    except (ValueError, OverflowError):
         place.refuse("year, month and day", repr(" ".join(cells)))
     if not 1972 <= year < 2200:
         place.refuse("a year from 1972 to 2200", repr(cells[0]))

@@ -18,8 +18,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from ahnn.data.files.raw import content_of, decoded
-from ahnn.data.files.table import Fault, Note, Place, refuse, within
-from ahnn.tracking.formats.gathered import BOUNDS, TrackingReading, gathered
+from ahnn.data.files.table import Fault, Note, Place, refuse
+from ahnn.tracking.formats.gathered import TrackingReading, gathered, measured
 from ahnn.tracking.formats.instants import utc_moment
 from ahnn.tracking.formats.tracking_sidecar import COLUMNS, UNITS, TrackingSidecar, sidecar_of
 from ahnn.tracking.tracking_data import Kind, TrackingData
@@ -79,8 +79,7 @@ def reading_of(cells: list[str], place: Place, said: TrackingSidecar) -> Trackin
     halved = 0.5 if said.two_way == "whole" and kind.startswith("RANGE") else 1.0
     factor, values = halved * unit_of(kind, said)[1], dict[Kind, float]()
     for column, cell in zip(columns, cells[3:], strict=True):
-        low, high = (bound / factor for bound in BOUNDS[column])
-        values[column] = factor * within(cell, place._replace(column=column), low, high)
+        values[column] = measured(column, cell, factor, place._replace(column=column))
     sigma = said.deviations.get(kind)
     deviations = {} if sigma is None else dict.fromkeys(columns, factor * sigma)
     return TrackingReading(moment, cells[2], values, place.row, deviations=deviations)

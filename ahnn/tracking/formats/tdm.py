@@ -16,7 +16,7 @@ import numpy as np
 from ahnn.data.files import epochs
 from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.files.table import Fault, Note, Place, refuse, within
-from ahnn.tracking.formats.gathered import BOUNDS, TrackingReading, gathered
+from ahnn.tracking.formats.gathered import TrackingReading, gathered, measured
 from ahnn.tracking.formats.instants import utc_moment
 from ahnn.tracking.formats.tdm_link import TdmLink, link_of, tdm_clock
 from ahnn.tracking.formats.tdm_segment import USED_DATA, WEATHER, TdmSegment, kvn_segments
@@ -108,11 +108,7 @@ def _value(key: str, text: str, link: TdmLink, place: Place) -> tuple[Kind, floa
         kind, factor = "range", link.range_factor(place)
     else:
         kind, factor = "range_rate", link.rate_factor(key, place)
-    low, high = BOUNDS[kind]
-    slack = 1e-9 * (high - low)  # of the rounding of the factor
-    correction = link.corrections.get(key, 0.0)
-    value = within(text, place, (low - slack) / factor, (high + slack) / factor)
-    return kind, factor * (value + correction)
+    return kind, measured(kind, text, factor, place, link.corrections.get(key, 0.0))
 
 
 def _add_weather(segment: TdmSegment, weather: WeatherSeries, note: Note) -> None:
