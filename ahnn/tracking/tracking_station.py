@@ -61,8 +61,8 @@ def cartesian_station(name: str, position: Array) -> TrackingStation:
 def tidal_displacement(position: Array, body: Array, mu: float) -> Array:
     """Return what the tide of a body displaces a station by, in km and ITRF, (T, 3).
 
-    Degrees 2 and 3, in phase (IERS Conventions 2010, 7.5 and 7.6); what is left out, such as the diurnal
-    resonance, is a few mm. The constant part is within: coordinates are tide-free.
+    Degrees 2 and 3, in phase (IERS Conventions 2010, 7.5 and 7.6); what is left out, most of it the
+    resonance of K1, is at most 13 mm. The constant part is within: coordinates are tide-free.
 
     Args:
         position: of the station, (3,) km in ITRF.

@@ -59,7 +59,7 @@ class CubicSplines:
     @property
     def centres(self) -> Array:
         """Where each spline is highest, (size,)."""
-        return self.first + self.spacing * np.arange(-1, self.size - 1)
+        return self.first + self.spacing * np.arange(-1.0, self.size - 1.0)
 
 
 class AccelerationOfTime:
