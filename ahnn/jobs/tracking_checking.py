@@ -50,7 +50,7 @@ def tracking_check(path: Path) -> tuple[list[Finding], RenderableType]:
 def _stations(path: Path) -> str:
     """Return what a SINEX file holds."""
     found = sinex_stations(decoded(content_of(path), path), str(path))
-    return f"positions of {len(found.solutions)} stations, eccentricities of {len(found.eccentricities)}"
+    return f"positions of stations: {len(found.solutions)}, eccentricities: {len(found.eccentricities)}"
 
 
 def _days(path: Path) -> str:

@@ -103,6 +103,7 @@ TEXTS = (
     (re.compile(r"[\[{]"), "JSON"),
     (re.compile(r"\*{20,}"), "an answer of JPL Horizons"),
     (re.compile(r"(product_type|begin_of_head)\b"), "a gravity field (GFC)"),
+    (re.compile(r"\s*\d{4} [A-Z]{3} +\d+ =JD"), "leap seconds (tai-utc.dat), which are known here"),
 )
 """How the first line of other formats begins."""
 

@@ -20,7 +20,7 @@ from ahnn.data.files.table import Fault, Note, Place, Remark, refuse, within
 TITLE = re.compile(r"#([a-d])([PV])\s*\d{4}[ \d]{3}")
 CLOCKS = {"GPS": "GPS", "GAL": "GPS", "QZS": "GPS", "UTC": "UTC", "GLO": "UTC", "TAI": "TAI"}
 """Time systems and the clocks with which they count; those of others differ by seconds from all of these."""
-TERRESTRIAL = ("ITR", "IGS", "IGB", "IGR", "IGC", "SLR", "WGS", "ETRF")
+TERRESTRIAL = ("ITR", "IER", "IGS", "IGB", "IGR", "IGC", "SLR", "WGS", "ECF", "ECEF")
 """How the names of frames begin that agree with the ITRF to within centimetres."""
 NEAREST, FARTHEST = 6.3e3, 1e6
 """Distances of a satellite from the centre of the Earth in km."""

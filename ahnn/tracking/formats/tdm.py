@@ -68,10 +68,13 @@ def tdm_data(text: str, file: str, two_way: TwoWay = "half", note: Note = refuse
             readings = _readings(segment, link, note)
             found.setdefault((link.satellite, link.event), []).extend(readings)
             remarks |= dict.fromkeys(link.remarks)
+            if any(key == "DOPPLER_INTEGRATED" for _, key, _, _ in segment.records):
+                remarks[_of_integration(readings, link.interval)] = None
     found = {key: readings for key, readings in found.items() if readings}
-    if not found:
-        Place(file).refuse("ranges, Doppler or angles in a tracking data message (TDM)", "none of them")
     unused = sorted({key for one in segments for _, key, _, _ in one.records} - {*USED_DATA, *WEATHER})
+    if not found:
+        received = ", ".join(unused) or "none of them"
+        Place(file).refuse("ranges, Doppler or angles in a tracking data message (TDM)", received)
     said = (*((f"not used: {', '.join(unused)}",) if unused else ()), *remarks)
     return [
         gathered(satellite, [_with_weather(one, weather) for one in readings], event, said)
@@ -109,6 +112,22 @@ def _value(key: str, text: str, link: TdmLink, place: Place) -> tuple[Kind, floa
     else:
         kind, factor = "range_rate", link.rate_factor(key, place)
     return kind, measured(kind, text, factor, place, link.corrections.get(key, 0.0))
+
+
+def _of_integration(readings: list[TrackingReading], interval: float) -> str:
+    """Return what is said of integrated Doppler, with how far a mean is from the rate at its middle.
+
+    That is the square of the interval times the second derivative of the rate over 24, to the next order; the
+    derivative is the largest of the divided differences of three measurements.
+    """
+    what = f"means over {interval:g} s taken for the range rates at their middles"
+    ranked = sorted((one.moment, one.values["range_rate"]) for one in readings if "range_rate" in one.values)
+    times = np.array([(moment - ranked[0][0]) / epochs.SECOND for moment, _ in ranked])
+    if len(times) < 3:
+        return what
+    slopes = np.diff([value for _, value in ranked]) / np.diff(times)
+    bends = 2 * np.diff(slopes) / (times[2:] - times[:-2])
+    return f"{what}, off by up to about {1e6 * interval**2 / 24 * np.abs(bends).max():.2g} mm/s"
 
 
 def _add_weather(segment: TdmSegment, weather: WeatherSeries, note: Note) -> None:

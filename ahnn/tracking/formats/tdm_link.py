@@ -124,8 +124,6 @@ def link_of(segment: TdmSegment, two_way: str) -> TdmLink:
     _judge_corrections(link, meta, place)
     if any(key.startswith(("RANGE", "DOPPLER")) for _, key, _, _ in segment.records) and ways == 2:
         link.remarks.append(f"ranges and rates of two-way links taken for those of {_way(two_way)}")
-    if any(key == "DOPPLER_INTEGRATED" for _, key, _, _ in segment.records):
-        link.remarks.append(f"means over {link.interval:g} s taken for the range rates at their middles")
     if meta.get("DATA_QUALITY") == "DEGRADED":
         link.remarks.append("DATA_QUALITY = DEGRADED")
     for key in meta:

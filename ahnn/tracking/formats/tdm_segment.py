@@ -46,7 +46,9 @@ class TdmSegment:
         """Add to the data; raises UserError for a keyword that is none of a TDM."""
         known = (*USED_DATA, *WEATHER, *UNUSED_DATA)
         if key not in known:
-            place.refuse("a keyword of the data of a TDM", f"{key!r}{nearest(key, known)}")
+            guess = nearest(key, known)
+            guess = guess if "mean" in guess else ""  # and not the list of all
+            place.refuse("a keyword of the data of a TDM", f"{key!r}{guess}")
         self.records.append((place.row, key, epoch, value))
 
 

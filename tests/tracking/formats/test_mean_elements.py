@@ -6,7 +6,7 @@ import io
 
 import numpy as np
 import pytest
-from made_formats import OMM, omm
+from made_orbits import OMM, omm
 
 from ahnn.data.files import Files, instant
 from ahnn.data.files.kinds import kind_of

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 from entry import call
-from made_formats import OPM
+from made_orbits import OPM
 
 from ahnn.data.files import instant, read_oem, read_opm, write_oem
 from ahnn.data.files.oem_xml import TRIANGLE

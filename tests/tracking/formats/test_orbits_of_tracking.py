@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from made_formats import CPF, REAL, SP3
+from made_formats import REAL
+from made_orbits import CPF, SP3
 
 from ahnn.data.files import Files, instant
 from ahnn.data.files.cpf import cpf_content, read_cpf

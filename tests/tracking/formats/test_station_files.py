@@ -8,6 +8,8 @@ import pytest
 from made_formats import BULLETIN, REAL, SINEX
 
 from ahnn.data.files import instant
+from ahnn.data.files.epochs import leaps
+from ahnn.data.files.kinds import kind_of
 from ahnn.errors import UserError
 from ahnn.tracking.formats.bulletin_b import bulletin_rows, read_bulletins
 from ahnn.tracking.formats.sinex import read_sinex, sinex_moment, sinex_stations
@@ -184,6 +186,20 @@ def test_real_stations_are_where_others_have_them():
         code = said[f"ground.station.name[{k}]"]
         other = erfa.gd2gc(1, np.radians(at[1]), np.radians(at[0]), at[2]) / 1000
         assert np.linalg.norm(found.position(code, when) - other) < 3e-3, code
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="no real files beside the checkout")
+def test_real_leap_seconds_are_those_that_are_counted_and_their_file_is_refused_by_name():
+    path = REAL / "w3b" / "tai-utc.dat"
+    lines = [line.split() for line in path.read_text().splitlines() if line.strip()]
+    days = [float(line[4]) - 2451544.5 for line in lines]  # Julian dates, from the first day of 2000
+    steps = [float(line[6]) for line in lines]
+    later = [(day, step) for day, step in zip(days, steps, strict=True) if step > 10]
+    for day, step in later:
+        assert (leaps(int(day)), leaps(int(day) - 1)) == (step - 10, step - 11)
+    assert len(later) >= 24
+    with pytest.raises(UserError, match="received leap seconds"):
+        kind_of(path.read_bytes(), str(path))
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason="no real files beside the checkout")

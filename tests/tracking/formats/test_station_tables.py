@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from made_formats import CPF, REAL, SIDECAR, TABLE
+from made_formats import REAL, SIDECAR, TABLE
+from made_orbits import CPF
 
 from ahnn.data.files import instant
 from ahnn.errors import UserError

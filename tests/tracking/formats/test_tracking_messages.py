@@ -67,6 +67,18 @@ def test_an_integrated_doppler_is_of_the_middle_of_its_interval(notation, refere
     assert at == middle - 0.5
 
 
+def test_how_far_a_mean_is_from_the_rate_at_its_middle_is_said():
+    meta, t = META.replace("INTEGRATION_REF = END", "INTEGRATION_REF = MIDDLE"), np.arange(0.0, 60.0, 10.0)
+    rates = 1e-6 * t**2 + 2e-6 * 100 / 24  # means over 10 s of 1e-6 t^2: its second derivative is 2e-6
+    lines = [
+        f"DOPPLER_INTEGRATED = 2024-03-01T00:00:{s:02.0f} {v:.12e}\n" for s, v in zip(t, rates, strict=True)
+    ]
+    (data,) = tdm_data(kvn(meta, "".join(lines)), "a.tdm")
+    apart = values(data, "range_rate") - 1e-6 * data.times**2
+    assert apart == pytest.approx(np.full(6, 8.333e-6), rel=1e-3)
+    assert data.remarks[-1].endswith("at their middles, off by up to about 8.3 mm/s")
+
+
 @BOTH
 def test_times_of_transmission_and_right_ascensions(notation):
     meta = META.replace("TIMETAG_REF = RECEIVE", "TIMETAG_REF = TRANSMIT")
