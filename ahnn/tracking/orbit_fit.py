@@ -124,7 +124,7 @@ class OrbitFit:
 
 
 def linearised(problem: OrbitProblem, x: Array) -> Linearised:
-    """Return residuals and derivatives at a point (Q,)."""
+    """Return residuals and derivatives at a point (Q,); raises TrainingError where they are not finite."""
     data, unknowns = problem.model.data, problem.unknowns
     p = x[6 : 6 + unknowns.forces]
     first, last = min(problem.at, data.times[0] - 1.0), max(problem.at, data.times[-1] + 1.0)
@@ -132,6 +132,9 @@ def linearised(problem: OrbitProblem, x: Array) -> Linearised:
     predicted = problem.model(arc)
     biases = unknowns.biases(x, (len(data.stations), len(KINDS)))
     residuals = data.values - predicted.values - biases[data.station]
+    if bool((np.isfinite(data.values) & ~np.isfinite(residuals)).any()):
+        message = "orbit: a predicted measurement is not finite. Give a start that is nearer"
+        raise TrainingError(message)
     residuals[:, ANGLES] = (residuals[:, ANGLES] + np.pi) % (2 * np.pi) - np.pi
     by = np.zeros((*residuals.shape, len(x)))
     by[:, :, : 6 + unknowns.forces] = predicted.by_state @ arc.sensitivities(predicted.bounce)

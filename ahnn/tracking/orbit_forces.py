@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -21,6 +22,8 @@ from ahnn.tracking.earth_rotation import EarthRotation
 from ahnn.tracking.orbit_setup import ForcesChoice, GravityChoice, LearnedChoice
 from ahnn.tracking.satellite_arc import Forces
 from ahnn.tracking.sun_and_moon import MOON_MU, SUN_MU, SunAndMoon
+
+log = logging.getLogger(__name__)
 
 LONGEST = 900.0
 """Longest step in s; a spline has at least two in each piece."""
@@ -56,6 +59,8 @@ def gravity_field(choice: GravityChoice, date: str, *, tides: bool) -> GravityFi
     degree = field.degree if choice.degree is None else choice.degree
     field = field.cut(degree, min(field.order, degree) if choice.order is None else choice.order)
     change = {"zero_tide": 1.0, "tide_free": 0.0}.get(field.tide, 0.0) - (0.0 if tides else 1.0)
+    if field.tide not in ("zero_tide", "tide_free"):
+        log.warning("%s: %s; taken as it is, with or without tides", field.name, field.tide.replace("_", " "))
     if change and degree >= 2 and field.tide in ("zero_tide", "tide_free"):
         cosines = field.cosines.copy()
         cosines[2, 0] += change * PERMANENT_TIDE

@@ -77,6 +77,7 @@ def prepared_orbit(setup: OrbitSetup, folder: Path) -> PreparedOrbit:
     )
     model = TrackingModel(data, stations_of(setup, folder, data), setup.corrections, rotation, bodies)
     noise = noise_of(setup, data)
+    require_light(setup, data)
     turn = rotations(terrestrial(data.epoch, np.array([at]), "UTC"), setup.start.frame, "GCRF")[0]
     start = np.concatenate((turn @ np.array(setup.start.position), turn @ np.array(setup.start.velocity)))
     bias, bias_sd = biases_of(setup.biases, data)
@@ -185,6 +186,16 @@ def noise_of(setup: OrbitSetup, data: TrackingData) -> Array:
                 raise UserError(message)
             table[s, k] = np.median(stated)
     return table
+
+
+def require_light(setup: OrbitSetup, data: TrackingData) -> None:
+    """Refuse ranges of which no wavelength is known where light is delayed; raises UserError."""
+    ranged = np.isfinite(data.values[:, 0])
+    if setup.corrections.troposphere == "laser" and not np.isfinite(data.wavelength[ranged]).all():
+        message = (
+            "corrections.troposphere: expected radio or none for ranges without a wavelength; received laser"
+        )
+        raise UserError(message)
 
 
 def biases_of(choice: KindChoice, data: TrackingData) -> tuple[tuple[tuple[int, int], ...], list[float]]:
