@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ahnn.assimilation.line_parser import Reading
+from ahnn.assimilation.instrument_reading import Reading
 from ahnn.assimilation.online import Assimilation, Estimate
 from ahnn.assimilation.stream_sensor import StreamSensor
 from ahnn.estimation.process_model import Process

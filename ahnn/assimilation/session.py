@@ -16,7 +16,8 @@ from typing import Annotated, Any, NamedTuple
 
 from ahnn.arguments import NonNegative, Within, check_arguments
 from ahnn.assimilation.cells import BadLine
-from ahnn.assimilation.line_parser import Layout, Reading
+from ahnn.assimilation.instrument_reading import Reading
+from ahnn.assimilation.line_parser import Layout
 from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.online import Assimilation, Diverged, Estimate
 from ahnn.assimilation.output_rows import Output, Rows, digest, require_new

@@ -67,7 +67,7 @@ class _Recorded:
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the states (B, D) after dt."""
-        if followed():
+        if followed() or (isinstance(dt, Tensor) and dt.ndim):  # steps of members are of large batches
             return self.flow(x, dt)
         step = torch.as_tensor(dt, dtype=torch.float64)
         with _RECORDING:
