@@ -13,8 +13,8 @@ from torch import Tensor
 
 from ahnn.arguments import Count, Finite, Positive, Within, checked
 from ahnn.assimilation.cells import BadLine
-from ahnn.assimilation.late_readings import KeptReading, ReadingWindow
 from ahnn.assimilation.instrument_reading import Reading
+from ahnn.assimilation.late_readings import KeptReading, ReadingWindow
 from ahnn.assimilation.stream_controls import StreamControls
 from ahnn.assimilation.stream_models import FURTHEST, StreamModels
 from ahnn.assimilation.stream_sensor import StreamSensor
@@ -229,12 +229,7 @@ class Assimilation:
         if reading.values:
             state, innovation = self._updated(state, reading)
         if status := int(state.status):
-            by = f", by sensor {reading.sensor}" if reading.sensor else ""
-            message = (
-                f"expected a filter that follows its measurements; it is {Status(status).name} at time "
-                f"{reading.time:g}{by}"
-            )
-            raise Diverged(message)
+            raise Diverged(lost_filter(status, reading.time, reading.sensor))
         entry = KeptReading(reading.time, reading, state, innovation, self.controls.after(held, reading))
         return window._replace(entries=(*window.entries, entry))
 
@@ -262,3 +257,11 @@ def absurd_numbers(said: list[str], deviations: Sequence[float]) -> str:
     """Return what is wrong with numbers that no filter takes, which are spelled already."""
     received = ", ".join([*said, *(f"sd {sd:g}" for sd in deviations)])
     return f"expected numbers that leave a finite, precise estimate; received {received}"
+
+
+def lost_filter(status: int, time: float, sensor: str) -> str:
+    """Return what has become of a filter at a time, by a sensor where one has a part in it."""
+    by = f", by sensor {sensor}" if sensor else ""
+    return (
+        f"expected a filter that follows its measurements; it is {Status(status).name} at time {time:g}{by}"
+    )
