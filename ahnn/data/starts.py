@@ -97,6 +97,12 @@ def starts(
     return found._replace(covariances=covariance.expand(len(found.states), -1, -1))
 
 
+def of_one_state(given: str | list[Any] | None) -> bool:
+    """Return whether a start is a state that has no name: numbers, plain values, or an estimate."""
+    path = Path(given).expanduser() if isinstance(given, str) else None
+    return path is None or path.suffix.lower() in PLAIN or is_track(path)
+
+
 def referred(found: Starts, ours: Reference) -> Starts:
     """Return starts whose reference is that of the model, completed by what their file says.
 
