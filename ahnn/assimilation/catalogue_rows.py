@@ -42,13 +42,13 @@ class CatalogueRows(Rows):
             readings: K of them.
             found: the estimates after them.
         """
-        chosen = np.flatnonzero(found.counted)
+        chosen, outcomes = np.flatnonzero(found.counted), found.outcomes
         first = {
             FIRST[0]: np.array(lines, dtype=np.int64)[chosen],
             OBJECT: [readings.objects[k] for k in chosen.tolist()],
             FIRST[1]: found.times[chosen],
             FIRST[2]: [self.sensors[k] for k in readings.sensors[chosen].tolist()],
-            FIRST[3]: [found.outcomes[k] for k in chosen.tolist()],
+            FIRST[3]: [outcomes[k] for k in chosen.tolist()],
             FIRST[4]: found.replayed[chosen],
             FIRST[5]: found.nis.numpy()[chosen],
             FIRST[6]: found.measured.numpy()[chosen],

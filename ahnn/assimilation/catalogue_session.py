@@ -121,7 +121,7 @@ class CatalogueSession(StreamSession):
                 log.warning("line %d: object %s: %s. It is left out from here on", line, name, reason)
         counts = np.bincount(found.fates, minlength=len(FATES)).tolist()
         self.counts.update({fate: count for fate, count in zip(FATES, counts, strict=True) if count})
-        self.counts["bad"] += len(parsed.bad)
+        self.counts.update({"bad": len(parsed.bad)} if parsed.bad else {})
         taken = (found.fates == FATES.index("taken")) & (found.measured.numpy() > 0)
         self.nis += float(found.nis.numpy()[taken].sum())
         self.numbers += int(found.measured.numpy()[taken].sum())

@@ -54,8 +54,9 @@ def belief_of(
         UserError: several states of one object, or no covariance.
     """
     if len(found.states) != 1 and not many:
-        names = ", ".join(found.names)
-        message = f"start: expected one state; received {len(found.states)}: {names}. Keep one of them, or name the column of objects, objects=COLUMN"
+        names = ", ".join(found.names[:5]) + (", .." if len(found.names) > 5 else "")
+        remedy = "Keep one of them, or name the column of objects, objects=COLUMN"
+        message = f"start: expected one state; received {len(found.states)}: {names}. {remedy}"
         raise UserError(message)
     covariance = found.covariances
     if covariance is None:
