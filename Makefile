@@ -1,11 +1,11 @@
 # `make run` trains and judges the default model; `make test` checks everything with the quick tests, `make slow`
 # runs those of ten seconds and more; `make reproduce` runs the paper's tables at their smallest budget, with a
-# report; `make bench` measures.
+# report; `make docs` builds the site into build/site; `make bench` measures.
 # Each sets up .venv by itself.
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test slow reproduce bench
+.PHONY: run test slow reproduce docs bench
 
 run: .venv/installed
 	$(BIN)/python -m ahnn.train
@@ -23,6 +23,10 @@ reproduce: .venv/installed
 	$(BIN)/python -m ahnn.reproduce system=mass_spring budget=smoke
 	$(BIN)/python -m ahnn.reproduce system=molniya budget=smoke
 	$(BIN)/python -m ahnn.report runs/reproduce/mass_spring_smoke runs/reproduce/molniya_smoke output=runs/reproduce/report
+
+docs: .venv/installed
+	$(BIN)/pip install --quiet -c constraints.txt -e '.[dev,docs]'
+	NO_MKDOCS_2_WARNING=1 DISABLE_MKDOCS_2_WARNING=true $(BIN)/mkdocs build
 
 bench: .venv/installed
 	$(BIN)/pip install --quiet -c constraints.txt -e '.[dev,bench]'

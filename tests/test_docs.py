@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import runpy
 import shlex
 import shutil
 import subprocess
@@ -30,7 +31,7 @@ ELSEWHERE = ROOT / "docs" / "extending.md"  # tests/test_extending.py installs i
 DOCUMENTS = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
-    *sorted({*(ROOT / "docs").glob("*.md")} - {ELSEWHERE}),
+    *sorted({*(ROOT / "docs").rglob("*.md")} - {ELSEWHERE}),
 ]
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINE = re.compile(r"^\s*((?:python|make|pip|tensorboard|optuna-dashboard|createdb) [^\n]*)", re.MULTILINE)
@@ -79,7 +80,10 @@ class Command(NamedTuple):
 
 
 def sections(document):
-    """Yield heading and text of each section of a document."""
+    """Yield heading and text of each section of a document; a tutorial is one, step by step."""
+    if document.parent.name == "tutorials":
+        yield document.name, document.read_text()
+        return
     heads = re.split(r"^#+ (.*)$", document.read_text(), flags=re.MULTILINE)
     for number, (title, text) in enumerate(zip(heads[1::2], heads[2::2], strict=True)):
         yield f"{document.name}-{number} {title}", text
@@ -151,6 +155,8 @@ def test_a_documented_command_names_what_there_is(command, tmp_path, monkeypatch
     if "submitit" in command.text:
         pytest.importorskip("submitit", reason="the extra `slurm` is needed")
     monkeypatch.chdir(tmp_path)
+    if "swings.csv" in command.text:
+        runpy.run_path(str(ROOT / "docs" / "tutorials" / "make_swings.py"))
     text = re.split(r"\s#\s", command.text)[0]
     words = [re.sub(r"=([A-Z]+)$", lambda m: f"={FILL.get(m[1], m[1])}", word) for word in shlex.split(text)]
     if words[0] == "make":
@@ -209,7 +215,7 @@ def places(tmp_path_factory):
     def place(section):
         if section not in made:
             folder = made[section] = tmp_path_factory.mktemp("section")
-            for name in ("benchmarks", "examples", "tests"):
+            for name in ("benchmarks", "docs", "examples", "tests"):
                 (folder / name).symlink_to(ROOT / name)
             (folder / "my_systems.py").write_text(system)
             (folder / "mine" / "system").mkdir(parents=True)

@@ -137,7 +137,10 @@ FILTERS = {"ukf": UnscentedKalmanFilter(), "ekf": ExtendedKalmanFilter()}
 FILTERS |= {"enkf": EnsembleKalmanFilter(), "particle": ParticleFilter(particles=400)}
 
 
-@pytest.mark.parametrize("name", FILTERS)
+TRIED = [pytest.param(name, marks=pytest.mark.slow if name == "particle" else ()) for name in FILTERS]
+
+
+@pytest.mark.parametrize("name", TRIED)
 def test_filters_follow_a_force_that_depends_on_time(name):
     """Exact dynamics: errors are those that the filter believes; a flow that stands still in time is off."""
     system = ForcedOscillator(name="f", dt=0.05, steps=200)
@@ -161,7 +164,7 @@ def test_filters_follow_a_force_that_depends_on_time(name):
         wrapped(flow, lambda inner: inner)(data.states[:, 0], 0.05)
 
 
-@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("name", TRIED)
 def test_filters_follow_controls_that_are_known(name):
     """Each member has controls of its own, and those of another lead it astray."""
     system = PushedSpring(name="p", dt=0.05, steps=200)

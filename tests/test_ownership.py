@@ -31,10 +31,10 @@ ROUNDS = [
 ]
 """An option of every other group at once, so that each of them is in one of the rounds."""
 
-ALWAYS = ("laptop", "smoke")
+ALWAYS = ("smoke",)
 BUDGETS = [pytest.param(b, marks=() if b in ALWAYS else pytest.mark.slow) for b in GROUPS["budget"]]
 PAIRS = [("system", "recipe"), ("experiment", "budget"), ("sweep", "model")]
-OFTEN = 3
+OFTEN = 5
 """One in so many pairs is tried each time, every option in several of them; the slow suite tries all."""
 CROSSED = [
     pytest.param((a, x), (b, y), marks=() if (i + j) % OFTEN == 0 else pytest.mark.slow)

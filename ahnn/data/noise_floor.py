@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import torch
 from torch import Tensor
@@ -67,18 +67,35 @@ def falls_as_noise(samples: Tensor, times: Tensor, level: Tensor) -> Tensor:
     """
     if samples.shape[1] <= ORDERS[-1]:
         return torch.zeros_like(level, dtype=torch.bool)
-    flat, samples = samples.flatten(0, 1), without_events(samples, times)
+    flat = samples.flatten(0, 1)
     all_of_it = (flat - flat.nanmean(0)).square().nanmean(0).sqrt()
     small, alike = level < SMALL * all_of_it, level < (1 + MEANS) * all_of_it
+    for ratio, allowed in _of_means(samples, times, level):
+        alike &= (ratio < allowed) & (ratio > 1 / allowed)
+    return small | alike
+
+
+def is_coloured(samples: Tensor, times: Tensor, level: Tensor) -> Tensor:
+    """Return for which components (D,) means of samples in a row show more than white noise would leave.
+
+    Differences of high order see little of noise that correlates from sample to sample.
+    """
+    found = torch.zeros_like(level, dtype=torch.bool)
+    for ratio, allowed in _of_means(samples, times, level):
+        found |= ratio > allowed
+    return found
+
+
+def _of_means(samples: Tensor, times: Tensor, level: Tensor) -> Iterator[tuple[Tensor, float]]:
+    """Yield what means of two and three samples show over what they would of white noise, and its bound."""
+    samples = without_events(samples, times)
     for m in (2, 3):
         count = samples.shape[1] // m
         if (order := min(ORDERS[0], count - 1)) < 2:
             continue
         means, at = (part[:, : m * count].unflatten(1, (count, m)).mean(2) for part in (samples, times))
         ratio = levels(means, at, (order,))[0] * m**0.5 / level
-        allowed = 1 + MEANS + 2 / (len(samples) * (count - order)) ** 0.5
-        alike &= (ratio < allowed) & (ratio > 1 / allowed)
-    return small | alike
+        yield ratio, 1 + MEANS + 2 / (len(samples) * (count - order)) ** 0.5
 
 
 def weights(times: Tensor, order: int) -> Tensor:
@@ -141,7 +158,8 @@ def remark_on(samples: Tensor, times: Tensor, names: Sequence[str], stated: Tens
             "recipe=measurements (recipe=noisy_states where whole states come densely)"
         )
     else:
-        suspicious = (floor > TWICE * stated) | (floor < stated / TWICE)
+        coloured = is_coloured(samples, times, floor)
+        suspicious = (floor > TWICE * stated) | ((floor < stated / TWICE) & ~coloured)
         advice = "data.noise says otherwise: check it, it weighs the measurements"
     levels = zip(names, floor.tolist(), suspicious.tolist(), strict=True)
     found = ", ".join(f"{name} {level:.2g}" for name, level, noisy in levels if noisy)

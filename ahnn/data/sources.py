@@ -94,7 +94,9 @@ class Given(Recordings):
         trajectories: states (B, T, 2n) and times (B, T) or (T,), NaN where a sample is absent; momenta that
             are all NaN, or left out, are unknown. Controls (B, T, m) of a space that names them.
         space: what the numbers mean.
-        cut, gap, unsound: as `Recordings` has them.
+        cut: as `Recordings` has it.
+        gap: likewise.
+        unsound: likewise.
 
     Raises:
         UserError: a space that means nothing, shapes that do not fit it, infinite numbers, or times that do

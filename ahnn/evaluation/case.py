@@ -41,7 +41,9 @@ class Case:
         energy: the learned Hamiltonian, (..., D) -> (...), or None for a model without one.
         integrator: one-step method of the model, and of the floor beside it; None for a map.
         dt: sampling interval of the test trajectories, or all of their steps, (B, T - 1), where they differ.
-        test, validation, train: whole trajectories of the splits.
+        test: whole trajectories of the split.
+        validation: likewise.
+        train: likewise.
         perturbation: (B, D) initial errors of the perturbed start, the same for every model; None where no
             P0 is known.
         folder: where results are written.

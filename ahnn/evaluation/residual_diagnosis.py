@@ -1,55 +1,127 @@
-"""What a user may have said wrongly of measurements, where a training does not leave just their noise."""
+"""What is wrong where more than white noise is left: its size, bias, colour, outliers, or the dynamics."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable
 
 import torch
 from torch import Tensor, nn
 
-from ahnn.data.noise_floor import NORMAL, TWICE
-from ahnn.evaluation.goodness_of_fit import OUTLYING, fit_to, serial
+from ahnn.evaluation.goodness_of_fit import OUTLYING, fit_to
+from ahnn.evaluation.residual_tests import ResidualTests, residual_tests
 from ahnn.measurements import Segment
 from ahnn.numbers import in_percent
 from ahnn.shooting.robust import RobustName
 
-WHITE, APART = 0.3, (1, 2, 3, 4)
-"""Correlation of residuals from which it is the dynamics that are off, and not the noise, and how far apart
-they are: a quarter of a period apart those of wrong dynamics do not correlate."""
+SURE = 4.0
+"""Standard errors beyond which a finding is none of chance."""
+EXPLAINED = 0.05
+"""Fraction of the residuals' variance that the state explains, from which the dynamics are wrong; twice that
+where neighbours do not correlate, as a quarter of a period apart."""
+COLOURED, BIASED = 0.15, 0.2
+"""Correlation of neighbours, and constant part in standard deviations, that are worth a word."""
+OFF = 1.4
+"""Factor by which data.noise is off that is worth a word: bands are then off by as much."""
 FEW = 1e-3
-"""Share of outliers that is worth a word: a thousand numbers have 2e-6 of them by chance."""
+"""Fraction of outliers that is worth a word: of a thousand normal numbers 6e-5 are as far."""
 
 
 @torch.no_grad()
 def remedy(dynamics: nn.Module, segment: Segment, robust: RobustName) -> str:
-    """Return what the residuals about robust paths say of the stated noise and of outliers, "" for nothing.
+    """Return what the residuals about robust paths say, and what to do, "" for nothing.
 
     Args:
         dynamics: float64, with a method `increment`.
         segment: measurements that the dynamics were not trained on.
         robust: the loss of the training.
     """
-    segment = segment.rows(segment.measured > 2 * segment.instrument.dof)
+    segment = segment.rows(segment.measured > 2 * segment.instrument.dof + 2)
     if not len(segment.times):
         return ""
     fitted, steps = fit_to(dynamics, segment, "student")
-    left = segment.residuals(fitted.states[:, steps.ends]).masked_fill(segment.values.isnan(), torch.nan)
-    spent = 2 * segment.instrument.dof * len(segment.times) / float(segment.measured.sum())
-    scales = left.abs().flatten(0, 1).nanmedian(0).values / NORMAL / (1 - spent) ** 0.5
-    far = left.abs() > OUTLYING * scales.clamp(min=1)
-    rest = left.masked_fill(far, torch.nan)
-    white = all(not abs(serial(rest, apart)[0]) > WHITE for apart in APART if apart < rest.shape[1])
-    # wrong dynamics leave more than the noise, and never less
-    said = _noise(segment.instrument.measurement.names, scales if white else scales.clamp(max=1))
-    share = int(far.sum()) / max(int(segment.measured.sum()), 1)
-    if white and robust == "none" and share > FEW:
-        said.append(f"{in_percent(share)} of the numbers are outliers, which loss.robust=student weighs down")
-    return "; ".join(said)
+    states = fitted.states[:, steps.ends]
+    left = segment.residuals(states).masked_fill(segment.values.isnan(), torch.nan)
+    unknowns = 2 * segment.instrument.dof
+    all_of_it = residual_tests(left, states, segment.times, unknowns)
+    far = left.abs() > OUTLYING * all_of_it.scale.clamp(min=1)
+    found = residual_tests(left.masked_fill(far, torch.nan), states, segment.times, unknowns)
+    found = found._replace(tails=all_of_it.tails)
+    interval = float(segment.times.diff(dim=1).median())
+    return "; ".join(verdicts(found, segment.instrument.measurement.names, interval, robust))
 
 
-def _noise(names: tuple[str, ...], scales: Tensor) -> list[str]:
-    """Return for which numbers data.noise is off by more than a factor of two, in one text or none."""
+def verdicts(found: ResidualTests, names: tuple[str, ...], interval: float, robust: RobustName) -> list[str]:
+    """Return what is wrong, in words.
+
+    Args:
+        found: for each of the M numbers.
+        names: of them.
+        interval: typical time between two measurements.
+        robust: the loss of the training.
+    """
+    pairs = found.pairs.clamp(min=1)
+    coloured = found.correlation > (SURE / pairs.sqrt()).clamp(min=COLOURED)
+    if bool((found.explained > torch.where(coloured, EXPLAINED, 2 * EXPLAINED)).any()):
+        share = in_percent(float(found.explained.clamp(min=0).max()))
+        larger = _sizes(
+            found.scale.clamp(max=1), names
+        )  # wrong dynamics leave more than the noise, never less
+        return [
+            *larger,
+            f"{share} of what is left follows from the state: the model misses a part of the motion",
+        ]
+    said = _sizes(found.scale, names)
+    if bool(coloured.any()):
+        said.append(_colour(found, names, coloured, interval))
+    said += _biases(found, names, coloured)
+    if robust == "none" and float(found.tails.max()) > FEW and bool((found.tails * pairs > 2).any()):
+        outliers = in_percent(float(found.tails.max()))
+        said.append(f"{outliers} of the numbers are outliers, which loss.robust=student weighs down")
+    return said
+
+
+def _listed(entries: Iterable[tuple[str, float, bool]]) -> str:
+    return ", ".join(f"{name} {value:+.2g}" for name, value, told in entries if told)
+
+
+def _sizes(scales: Tensor, names: tuple[str, ...]) -> list[str]:
+    """Return for which numbers the stated noise is off, in one text or none."""
     off = [
         f"{max(scale, 1 / scale):.2g} times too {'small' if scale > 1 else 'large'} for {name}"
         for name, scale in zip(names, scales.tolist(), strict=True)
-        if scale > 0 and not 1 / TWICE < scale < TWICE
+        if scale > 0 and not 1 / OFF < scale < OFF
     ]
     return [f"data.noise is about {', '.join(off)}"] if off else []
+
+
+def _colour(found: ResidualTests, names: tuple[str, ...], coloured: Tensor, interval: float) -> str:
+    """Return the text on noise that correlates in time."""
+    correlation = found.correlation.clamp(max=0.99)
+    widening = float(((1 + correlation) / (1 - correlation)).sqrt()[coloured].max())
+    memory = -interval / float(correlation[coloured].max().log())
+    each = _listed(zip(names, correlation.tolist(), coloured.tolist(), strict=True))
+    return (
+        f"the noise is coloured: neighbours correlate by {each} (a memory of about {memory:.2g}), and bands "
+        f"are up to {widening:.2g} times too narrow; in filters measurement.bias_memory describes it"
+    )
+
+
+def _biases(found: ResidualTests, names: tuple[str, ...], coloured: Tensor) -> list[str]:
+    """Return the texts on what is constant: in all measurements, and in each trajectory."""
+    correlation = torch.where(coloured, found.correlation.clamp(0, 0.99), 0)
+    chance = (1 + correlation) / (1 - correlation)
+    count = max(found.trajectories, 2)
+    spreads = (found.spread > BIASED) & (found.spread_ratio > chance * (1 + SURE * (2 / (count - 1)) ** 0.5))
+    error = found.bias_error * torch.where(found.spread_ratio < chance, chance / found.spread_ratio, 1).sqrt()
+    constant = (found.bias.abs() > BIASED) & (found.bias.abs() > SURE * error)
+    said: list[str] = []
+    if bool(constant.any()):
+        each = _listed(zip(names, found.bias.neg().tolist(), constant.tolist(), strict=True))
+        said.append(f"readings are biased: {each} standard deviations of the noise on average")
+    if bool(spreads.any()):
+        each = _listed(zip(names, found.spread.tolist(), spreads.tolist(), strict=True)).replace("+", "")
+        said.append(
+            f"each trajectory has a bias of its own: {each} standard deviations of the noise; in filters "
+            "measurement.bias_sd estimates it"
+        )
+    return said

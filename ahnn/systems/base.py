@@ -25,7 +25,8 @@ class FilterNoise:
     """Default statistics of a filter on this system, as standard deviations.
 
     Attributes:
-        position, velocity: of the initial state error, one value for each block.
+        position: of the error of each initial position.
+        velocity: of the error of each initial velocity.
         measurement: of a measured position component.
     """
 

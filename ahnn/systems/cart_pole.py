@@ -26,7 +26,8 @@ class CartPole(MassMatrixSystem):
         pole: mass at the end of the rod in kg.
         length: of the rod in m.
         gravity: acceleration in m/s^2.
-        x0, angle0: ranges of the initial position in m and angle in rad, at rest.
+        x0: range of the initial position in m; the cart is at rest.
+        angle0: range of the initial angle in rad; the pole is at rest.
         push: standard deviation of the force on the cart in N, drawn anew after every `held` samples.
         held: samples for which a force is held.
     """

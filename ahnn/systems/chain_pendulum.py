@@ -25,9 +25,11 @@ class ChainPendulum(MassMatrixSystem):
 
     Attributes:
         links: how many.
-        masses, lengths: of the links in kg and m, from the top; None takes 1 for each.
+        masses: of the links in kg, from the top; None takes 1 for each.
+        lengths: of the links in m, likewise.
         gravity: acceleration in m/s^2.
-        q0, v0: ranges of the initial angles in rad and of their rates in rad/s.
+        q0: range of the initial angles in rad.
+        v0: range of their rates in rad/s.
     """
 
     links: Count = 2

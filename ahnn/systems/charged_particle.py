@@ -24,7 +24,8 @@ class ChargedParticle(System):
         field: B at the centre in T.
         growth: g in 1/m^2; 0 is a field that is the same everywhere, a positive one a magnetic bottle.
         stiffness: k in N/m of a trap about the centre.
-        x0, v0: ranges of each initial position in m and velocity in m/s.
+        x0: range of each initial position in m.
+        v0: range of each initial velocity in m/s.
     """
 
     charge: Finite = 1.0

@@ -28,7 +28,8 @@ class Duffing(System):
         friction: r; 0 loses nothing.
         drive: amplitude f; 0 drives nothing.
         frequency: w of the drive.
-        q0, v0: ranges of the initial position and velocity.
+        q0: range of the initial position.
+        v0: range of the initial velocity.
     """
 
     linear_stiffness: Finite = -1.0

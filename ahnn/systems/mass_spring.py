@@ -17,7 +17,8 @@ class MassSpring(System):
 
     Attributes:
         stiffness: spring constant k in N/m.
-        q0, p0: ranges of the initial position (m) and momentum (kg m/s).
+        q0: range of the initial position in m.
+        p0: range of the initial momentum in kg m/s.
     """
 
     stiffness: Positive = 5.0

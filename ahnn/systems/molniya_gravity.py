@@ -31,7 +31,8 @@ class MolniyaGravity(SatelliteSystem):
 
     Attributes:
         gravity: `ggm05c` (to degree 8), or the path of a file of the ICGEM format.
-        degree, order: of the harmonics.
+        degree: highest degree of the harmonics.
+        order: highest order of the harmonics.
         rotation: of the planet in rad/s; 0 only where the order is 0.
         tide: what the gravity field must contain of the permanent tide.
         epoch: YYYY-MM-DD, at which coefficients of a file that vary in time are taken.

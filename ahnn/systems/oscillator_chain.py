@@ -73,7 +73,8 @@ class FermiPastaChain(OscillatorChain):
     """Springs V(r) = r^2 / 2 + alpha r^3 / 3 + beta r^4 / 4 between walls (Fermi, Pasta & Ulam 1955).
 
     Attributes:
-        alpha, beta: strengths of the cubic and the quartic terms.
+        alpha: strength of the cubic terms.
+        beta: strength of the quartic terms.
     """
 
     alpha: Finite = 0.0

@@ -36,7 +36,9 @@ class SatelliteSystem(System):
     Attributes:
         altitude: range of the periapsis altitude in km above the equatorial radius.
         eccentricity: range, dimensionless.
-        inclination, raan, argument_of_periapsis: ranges in degrees.
+        inclination: range in degrees.
+        raan: range of the right ascension of the ascending node, in degrees.
+        argument_of_periapsis: range in degrees.
         periods: length of each trajectory in its own two-body periods; None means `steps` for all.
     """
 

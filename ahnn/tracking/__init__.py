@@ -1,1 +1,1 @@
-"""Tracking of satellites as ground stations measured it: files, the Earth, light, forces, orbit determination."""
+"""Real tracking of satellites: files, the Earth, light, forces, orbit determination."""

@@ -28,8 +28,8 @@ class TrackingData:
         stations: their names.
         station: (N,) place of each measurement's station among them.
         event: what the times tag.
-        weather: (N, 3) pressure in hPa, temperature in K and relative humidity from 0 to 1 at the station; NaN
-            where unknown.
+        weather: (N, 3) pressure in hPa, temperature in K and relative humidity from 0 to 1 at the station;
+            NaN where unknown.
         wavelength: (N,) of laser light in micrometres; NaN of radio.
         deviations: (N, 6) standard deviations that the file states; NaN where it states none.
         remarks: what the file says that is not used, in words.

@@ -20,7 +20,10 @@ def spring(tmp_path):
     return case_of(SPRING, flow, perturbations(SPRING, 20, seed=0), tmp_path)
 
 
-@pytest.mark.parametrize("name", ["ukf", "ekf", "enkf"])
+SLOWER = [pytest.param(name, marks=pytest.mark.slow) for name in ("ekf", "enkf")]
+
+
+@pytest.mark.parametrize("name", ["ukf", *SLOWER])
 def test_filters_stay_consistent_beside_biases_many_times_the_noise(spring, name):
     findings = run(spring, *OPTIONS, group=name)
     found = findings.numbers["filters"][name]["floor"]["perturbed"]
@@ -34,6 +37,7 @@ def test_filters_stay_consistent_beside_biases_many_times_the_noise(spring, name
         assert low < found[key]["mean"] < high
 
 
+@pytest.mark.slow
 def test_smoothers_and_least_squares_estimate_them_too(spring):
     findings = run(spring, *OPTIONS, "smoother=true", "least_squares=true", "cadence=10")
     judged = {row.who.estimator: row.scores.position for row in findings.rows if row.who.span == "whole"}

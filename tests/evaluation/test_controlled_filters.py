@@ -28,7 +28,10 @@ def case(tmp_path):
     return case_of(SYSTEM, exact_flow(SYSTEM), off, tmp_path)
 
 
-@pytest.mark.parametrize("name", ["ukf", "ekf", "enkf"])
+SLOWER = [pytest.param(name, marks=pytest.mark.slow) for name in ("ekf", "enkf")]
+
+
+@pytest.mark.parametrize("name", ["ukf", *SLOWER])
 def test_filters_smoothers_and_least_squares_are_consistent_under_pushes(case, name):
     findings = run(case, *OPTIONS, group=name)
     for found in findings.numbers["filters"].values():

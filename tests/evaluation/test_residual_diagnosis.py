@@ -13,6 +13,8 @@ from ahnn.data.segments import Segments
 from ahnn.data.sensor import Sensor
 from ahnn.evaluation.residual_diagnosis import remedy
 
+FOLLOWS = "of what is left follows from the state: the model misses a part of the motion"
+
 
 def stated(batch, *factors):
     """Return measurements whose noise is said to be so many times what it is."""
@@ -20,8 +22,8 @@ def stated(batch, *factors):
     return batch._replace(instrument=batch.instrument._replace(deviations=deviations))
 
 
-@pytest.mark.parametrize("factor", [0.02, 0.1, 0.4, 2.5, 10.0])
-def test_noise_that_is_off_by_more_than_two_is_named(factor):
+@pytest.mark.parametrize("factor", [0.02, 0.1, 0.6, 1.7, 10.0])
+def test_noise_that_is_off_is_named(factor):
     said = remedy(Spring(SPRING), stated(measured(), factor), "none")
     head, _, tail = said.partition(" times too ")
     found = float(head.removeprefix("data.noise is about "))
@@ -29,8 +31,8 @@ def test_noise_that_is_off_by_more_than_two_is_named(factor):
     assert found == pytest.approx(max(factor, 1 / factor), rel=0.1)
 
 
-@pytest.mark.parametrize("factor", [0.6, 1.0, 1.8])
-def test_noise_within_a_factor_of_two_is_not_spoken_of(factor):
+@pytest.mark.parametrize("factor", [0.8, 1.0, 1.25])
+def test_noise_within_a_factor_of_a_quarter_is_not_spoken_of(factor):
     assert remedy(Spring(SPRING), stated(measured(), factor), "none") == ""
 
 
@@ -61,7 +63,7 @@ def test_wrong_dynamics_are_no_noise_a_quarter_of_a_period_apart(every):
     assert remedy(Spring(system), batch, "none") == ""
     for stiffness in (1.12, 1.3):
         softer = dataclasses.replace(system, stiffness=stiffness * system.stiffness)
-        assert remedy(Spring(softer), batch, "none") == ""
+        assert remedy(Spring(softer), batch, "none").endswith(FOLLOWS)
 
 
 def test_what_fitted_starts_take_up_is_no_noise():
@@ -75,6 +77,8 @@ def test_what_fitted_starts_take_up_is_no_noise():
 
 def test_wrong_dynamics_are_no_noise():
     stiffer = dataclasses.replace(SPRING, stiffness=5.6)
-    assert remedy(Spring(stiffer), measured(), "none") == ""
-    assert "2.5e+02 times too large for q1" in remedy(Spring(stiffer), stated(measured(), 3e2), "none")
+    assert remedy(Spring(stiffer), measured(), "none").endswith(FOLLOWS)
+    said = remedy(Spring(stiffer), stated(measured(), 3e2), "none")
+    assert said.startswith("data.noise is about 2.5e+02 times too large for q1; ")
+    assert said.endswith(FOLLOWS)
     assert float(trajectories(SPRING, 1, 5).states.abs().max()) > 0.1  # far above the noise

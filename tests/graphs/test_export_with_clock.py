@@ -59,6 +59,7 @@ def test_the_exported_step_is_that_of_a_rollout_under_the_same_controls(run):
     assert float((found.module()(x, later) - expected).abs().max()) > 1e-4
 
 
+@pytest.mark.slow
 def test_the_folder_says_what_the_clock_is(run, tmp_path):
     assert "flow.onnx" in write_export(run, tmp_path / "out")
     about = json.loads((tmp_path / "out" / "model.json").read_text())

@@ -33,7 +33,8 @@ class Files(Recordings):
         cut: samples of the stretches that trajectories are cut into; None leaves them whole.
         gap: a step so many times longer than the median is a gap, where samples lie on no grid.
         frame: into which data of a known frame and epoch are turned; None leaves them as they are.
-        step, duration: in seconds, of what SGP4 propagates from element sets.
+        step: in seconds, of what SGP4 propagates from element sets.
+        duration: of that, in seconds.
         unsound: train also on data that `check` finds unfit.
 
     Raises:

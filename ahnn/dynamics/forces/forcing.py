@@ -22,7 +22,8 @@ class Forcing(Force):
         dof: degrees of freedom n.
         controls: not used.
         frequency: w, in radians per unit of time.
-        cosine, sine: a and b, n numbers each; both None learns them.
+        cosine: a, n numbers; None, with b, learns them.
+        sine: b, n numbers.
 
     Raises:
         UserError: one of a and b without the other, or of another length.
