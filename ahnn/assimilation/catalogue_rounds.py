@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from ahnn.assimilation.member_updates import FAULT, MemberUpdates, Rows, Told
+from ahnn.assimilation.member_updates import FAULT, MeasuredRows, MemberUpdates, Told
 from ahnn.assimilation.object_windows import FollowedObjects, KeptRow
 from ahnn.assimilation.online import absurd_numbers, lost_filter
 from ahnn.assimilation.reading_table import FATES, Array, CatalogueEstimates, Places, ReadingTable
@@ -101,7 +101,7 @@ class CatalogueRounds:
     def _filter(self, chosen: Candidates, readings: ReadingTable, found: CatalogueEstimates) -> None:
         """Filter readings, replay what is later, keep what is sound, and write what was told."""
         _, times, sensors, values, deviations = readings
-        given = Rows(times, sensors, values, deviations).at(chosen.rows)
+        given = MeasuredRows(times, sensors, values, deviations).at(chosen.rows)
         told, targets = self._step(chosen.slots, chosen.since, given)
         statuses = told.statuses.numpy()
         chains = {j: [_kept(given, j, int(targets[j]))] for j in chosen.later if not statuses[j]}
@@ -121,7 +121,7 @@ class CatalogueRounds:
         for j in chains:
             found.replayed[chosen.rows[j]] = len(chosen.later[j])
 
-    def _step(self, slots: Places, since: Array, given: Rows) -> tuple[Told, Places]:
+    def _step(self, slots: Places, since: Array, given: MeasuredRows) -> tuple[Told, Places]:
         """Filter readings; return what they told, and the rows of the beliefs after them, of who is sound."""
         objects = self.objects
         told = self.updates.filtered(objects.state, slots, since, given)
@@ -159,7 +159,7 @@ class CatalogueRounds:
     def _keep(
         self,
         chosen: Candidates,
-        given: Rows,
+        given: MeasuredRows,
         targets: Places,
         sound: Places,
         chains: dict[int, list[KeptRow]],
@@ -202,13 +202,13 @@ class CatalogueRounds:
         found.fates[row], found.reasons[row] = BAD, absurd_numbers(said, sds)
 
 
-def _kept(given: Rows, j: int, slot: int) -> KeptRow:
+def _kept(given: MeasuredRows, j: int, slot: int) -> KeptRow:
     """Return one of some readings as a window keeps it."""
     time, sensor, values, deviations = (part[j].tolist() for part in given)
     return KeptRow(time, slot, sensor, values, deviations)
 
 
-def _rows_of(kept: list[KeptRow]) -> Rows:
+def _rows_of(kept: list[KeptRow]) -> MeasuredRows:
     """Return readings of windows as columns."""
     times, _, sensors, values, deviations = zip(*kept, strict=True)
-    return Rows(np.array(times), np.array(sensors), np.array(values), np.array(deviations))
+    return MeasuredRows(np.array(times), np.array(sensors), np.array(values), np.array(deviations))

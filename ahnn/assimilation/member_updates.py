@@ -20,7 +20,7 @@ FAULT = -1
 """Status of a reading that is no measurement; others are those of filters."""
 
 
-class Rows(NamedTuple):
+class MeasuredRows(NamedTuple):
     """One reading of each of B objects: times (B,), numbers of sensors (B,), values and deviations (B, W)."""
 
     times: Array
@@ -28,10 +28,10 @@ class Rows(NamedTuple):
     values: Array
     deviations: Array
 
-    def at(self, chosen: Places) -> Rows:
+    def at(self, chosen: Places) -> MeasuredRows:
         """Return some of them."""
         times, sensors, values, deviations = self
-        return Rows(times[chosen], sensors[chosen], values[chosen], deviations[chosen])
+        return MeasuredRows(times[chosen], sensors[chosen], values[chosen], deviations[chosen])
 
 
 class Told(NamedTuple):
@@ -78,7 +78,7 @@ class MemberUpdates:
         own = [[columns.index(name) for name in one.columns] for one in models.sensors.values()]
         self.places = [torch.tensor(places) for places in own]
 
-    def filtered(self, state: FilterState, slots: Places, since: Array, given: Rows) -> Told:
+    def filtered(self, state: FilterState, slots: Places, since: Array, given: MeasuredRows) -> Told:
         """Return what readings make of rows of a state, each of which holds at a time (B,) of its own."""
         told = Told.room(state, len(slots), self.width)
         rows, begun = torch.from_numpy(slots), torch.from_numpy(since)

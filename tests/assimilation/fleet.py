@@ -6,7 +6,7 @@ import numpy as np
 from following import MEAN, P0, SENSORS, STEP, Q, coast, readings
 
 from ahnn.assimilation import Catalogue, ReadingTable
-from ahnn.estimation import Gate, initial_belief
+from ahnn.estimation import initial_belief
 from ahnn_plugins.ukf import UnscentedKalmanFilter, online_process
 
 NAMES = [f"body {k}" for k in range(7)]

@@ -1,4 +1,4 @@
-"""Many objects at once: each as a filter of its own, whatever the others do, in any order, late or restored."""
+"""Many objects at once: each as a filter of its own, whatever the others do, in any order."""
 
 from __future__ import annotations
 
@@ -41,9 +41,13 @@ def require_solo(pairs, found, **options):
         try:
             estimate = own[name].update(reading)
         except (BadLine, Diverged) as error:
-            lost |= {name} if isinstance(error, Diverged) else set()
-            assert found.outcomes[k] == ("lost" if name in lost else "bad")
-            assert found.reasons[k] == str(error)
+            said, failed = str(error), isinstance(error, Diverged)
+        else:
+            said, failed = "", False
+        if said:
+            lost |= {name} if failed else set()
+            assert found.outcomes[k] == ("lost" if failed else "bad")
+            assert found.reasons[k] == said
             assert own[name].window is before
             continue
         assert found.outcomes[k] == estimate.outcome, k

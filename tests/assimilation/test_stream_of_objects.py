@@ -87,6 +87,36 @@ class Killed(Exception):
     """The process is gone."""
 
 
+def end_at(begun, moment):
+    """Make a session end at one of its moments: before a state, behind it, or in the middle of rows."""
+    left, saved, output = [moment], begun.filter.save, begun._output
+
+    def gone():
+        left[0] -= 1
+        if left[0] < 0:
+            raise Killed
+
+    def save(*given):
+        gone()
+        saved(*given)
+        gone()
+
+    def torn(known):
+        made = output(known)
+        write = made.write
+
+        def half(content):
+            if isinstance(made, Output) and left[0] == 0:
+                write(content[: len(content) // 2])
+            gone()
+            write(content)
+
+        made.write = half
+        return made
+
+    begun.filter.save, begun._output = save, torn
+
+
 @settings(max_examples=12)
 @given(
     st.lists(st.integers(0, 6), min_size=1, max_size=4),
@@ -100,32 +130,7 @@ def test_a_kill_at_any_moment_leaves_the_same_bytes(tmp_path_factory, kills, eve
     session(TEXT, folder / "whole.csv", folder / "whole.state", **options).run()
     for moment in kills:
         begun = session(TEXT, folder / "parts.csv", folder / "parts.state", **options)
-        left, saved, output = [moment], begun.filter.save, begun._output
-
-        def gone(left=left):
-            left[0] -= 1
-            if left[0] < 0:
-                raise Killed
-
-        def save(*given, saved=saved, gone=gone):
-            gone()  # before the state is there
-            saved(*given)
-            gone()  # and behind it
-
-        def torn(known, output=output, gone=gone):
-            made = output(known)
-            write = made.write
-
-            def half(content):
-                if isinstance(made, Output) and left[0] == 0:
-                    write(content[: len(content) // 2])
-                gone()
-                write(content)
-
-            made.write = half
-            return made
-
-        begun.filter.save, begun._output = save, torn
+        end_at(begun, moment)
         with contextlib.suppress(Killed):
             begun.run()
     session(TEXT, folder / "parts.csv", folder / "parts.state", **options).run()
@@ -255,12 +260,16 @@ def test_unknown_objects_are_told_once_and_a_common_start_takes_them_in(tmp_path
 
 
 def test_a_lost_object_is_told_and_a_stream_of_which_nothing_counts_ends_with_a_reason(tmp_path, caplog):
-    wild = [(n, r._replace(values=tuple(1e4 * v for v in r.values)) if n == NAMES[2] else r) for n, r in PAIRS]
+    wild = [
+        (n, r._replace(values=tuple(1e4 * v for v in r.values)) if n == NAMES[2] else r) for n, r in PAIRS
+    ]
     with caplog.at_level(logging.WARNING, "ahnn"):
         made = session(written(wild), tmp_path / "out.csv")
         made.run()
     assert len(caplog.messages) == 1
-    assert "object body 2: expected a filter that follows its measurements; it is DIVERGED" in caplog.messages[0]
+    assert (
+        "object body 2: expected a filter that follows its measurements; it is DIVERGED" in caplog.messages[0]
+    )
     assert {*made.filter.lost} == {NAMES[2]}
     session(TEXT, tmp_path / "clean.csv").run()
     others = [[r for r in rows_of(tmp_path / f) if r["object"] != NAMES[2]] for f in ("out.csv", "clean.csv")]
@@ -291,7 +300,7 @@ def test_states_of_others_and_damaged_ones_are_refused(tmp_path):
     session(TEXT, *names).run()
     with pytest.raises(UserError, match="expected one of this model, process noise, sensors and window"):
         session(TEXT, *names, window=3.0)
-    with pytest.raises(UserError, match="start: expected the 7 objects of .* received others"):
+    with pytest.raises(UserError, match=r"start: expected the 7 objects of .* received others"):
         session(TEXT, *names, names=NAMES[:3])
     whole = names[1].read_bytes()
     for cut in (whole[:-40], whole[: len(whole) // 2], b""):
