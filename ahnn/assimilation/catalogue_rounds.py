@@ -172,6 +172,10 @@ class CatalogueRounds:
         columns = fresh.times, targets[plain], *fresh[1:]
         new = map(KeptRow, *(column.tolist() for column in columns))
         objects.times[own], objects.newest[own] = fresh.times, targets[plain]
+        if not window:
+            for number, entry in zip(own.tolist(), new, strict=True):
+                objects.windows[number].renew(entry, lines)
+            return
         for number, entry in zip(own.tolist(), new, strict=True):
             objects.windows[number].append(entry)
         for j, chain in chains.items():
@@ -183,7 +187,7 @@ class CatalogueRounds:
         for number in numbers.tolist():
             kept = objects.windows[number]
             freed = kept.forget(window, lines)
-            if window and freed:
+            if freed:
                 objects.release(freed)
                 objects.since[number] = kept[0].time
 

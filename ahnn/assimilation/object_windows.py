@@ -57,6 +57,13 @@ class ObjectWindow(list[KeptRow]):
         """Return whether the same reading is in it."""
         return any(one.time == time and one.alike(sensor, values) for one in self)
 
+    def renew(self, entry: KeptRow, most: int) -> None:
+        """Add the newest reading where nothing is replayed: others of its time are kept, so many at most."""
+        if self[-1].time < entry.time:
+            self.clear()
+        self.append(entry)
+        del self[: max(0, len(self) - most)]
+
     def forget(self, span: float, most: int) -> list[int]:
         """Drop what is older than a span of time or beyond so many readings; return the rows of these."""
         first, oldest = max(0, len(self) - 1 - most), self[-1].time - span
