@@ -75,7 +75,7 @@ class Bound(NamedTuple):
         """Return the states (B, 2n) after dt."""
         return stepped(self.flow, x, dt, self.clock(x))
 
-    def transition(self, x: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+    def transition(self, x: Tensor, dt: TimeStep) -> tuple[Tensor, Tensor]:
         """Return the states (B, 2n) after dt, and the state transitions (B, 2n, 2n)."""
         after, moved = transition(self.flow, extended(x, self.clock(x)), dt)
         count = clock_of(self.flow)

@@ -61,7 +61,7 @@ class _Recorded:
         self.flow = flow
         self._known: dict[torch.Size, Callable[[Tensor, Tensor], Tensor]] = {}
 
-    def transition(self, x: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+    def transition(self, x: Tensor, dt: TimeStep) -> tuple[Tensor, Tensor]:
         """Return the states (B, D) after dt, and the state transitions (B, D, D)."""
         return transition(self.flow, x, dt)
 

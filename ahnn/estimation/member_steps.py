@@ -38,7 +38,7 @@ class MemberFlow(NamedTuple):
 
     def transition(self, x: Tensor, dt: float) -> tuple[Tensor, Tensor]:
         """Return the states (B, D) after the steps, and the state transitions (B, D, D)."""
-        return transition(at(self.flow, self.times), x, cast(Any, dt * self.lengths))
+        return transition(at(self.flow, self.times), x, dt * self.lengths)
 
 
 class MemberMeasurement:

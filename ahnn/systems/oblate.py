@@ -81,7 +81,7 @@ class OblateFlow:
         each(follow, slices(len(x), PART), x.device)
         return out
 
-    def transition(self, x: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+    def transition(self, x: Tensor, dt: TimeStep) -> tuple[Tensor, Tensor]:
         """Return the states (B, 6) after dt, and the state transitions (B, 6, 6)."""
         return differenced(self, x, dt, cast(Any, self.flow).half)
 

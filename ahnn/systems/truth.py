@@ -132,7 +132,7 @@ class SubstepsFlow(NamedTuple):
             x = torch.where((parts > k).unsqueeze(-1), integrator.step(self.system, x, length), x)
         return x
 
-    def transition(self, x: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+    def transition(self, x: Tensor, dt: TimeStep) -> tuple[Tensor, Tensor]:
         """Return the states (B, D) after dt, and the state transitions (B, D, D)."""
         return differenced(self, x, dt, self.half)
 
