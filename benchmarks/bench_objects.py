@@ -189,6 +189,7 @@ def main() -> None:
     )
     for name, default in (("objects", 30_000), ("fixes", 100), ("kills", 20), ("seed", 0), ("solo", 20)):
         parser.add_argument(f"--{name}", type=int, default=default)
+    parser.add_argument("--kill-objects", type=int, default=300, help="each measured 40 times")
     parser.add_argument("--flows", nargs="+", default=["exact", "learned"])
     parser.add_argument("--parquet", action="store_true", help="files are Parquet, in and out")
     parser.add_argument("--place", help="folder for the files; a temporary one without")
@@ -197,7 +198,7 @@ def main() -> None:
     options = parser.parse_args()
     if options.folder and options.name:
         torch.set_num_threads(1)
-        session(Path(options.folder), options.flow, options.name, every=5000).run()
+        session(Path(options.folder), options.flow, options.name, every=1000).run()
         return
     if options.folder:
         print(json.dumps(follow(Path(options.folder), options.flow, parquet=options.parquet)))
@@ -218,7 +219,7 @@ def main() -> None:
         if options.kills:
             small = folder / "small"
             small.mkdir()
-            make_files(small, 2000, 40, options.seed + 1, parquet=False)
+            make_files(small, options.kill_objects, 40, options.seed + 1, parquet=False)
             for text, value in killed(small, "exact", options.kills, options.seed).items():
                 print(f"{text:62s} {value}", flush=True)
 
