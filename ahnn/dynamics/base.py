@@ -25,11 +25,13 @@ class Dynamics(nn.Module, ABC):
         spec: plain values from which `make_dynamics` builds the same module, weights apart.
         assumes: what is taken as known of the dynamics; scores mean little without it.
         clock: k, clock coordinates of the states: 0, 1 for time, 1 + m for time and m controls.
+        anchored: whether it knows where the origin of the positions is, so that a bias of all readings shows.
     """
 
     spec: dict[str, Any]
     assumes: str
     clock: int = 0
+    anchored: bool = True
 
     @property
     def own_step(self) -> float | None:

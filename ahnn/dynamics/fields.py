@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from ahnn.dynamics import fused_steps, native
 from ahnn.dynamics.base import Dynamics
 from ahnn.dynamics.forced import Forced
+from ahnn.dynamics.forces import Force
 from ahnn.dynamics.gradients import Layers
 from ahnn.dynamics.hamiltonians import GenericHamiltonian, Structure, make_hamiltonian
 from ahnn.dynamics.inputs import Cartesian, InputName
@@ -89,11 +90,16 @@ class NeuralODE(IntegratedField):
     """
 
     assumes = "no Hamiltonian"
+    anchored = False
 
     def __init__(
         self, dof: int, *, scaling: Kind, network: dict[str, Any], integrator: dict[str, Any]
     ) -> None:
         super().__init__(NeuralField(dof, scaling, network), integrator)
+
+
+CENTRED = ("isotropic", "radial", "central_body", "perturbed_body")
+"""Inputs and Hamiltonians for which the origin is the centre of a force."""
 
 
 @final
@@ -138,8 +144,10 @@ class HamiltonianDynamics(IntegratedField):
         options |= {"angular": angular, "mu": mu, "falloff": falloff, "dimensions": dimensions}
         field: nn.Module = make_hamiltonian(hamiltonian, dof, mass=inertia, **options)
         assumed = [f"{hamiltonian} Hamiltonian, {inputs} inputs"]
+        self.anchored = inputs in CENTRED or hamiltonian in CENTRED
         if forces:
             field = Forced(field, forces, dof, controls)
+            self.anchored |= any(type(force).potential is not Force.potential for force in field.parts)
             self.clock = field.clock
             assumed += [force.assumes for force in field.parts]
         super().__init__(field, integrator)

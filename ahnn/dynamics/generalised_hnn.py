@@ -19,6 +19,7 @@ class GeneralisedHNN(SymplecticMap):
     """
 
     assumes = "a symplectic map (GHNN)"
+    anchored = False
 
     def __init__(self, dof: int, *, scaling: Conformal, layers: Layers, network: dict[str, Any]) -> None:
         shears = (Shear(dof, network, of_positions=k % 2 == 0) for k in range(2 * layers))

@@ -48,6 +48,7 @@ class HenonNet(SymplecticMap):
     """
 
     assumes = "a symplectic map (HénonNet)"
+    anchored = False
 
     def __init__(self, dof: int, *, scaling: Conformal, layers: Layers, network: dict[str, Any]) -> None:
         super().__init__(dof, scaling, (HenonLayer(dof, network) for _ in range(layers)))

@@ -94,6 +94,7 @@ class LagrangianDynamics(IntegratedField):
     """
 
     assumes = "a Lagrangian of q and v"
+    anchored = False
 
     def __init__(
         self,

@@ -26,6 +26,7 @@ class NextState(StepMap):
     """
 
     assumes = "no Hamiltonian"
+    anchored = False
     rms: Tensor
 
     def __init__(self, dof: int, *, scaling: Kind, residual: bool, network: dict[str, Any]) -> None:

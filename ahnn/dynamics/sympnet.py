@@ -74,6 +74,7 @@ class SympNet(SymplecticMap):
     """
 
     assumes = "a symplectic map (SympNet)"
+    anchored = False
 
     def __init__(
         self,

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from ahnn.evaluation.goodness_of_fit import OUTLYING, fit_to
 from ahnn.evaluation.residual_tests import ResidualTests, residual_tests
-from ahnn.measurements import Segment
+from ahnn.measurements import Position, Segment, State
 from ahnn.numbers import in_percent
 from ahnn.shooting.robust import RobustName
 
@@ -48,6 +48,14 @@ def remedy(dynamics: nn.Module, segment: Segment, robust: RobustName) -> str:
     found = found._replace(tails=all_of_it.tails)
     interval = float(segment.times.diff(dim=1).median())
     return "; ".join(verdicts(found, segment.instrument.measurement.names, interval, robust))
+
+
+def invisible(dynamics: nn.Module, segment: Segment) -> str:
+    """Return that a bias of all readings would not show, "" where it would."""
+    direct = isinstance(segment.instrument.measurement, (Position, State))
+    if not direct or getattr(dynamics, "anchored", True):
+        return ""
+    return "a constant bias of the readings would not show: the learned functions move with them"
 
 
 def verdicts(found: ResidualTests, names: tuple[str, ...], interval: float, robust: RobustName) -> list[str]:

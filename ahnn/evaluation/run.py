@@ -16,7 +16,7 @@ from ahnn.evaluation.forecast import forecast
 from ahnn.evaluation.friction_test import friction_test
 from ahnn.evaluation.goodness_of_fit import explain
 from ahnn.evaluation.open_loop import open_loop
-from ahnn.evaluation.residual_diagnosis import remedy
+from ahnn.evaluation.residual_diagnosis import invisible, remedy
 from ahnn.evaluation.trajectory_figures import open_loop_figures
 from ahnn.measurements import Segment
 from ahnn.uncertainty import Uncertainty, learned_constants
@@ -43,6 +43,7 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
         explained = explain(flow, case.measured, case.robust)
         findings.tell(explained.sentence())
         findings.tell("" if explained.consistent else remedy(flow, case.measured, case.robust))
+        findings.tell(invisible(flow, case.measured))
         findings.numbers["measurements"] = explained.numbers()
     if figures:
         findings.figures |= open_loop_figures(case, findings.arrays)

@@ -12,10 +12,13 @@ from test_goodness_of_fit import Spring
 
 from ahnn.data.segments import Segments
 from ahnn.data.sensor import Sensor
-from ahnn.evaluation.residual_diagnosis import remedy, verdicts
+from ahnn.dynamics import make_dynamics
+from ahnn.evaluation.residual_diagnosis import invisible, remedy, verdicts
 from ahnn.evaluation.residual_tests import residual_tests
+from ahnn.measurements import GroundStation
 
 SD, COUNT = 0.01, 16
+SPRINGS = {"kind": "spring", "stiffness": 5.0}
 SYSTEM = dataclasses.replace(SPRING, steps=400)
 
 
@@ -70,6 +73,19 @@ def test_errors_of_the_dynamics_are_no_colour():
     softer = dataclasses.replace(SYSTEM, stiffness=1.02 * SYSTEM.stiffness)
     said = remedy(Spring(softer), batch(white()), "none")
     assert said.endswith("follows from the state: the model misses a part of the motion")
+
+
+def test_a_bias_that_cannot_show_is_said():
+    options = {"dof": 2, "inertia": 1.0, "hamiltonian": "mechanical", "mu": None, "scaling": "none"}
+    options |= {"network": {"width": 4, "depth": 1, "activation": "tanh"}, "integrator": {"name": "rk4"}}
+    free = make_dynamics("hamiltonian", **options, inputs="cartesian")
+    held = make_dynamics("hamiltonian", **options, inputs="cartesian", forces={"springs": SPRINGS})
+    seen = batch(white())
+    assert "would not show" in invisible(free, seen)
+    assert invisible(held, seen) == ""
+    assert invisible(make_dynamics("hamiltonian", **options, inputs="radial"), seen) == ""
+    elsewhere = seen._replace(instrument=seen.instrument._replace(measurement=GroundStation(40.0, 10.0)))
+    assert invisible(free, elsewhere) == ""
 
 
 def test_numbers_that_were_not_measured_change_nothing():
