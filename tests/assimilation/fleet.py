@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import csv
+import io
+
 import numpy as np
-from following import MEAN, P0, SENSORS, STEP, Q, coast, readings
+from following import MEAN, P0, SENSORS, SPACE, STEP, Q, coast, readings
 
 from ahnn.assimilation import Catalogue, ReadingTable
+from ahnn.assimilation.catalogue_rows import CatalogueRows
+from ahnn.assimilation.catalogue_session import CatalogueSession
+from ahnn.assimilation.lines import Lines
+from ahnn.assimilation.parquet_stream import ParquetRows
 from ahnn.estimation import initial_belief
 from ahnn_plugins.ukf import UnscentedKalmanFilter, online_process
 
@@ -47,3 +54,33 @@ def mixed(counts, seed=0):
     turns = draw.permutation(np.repeat(np.arange(len(counts)), counts))
     left = {name: iter(found) for name, found in own.items()}
     return [(NAMES[k], next(left[NAMES[k]])) for k in turns.tolist()]
+
+
+PAIRS = mixed((9, 4, 12, 1, 7, 3, 15))
+
+
+def written(pairs):
+    """Readings as a table with a column of objects."""
+    rows = ["time [s],name,sensor,q [m],p"]
+    for name, reading in pairs:
+        values = ["" if v != v else repr(v) for v in (*reading.values, np.nan)[:2]]
+        rows.append(",".join([repr(reading.time), name, reading.sensor, *values]))
+    return "\n".join(rows) + "\n"
+
+
+TEXT = written(PAIRS)
+
+
+def session(text, output, state=None, every=10, kind="csv", names=NAMES, **options):
+    """The session of a text, a pipe, or a Parquet file."""
+    stream = io.BytesIO(text.encode()) if isinstance(text, str) else text
+    lines = stream if isinstance(stream, ParquetRows) else Lines(stream)
+    catalogue = fleet(names, **({"gate": Gate(0.9999)} | options))
+    rows = CatalogueRows(SPACE.components, SENSORS, kind)
+    return CatalogueSession(catalogue, lines, rows, str(output), state, every, objects="name")
+
+
+def rows_of(path):
+    """The rows of a table."""
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
