@@ -13,7 +13,7 @@ from ahnn.assimilation.catalogue_rows import CatalogueRows
 from ahnn.assimilation.catalogue_session import CatalogueSession
 from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.parquet_stream import ParquetRows
-from ahnn.estimation import initial_belief
+from ahnn.estimation import Gate, initial_belief
 from ahnn_plugins.ukf import UnscentedKalmanFilter, online_process
 
 NAMES = [f"body {k}" for k in range(7)]
