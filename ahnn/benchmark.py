@@ -1,6 +1,9 @@
 """The field's tasks, theirs beside ours: `python -m ahnn.benchmark noisy_spring two_bodies`, or `all`.
 
-NAME...             two_bodies, three_bodies, noisy_spring, noisy_pendulum, chain_2, chain_3, chain_5, or all
+NAME...             two_bodies, three_bodies, noisy_spring, noisy_pendulum, one_orbit,
+                    chain_2, chain_3, chain_5, points_henon_heiles,
+                    points_fermi_pasta, points_double_pendulum, map_pendulum,
+                    map_double_pendulum, map_three_bodies, or all
 models=[A,B]        some of a task's models; all of them without it
 draws=10            of data and starts, each with a training of its own
 jobs=1              trainings side by side

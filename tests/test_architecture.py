@@ -69,7 +69,7 @@ MAY_IMPORT = {
     "dynamics": GROUND,
     "systems": GROUND | {"dynamics"},
     "data": GROUND | {"systems"},
-    "tracking": GROUND | {"data"},
+    "tracking": GROUND | {"data", "shooting", "systems"},
     "tasks": GROUND | {"systems"},
     "shooting": OPEN | {"measurements"},
     "uncertainty": GROUND | {"dynamics", "shooting"},
@@ -96,6 +96,7 @@ ENTRIES = {
     "report",
     "reproduce",
     "benchmark",
+    "orbit",
     "fitting",
     "cli",
     "__init__",
@@ -103,7 +104,7 @@ ENTRIES = {
 }
 """The doors of the house: they may import every room, and no room imports them."""
 DOORS = [
-    *("train", "evaluate", "predict", "export", "assimilate", "report", "reproduce", "benchmark"),
+    *("train", "evaluate", "predict", "export", "assimilate", "report", "reproduce", "benchmark", "orbit"),
     "data/__main__",
 ]
 """What users call: a command line goes in, `cli` makes values of it, and `jobs` does what they say."""

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+import re
 
 import pytest
 import torch
 from entry import call
 
+import ahnn.benchmark
 from ahnn.cli import benchmarking
 from ahnn.cli.benchmarking import BenchmarkRequest, DrawnTraining
 from ahnn.tasks import TASKS, Draw, FieldTask
@@ -58,6 +60,14 @@ def test_a_training_leaves_run_and_score_or_nothing(known, tmp_path, monkeypatch
     assert [path.name for path in training.folder.parent.iterdir()] == ["draw_1"]
 
 
+def test_further_scores_and_floors_are_written_and_a_lost_prediction_is_infinitely_far_off(tmp_path):
+    known = drawn(0)._replace(score=lambda _: math.nan, also={"rms": lambda _: 2.0}, floor=lambda: 1e-5)
+    found = benchmarking.scored(known, lambda x, *_: x)
+    assert found == {"score": math.inf, "rms": 2.0, "floor": 1e-5}
+    (tmp_path / "score.json").write_text(json.dumps(found))
+    assert DrawnTraining("spring", "hnn", 0, tmp_path).score == found
+
+
 @pytest.mark.usefixtures("known")
 def test_what_is_finished_is_kept_and_shown(tmp_path, capfd, caplog):
     caplog.set_level("INFO", "ahnn")
@@ -86,6 +96,10 @@ def test_mistakes_are_one_message(words, message, capfd, tmp_path):
     error = capfd.readouterr().err
     assert message in error
     assert error.count("\n") == 1
+
+
+def test_help_names_every_task():
+    assert all(re.search(rf"\b{name}\b", ahnn.benchmark.__doc__) for name in TASKS)
 
 
 def test_a_place_that_takes_no_folder_is_refused_before_the_work(tmp_path, capfd):

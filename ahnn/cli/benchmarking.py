@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
+import math
 import os
 import subprocess
 import sys
@@ -18,12 +19,12 @@ from typing import NamedTuple
 from ahnn.arguments import Count
 from ahnn.cli.early_stops import ended
 from ahnn.cli.pairs import divided, read_pairs
-from ahnn.contents import read_plain
+from ahnn.contents import read_json
 from ahnn.errors import Occupied, TrainingError, UserError
 from ahnn.evaluation.terminal import show
 from ahnn.files import claimed, require_writable, whole_folder, write_atomically
 from ahnn.fitting import fit
-from ahnn.tasks import TASKS, FieldTask, table
+from ahnn.tasks import TASKS, Draw, FieldTask, Predict, table
 
 log = logging.getLogger("ahnn")
 SIGNALLED = 128
@@ -59,7 +60,7 @@ class DrawnTraining(NamedTuple):
     @property
     def score(self) -> dict[str, float]:
         """What was written of it."""
-        return read_plain(self.folder / SCORE)
+        return read_json(self.folder / SCORE)
 
 
 def benchmark(arguments: list[str], usage: str) -> None:
@@ -154,16 +155,28 @@ def one(training: DrawnTraining) -> None:
     task = TASKS[training.task]
     drawn = task.draw(training.draw)
     with contextlib.suppress(Occupied), turn(training.folder), whole_folder(training.folder) as place:
-        begun = time.perf_counter()
-        options = [*task.models[training.model], f"data.split={list(drawn.split)}", f"seed={training.draw}"]
+        begun = time.process_time()
+        own = (*drawn.options, f"data.split={list(drawn.split)}", f"seed={training.draw}")
+        options = [*task.models[training.model], *own]
         fitted = fit(drawn.data, drawn.space, options, folder=place / "run")
-        seconds = time.perf_counter() - begun
+        seconds = time.process_time() - begun  # of this process, whatever else the machine does
         with torch.no_grad():
-            score = drawn.score(lambda x, steps, dt: fitted.rollout(x, steps, dt))
-        found = {"score": score, "seconds": round(seconds, 1)}
+            found = scored(drawn, lambda x, steps, dt: fitted.rollout(x, steps, dt))
+        found["seconds"] = round(seconds, 1)
         write_atomically(place / SCORE, json.dumps(found).encode())
         name = f"{training.task}, {training.model}, draw {training.draw + 1}"
-        log.info("%s: %.3g in %.0f s", name, score, seconds)
+        log.info("%s: %.3g in %.0f s", name, found["score"], seconds)
+
+
+def scored(drawn: Draw, predict: Predict) -> dict[str, float]:
+    """Return the scores of predictions by their names, and the floor where there is one.
+
+    A prediction that ends nowhere has an infinite score.
+    """
+    scores = {"score": drawn.score, **drawn.also}
+    found = {name: score(predict) for name, score in scores.items()}
+    found |= {} if drawn.floor is None else {"floor": drawn.floor()}
+    return {name: math.inf if math.isnan(value) else value for name, value in found.items()}
 
 
 @contextlib.contextmanager

@@ -21,6 +21,7 @@ from ahnn.data.files.kinds import holds_mean_elements, kind_of
 from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.reference import Reference
 from ahnn.data.start_covariances import covariances_of
+from ahnn.data.start_deviations import deviations_of
 from ahnn.deviations import require_finite, state_deviations
 from ahnn.errors import UserError
 from ahnn.labels import momentum_unit, require_velocities
@@ -95,6 +96,12 @@ def starts(
         log.warning("start_sd: in place of the covariance of %s", path)
     covariance = state_deviations(sd, space, "start_sd").square().diag()
     return found._replace(covariances=covariance.expand(len(found.states), -1, -1))
+
+
+def of_one_state(given: str | list[Any] | None) -> bool:
+    """Return whether a start is a state that has no name: numbers, plain values, or an estimate."""
+    path = Path(given).expanduser() if isinstance(given, str) else None
+    return path is None or path.suffix.lower() in PLAIN or is_track(path)
 
 
 def referred(found: Starts, ours: Reference) -> Starts:
@@ -197,6 +204,13 @@ def of_files(path: Path, space: Space, ours: Reference, *, last: bool, weighed: 
     require_finite(chosen)
     names = files.names if all(files.names) else numbered(len(states))
     found = Starts(names, chosen, moments, reference)
+    own = files.trajectories.times[rows, columns]
+    if weighed and (sds := deviations_of(path, kind, own, weighed=True)) is not None:
+        if frame is not None:
+            message = f"start {path}: expected standard deviations in {frame}; received others. Add start_sd="
+            raise UserError(message)
+        scale = factors if files.momenta else factors * space.scales
+        return found._replace(covariances=(sds[:, order] * scale).square().diag_embed())
     if not weighed or files.epoch is None or kind not in ("oem", "xml", "opm"):
         return found
     size = units.unit(space.units.time).size

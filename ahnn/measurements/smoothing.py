@@ -41,19 +41,21 @@ class Local(NamedTuple):
     chosen: Tensor | None = None
 
 
-def local_polynomials(values: Tensor, offsets: Tensor, middle: int) -> Local:
-    """Return the cubics that fit samples best.
+def local_polynomials(values: Tensor, offsets: Tensor, middle: int, degree: int = DEGREE) -> Local:
+    """Return the polynomials, cubics at most, that fit samples best.
 
     Args:
         values: (E, R, C) samples; one with a NaN does not count.
         offsets: (E, R) their times, measured from where the polynomial is wanted.
         middle: which sample that is.
+        degree: of the polynomials; DEGREE at most.
     """
     there = values.isfinite().all(-1) & offsets.isfinite()
     offsets, values = offsets.masked_fill(~there, 0), values.masked_fill(~there.unsqueeze(-1), 0)
     scale = offsets.abs().amax(1, keepdim=True).clamp(min=torch.finfo(offsets.dtype).tiny)
-    design = (offsets / scale).unsqueeze(-1) ** torch.arange(DEGREE + 1).to(offsets)
-    design = design * there.unsqueeze(-1)
+    powers = torch.arange(DEGREE + 1).to(offsets)
+    design = (offsets / scale).unsqueeze(-1) ** powers
+    design = design * (there.unsqueeze(-1) & (powers <= degree))
     solver = torch.linalg.pinv(design)
     coefficients = solver @ values
     leverage = solver[:, 0, middle]
@@ -117,8 +119,10 @@ def scale_of(local: Local) -> Tensor:
 def around(instrument: Instrument, values: Tensor, times: Tensor, chosen: Tensor, width: int) -> Local:
     """Return polynomials through `width` samples on either side of the chosen ones, (E, 2) row and column.
 
-    Those with hardly a neighbour, such as the only sighting of a pass, are left out.
+    Those with hardly a neighbour, such as the only sighting of a pass, are left out. Where trajectories are
+    so short that none had enough for a cubic, degrees are lower.
     """
+    degree = min(DEGREE, max(0, values.shape[1] - 2))
     offsets = torch.arange(-width, width + 1)
     columns = chosen[:, 1:] + offsets
     inside = (columns >= 0) & (columns < values.shape[1])
@@ -126,5 +130,6 @@ def around(instrument: Instrument, values: Tensor, times: Tensor, chosen: Tensor
     there = times[chosen[:, :1], columns].masked_fill(~inside, torch.nan)
     located = located_at(instrument, values[chosen[:, :1], columns], there.nan_to_num())
     middle = times[chosen[:, 0], chosen[:, 1]].unsqueeze(-1)
-    enough = (located.isfinite().all(-1) & inside).sum(1) > DEGREE + 1
-    return local_polynomials(located[enough], (there - middle)[enough], width)._replace(chosen=chosen[enough])
+    enough = (located.isfinite().all(-1) & inside).sum(1) > degree + 1
+    local = local_polynomials(located[enough], (there - middle)[enough], width, degree)
+    return local._replace(chosen=chosen[enough])

@@ -9,30 +9,66 @@ from statistics import median
 from ahnn.tasks.definition import FieldTask
 
 WIDTH = 80
+OWN = ("score", "seconds", "floor")
+"""Names of what is written of a training; all others are further scores."""
+Scores = Mapping[str, Sequence[Mapping[str, float]]]
+"""What was written of the draws, by model."""
 
 
-def table(name: str, task: FieldTask, scores: Mapping[str, Sequence[Mapping[str, float]]]) -> str:
+def table(name: str, task: FieldTask, scores: Scores) -> str:
     """Return a line for each model: median and range over the draws, beside the best published score.
 
     Args:
         name: of the task.
         task: what it is.
-        scores: `score` and `seconds` of each draw, by model.
+        scores: `score` and `seconds` of each draw, and `floor` or further scores where the task has them.
     """
-    best = min(task.published, key=lambda key: task.published[key])
-    known = ", ".join(f"{key} {value:.2g}" for key, value in task.published.items())
+    floors = sorted({one["floor"] for found in scores.values() for one in found if "floor" in one})
+    known = ", ".join(f"{key} {value:.2g}" for key, value in task.published.items()) or "figures only"
     if task.floor is not None:
         known += f"; floor {task.floor:.2g}"
+    elif floors:
+        known += f"; floor {median(floors):.2g} ({spread(floors)})"
+    unit, of = reference(task, floors)
     lines = [*textwrap.wrap(f"{name}: {task.title}", WIDTH), f"published: {known}"]
-    lines.append(f"  {'model':<18}{'median':>10}{'range':>22}{'draws':>7}{'seconds':>9}  of {best}'s")
+    lines.append(f"  {'model':<18}{'median':>10}{'range':>22}{'draws':>7}{'seconds':>9}  {of}".rstrip())
     for model, found in scores.items():
         values = [one["score"] for one in found]
-        middle = median(values)
-        spread, draws = f"{min(values):.2g} to {max(values):.2g}", len(values)
-        seconds = median(one["seconds"] for one in found)
-        ratio = f"{middle / task.published[best]:.2g}".rjust(len(best) + 5)
-        lines.append(f"  {model:<18}{middle:>10.2g}{spread:>22}{draws:>7}{seconds:>9.0f}  {ratio}")
+        middle, seconds = median(values), median(one["seconds"] for one in found)
+        ratio = f"{middle / unit:.2g}".rjust(len(of)) if unit else ""
+        row = f"  {model:<18}{middle:>10.2g}{spread(values):>22}{len(values):>7}{seconds:>9.0f}  {ratio}"
+        lines.append(row.rstrip())
+        for other in [key for key in found[0] if key not in OWN]:
+            further = [one[other] for one in found]
+            lines.append(f"  {'- ' + other:<18}{median(further):>10.2g}{spread(further):>22}")
     if not scores:
         lines.append("  no training is finished")
+    lines += textwrap.wrap(verdict(task, scores), WIDTH)
     note = f"score: {task.quantity}. Differs: {task.differs}. Source: {task.source}."
     return "\n".join([*lines, *textwrap.wrap(note, WIDTH)])
+
+
+def reference(task: FieldTask, floors: Sequence[float]) -> tuple[float, str]:
+    """Return what scores are compared with, 0 for nothing, and the head of that column."""
+    if task.published:
+        best = min(task.published, key=lambda key: task.published[key])
+        return task.published[best], f"of {best}'s"
+    floor = task.floor if task.floor is not None or not floors else median(floors)
+    return (floor, "of floor") if floor else (0.0, "")
+
+
+def spread(values: Sequence[float]) -> str:
+    """Return the range of some numbers."""
+    return f"{min(values):.2g} to {max(values):.2g}"
+
+
+def verdict(task: FieldTask, scores: Scores) -> str:
+    """Return in how many draws each model is better than the best published score; "" without one."""
+    if not (task.published and scores):
+        return ""
+    unit, of = reference(task, [])
+    parts = [
+        f"{model} in {sum(one['score'] < unit for one in found)} of {len(found)} draws"
+        for model, found in scores.items()
+    ]
+    return f"verdict: better than {of.removeprefix('of ')[:-2]}: {', '.join(parts)}."

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -23,12 +24,18 @@ class Draw(NamedTuple):
         space: of their states.
         split: fractions of the three.
         score: of predictions; less is better.
+        options: overrides of `ahnn.fit` that this drawing needs, such as the size of its noise.
+        floor: the least score that its data allow; None where nobody knows one.
+        also: other scores of the same predictions, by name.
     """
 
     data: Trajectories
     space: Space
     split: tuple[float, float, float]
     score: Callable[[Predict], float]
+    options: tuple[str, ...] = ()
+    floor: Callable[[], float] | None = None
+    also: Mapping[str, Callable[[Predict], float]] = MappingProxyType({})
 
 
 class FieldTask(NamedTuple):
@@ -39,10 +46,11 @@ class FieldTask(NamedTuple):
         source: paper or repository that defines it, with licence.
         quantity: what the score is.
         differs: from the published setting.
-        published: scores by their name there.
+        published: scores by their name there; none where the paper has figures only.
         models: overrides of `ahnn.fit` by the name of a row.
         draw: k -> the k-th drawing of data and starts.
-        floor: what the true form with free constants scores, where somebody measured it.
+        floor: the published one, or what the true form with free constants scores; None where drawings have
+            floors of their own, or where nobody measured one.
     """
 
     title: str

@@ -140,3 +140,21 @@ def test_residuals_are_predicted_minus_measured_in_deviations_and_zero_where_not
     states = torch.tensor([[[2.0, 0.0, 9.0, 9.0], [3.0, 3.0, 9.0, 9.0]]], **DOUBLE)
     assert seen.residuals(states).tolist() == [[[2.0, -0.5], [0.0, 1.0]]]
     assert seen.measured.tolist() == [3]
+
+
+@pytest.mark.parametrize(("samples", "degree"), [(2, 0), (3, 1), (4, 2), (5, 3)])
+def test_trajectories_too_short_for_a_cubic_have_polynomials_of_two_degrees_less_than_samples(
+    samples, degree
+):
+    """Which are exact where the motion is one, and leave an error of the sample in the middle to judge by."""
+    t = torch.rand(30, samples, generator=generator(6), **DOUBLE).sort(dim=1).values
+    motion = COEFFICIENTS * (torch.arange(4) <= degree)
+    exact = (t.unsqueeze(-1) ** torch.arange(4)) @ motion
+    instrument = Instrument(Position(1), torch.ones(1), 0.1, 1, 1.0)
+    local = smoothed(instrument, exact.unsqueeze(-1), t, 1000)
+    row, column = local.chosen.unbind(-1)
+    close(local.value[:, 0], exact[row, column], 1e-9)
+    slope = (t.unsqueeze(-1) ** torch.arange(3)) @ (motion[1:] * torch.arange(1, 4))
+    assert float((local.rate[:, 0] - slope[row, column]).abs().max()) < 1e-6
+    noisy = exact + torch.randn(30, samples, generator=generator(7), **DOUBLE)
+    assert float(smoothed(instrument, noisy.unsqueeze(-1), t, 1000).error.abs().median()) > 0.3

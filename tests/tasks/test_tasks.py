@@ -113,6 +113,24 @@ def test_the_floor_of_chains_is_the_published_one_of_a_start_off_by_a_ten_thousa
     close(chunks, rollout(flow, chunks[:, 0], 0.03, 5), 1e-9)
 
 
+def test_a_table_compares_with_floors_of_the_draws_where_nothing_was_published():
+    task = TASKS["one_orbit"]
+    floors = {1.0: 0.04, 3.0: 0.02, 2.0: 0.08}
+    found = [{"score": s, "seconds": 2.0, "floor": f, "mean": 7.0} for s, f in floors.items()]
+    text = comparison.table("one_orbit", task, {"network": found, "gaussian_process": found[:2]})
+    assert "published: figures only; floor 0.04 (0.02 to 0.08)" in text
+    rows = [line.split() for line in text.splitlines()]
+    assert ["network", "2", "1", "to", "3", "3", "2", "50"] in rows
+    assert ["-", "mean", "7", "7", "to", "7"] in rows
+    assert "verdict" not in text
+
+
+def test_a_verdict_counts_the_draws_that_are_better_than_the_best_published_score():
+    task = TASKS["two_bodies"]
+    scores = {"pairs": [{"score": s, "seconds": 2.0} for s in (1e-5, 3e-5, 4e-5)]}
+    assert "verdict: better than HNN: pairs in 2 of 3 draws." in comparison.table("two_bodies", task, scores)
+
+
 def test_a_table_has_median_and_range_beside_what_was_published():
     task = TASKS["two_bodies"]
     scores = {"pairs": [{"score": s, "seconds": 2.0} for s in (1e-5, 3e-5, 2e-5)]}

@@ -1,0 +1,95 @@
+"""Hénon-Heiles from one noisy orbit of 161 states (Ross & Heinonen 2023)."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import torch
+from torch import Tensor
+
+from ahnn.rollouts import rollout
+from ahnn.systems import HenonHeiles
+from ahnn.systems.truth import exact_flow
+from ahnn.tasks.definition import Draw, FieldTask, Predict, numbers, states
+from ahnn.tasks.shooting_fit import fitted_start
+from ahnn.types import Trajectories
+
+COUPLING = 0.8
+"""H = (p^2 + q^2) / 2 + mu (x^2 y - y^3 / 3): states times mu move as those of mu = 1."""
+DURATION, RATE, TESTED_RATE = 40.0, 4, 10
+NOISE_VARIANCE = 0.05
+"""Of the variance of each component."""
+HORIZONS = (21, 61, 161)
+"""Samples that a start is fitted to, one after the other: 5, 15 and 40 units of time."""
+PIECES = 7
+"""Of 23 samples each."""
+SYSTEM = HenonHeiles(name="henon_heiles", dt=1 / RATE, steps=round(2 * DURATION * RATE))
+
+
+def begin(draw: int) -> Tensor:
+    """Return a start (1, 4) of mu = 0.8, uniform in [-1, 1]^4 where motion is bounded."""
+    generator = numbers(draw)
+    while True:
+        x = states(generator.uniform(-1, 1, (1, 4)))
+        if float(SYSTEM.energy(COUPLING * x)) < 1 / 6:
+            return x
+
+
+def true_motion(x: Tensor, steps: int, dt: float) -> Tensor:
+    """Return the exact motion (B, steps + 1, 4) from states (B, 4)."""
+    return rollout(exact_flow(SYSTEM), COUPLING * x, dt, steps + 1) / COUPLING
+
+
+def draw(k: int) -> Draw:
+    """Return one noisy orbit, and the error of its continuation from the start that fits it best.
+
+    Training sees it in pieces, each with a start of its own: shooting through the whole of it has no way to
+    an optimum. There is nothing else to validate and to test on, so that it stands in all three places.
+    """
+    start = begin(k)
+    with torch.no_grad():
+        exact = true_motion(start, round(DURATION * RATE), 1 / RATE)[0]
+        later = true_motion(start, round(2 * DURATION * TESTED_RATE), 1 / TESTED_RATE)[0]
+    sd = NOISE_VARIANCE**0.5 * exact.std(0, correction=0)
+    noisy = exact + sd * states(numbers(k, 1).standard_normal(exact.shape))
+    unit = noisy.std(0, correction=0)
+    ahead = slice(round(DURATION * TESTED_RATE) + 1, None)
+
+    def score(predict: Predict) -> float:
+        def scaled(x: Tensor, steps: int, dt: float) -> Tensor:
+            return predict(x * unit, steps, dt) / unit
+
+        with torch.no_grad():
+            begun = fitted_start(scaled, noisy / unit, 1 / RATE, HORIZONS)
+            found = scaled(begun[None], len(later) - 1, 1 / TESTED_RATE)[0]
+        return float((found - later / unit)[ahead].square().mean().sqrt())
+
+    times = torch.arange(len(noisy), dtype=torch.float64) / RATE
+    pieces = Trajectories(*(x.unflatten(0, (PIECES, -1)).repeat(3, *[1] * x.ndim) for x in (noisy, times)))
+    return Draw(
+        pieces,
+        SYSTEM.space,
+        (1 / 3, 1 / 3, 1 / 3),
+        score,
+        (f"data.noise={sd.tolist()}", "system.unsound=true"),  # which copies are, without it
+        partial(score, true_motion),
+    )
+
+
+STAGES = "loss.stages=[[4,0.3],[11,0.7],[whole,1.0]]"
+MEASURED = ("sensor=recorded", "recipe=measurements", "data.measured=state", STAGES)
+WAVES = "network=gaussian_process"
+TASK = FieldTask(
+    "Hénon-Heiles, mu 0.8, from one orbit of 161 noisy states",
+    "magnusross/hgp, MIT; Ross & Heinonen 2023, TMLR",
+    f"root mean squared error on ({DURATION:g}, {2 * DURATION:g}] in standard deviations of the data, from "
+    "the start that fits the noisy states best",
+    "the size of the noise is known here; the floor is that of the true equations from the start that fits",
+    {},
+    {
+        "network": ("model=hnn", *MEASURED),
+        "gaussian_process": ("model=hnn", WAVES, *MEASURED),
+        "mechanical_gp": ("model=hnn", WAVES, "hamiltonian=mechanical", *MEASURED),
+    },
+    draw,
+)
