@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ahnn.tracking.unknowns import Smoothness, Unknowns
 
 if TYPE_CHECKING:
-    from ahnn.tracking.orbit_fit import Rows
+    from ahnn.tracking.orbit_fit import WhitenedRows
 
 Array = NDArray[np.float64]
 DEVIATIONS = np.geomspace(1e-2, 1e3, 21)
@@ -20,7 +20,7 @@ LENGTHS = np.geomspace(0.1, 10.0, 13)
 
 
 def chosen_smoothness(
-    unknowns: Unknowns, rows: Rows, weights: Array, x: Array, before: Smoothness
+    unknowns: Unknowns, rows: WhitenedRows, weights: Array, x: Array, before: Smoothness
 ) -> Smoothness:
     """Return the smoothness of the largest evidence, of a grid.
 

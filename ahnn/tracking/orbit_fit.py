@@ -59,7 +59,7 @@ class OrbitProblem:
     smooth: Smoothness | None = None
 
 
-class Linearised(NamedTuple):
+class LinearisedOrbit(NamedTuple):
     """The measurements around one point.
 
     Attributes:
@@ -92,7 +92,7 @@ class OrbitFit:
     """
 
     problem: OrbitProblem
-    point: Linearised
+    point: LinearisedOrbit
     covariance: Array
     noise: Array
     smooth: Smoothness | None
@@ -123,7 +123,7 @@ class OrbitFit:
         )
 
 
-def linearised(problem: OrbitProblem, x: Array) -> Linearised:
+def linearised(problem: OrbitProblem, x: Array) -> LinearisedOrbit:
     """Return residuals and derivatives at a point (Q,); raises TrainingError where they are not finite."""
     data, unknowns = problem.model.data, problem.unknowns
     p = x[6 : 6 + unknowns.forces]
@@ -140,10 +140,10 @@ def linearised(problem: OrbitProblem, x: Array) -> Linearised:
     by[:, :, : 6 + unknowns.forces] = predicted.by_state @ arc.sensitivities(predicted.bounce)
     for place, (station, kind) in enumerate(unknowns.bias, 6 + unknowns.forces):
         by[data.station == station, kind, place] = 1.0
-    return Linearised(x, arc, residuals, by, predicted.elevation)
+    return LinearisedOrbit(x, arc, residuals, by, predicted.elevation)
 
 
-class Rows(NamedTuple):
+class WhitenedRows(NamedTuple):
     """The fitted measurements in one row each.
 
     Attributes:
@@ -159,14 +159,14 @@ class Rows(NamedTuple):
     sd: Array
 
 
-def rows_of(problem: OrbitProblem, point: Linearised, noise: Array) -> Rows:
+def rows_of(problem: OrbitProblem, point: LinearisedOrbit, noise: Array) -> WhitenedRows:
     """Return the measurements that are fitted, whitened."""
     station = problem.model.data.station
     seen = np.isfinite(point.residuals) & problem.used[:, None]
     n, kind = np.nonzero(seen)
     sd = noise[station[n], kind]
     by = point.by_unknowns[n, kind][:, problem.unknowns.free]
-    return Rows(point.residuals[n, kind] / sd, by / sd[:, None], station[n] * len(KINDS) + kind, sd)
+    return WhitenedRows(point.residuals[n, kind] / sd, by / sd[:, None], station[n] * len(KINDS) + kind, sd)
 
 
 def orbit_fit(problem: OrbitProblem) -> OrbitFit:
@@ -200,7 +200,7 @@ def orbit_fit(problem: OrbitProblem) -> OrbitFit:
 
 
 def refined(
-    problem: OrbitProblem, point: Linearised, covariance: Array, noise: Array, smooth: Smoothness | None
+    problem: OrbitProblem, point: LinearisedOrbit, covariance: Array, noise: Array, smooth: Smoothness | None
 ) -> tuple[Array, Smoothness | None]:
     """Return noise and smoothness as the residuals around a point have them."""
     rows = rows_of(problem, point, noise)
@@ -220,8 +220,8 @@ def scaled_inverse(normal: Array) -> Array:
 
 
 def lower(
-    problem: OrbitProblem, point: Linearised, step: Array, noise: Array, weights: Array, precision: Array
-) -> Linearised:
+    problem: OrbitProblem, point: LinearisedOrbit, step: Array, noise: Array, weights: Array, precision: Array
+) -> LinearisedOrbit:
     """Return the point after a step, halved until the cost goes down.
 
     Raises:
@@ -229,7 +229,7 @@ def lower(
     """
     free, mean = problem.unknowns.free, problem.unknowns.mean
 
-    def cost(at: Linearised) -> float:
+    def cost(at: LinearisedOrbit) -> float:
         e, off = rows_of(problem, at, noise).e, (at.x - mean)[free]
         return float(weights @ e**2 + off @ precision @ off)
 

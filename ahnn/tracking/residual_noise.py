@@ -11,7 +11,7 @@ from scipy.stats import norm
 from ahnn.shooting.robust import HUBER
 
 if TYPE_CHECKING:
-    from ahnn.tracking.orbit_fit import Rows
+    from ahnn.tracking.orbit_fit import WhitenedRows
 
 Array = NDArray[np.float64]
 SMALLEST, MOST = 0.05, 10.0
@@ -28,7 +28,7 @@ def huber_weights(e: Array) -> Array:
 
 
 def noise_deviations_of(
-    rows: Rows, weights: Array, covariance: Array, noise: Array, *, robust: bool
+    rows: WhitenedRows, weights: Array, covariance: Array, noise: Array, *, robust: bool
 ) -> Array:
     """Return the noise by station and kind, (stations, 6), that makes residuals as large as they should be.
 

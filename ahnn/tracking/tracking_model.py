@@ -48,7 +48,7 @@ class Corrections:
     centre_of_mass: float = 0.0
 
 
-class Predicted(NamedTuple):
+class PredictedTracking(NamedTuple):
     """What should be measured.
 
     Attributes:
@@ -95,10 +95,10 @@ class TrackingModel:
                 place = place + tidal_displacement(station.position, body, mu)
         return np.einsum("tji,tj->ti", turns, place)
 
-    def __call__(self, arc: SatelliteArc) -> Predicted:
+    def __call__(self, arc: SatelliteArc) -> PredictedTracking:
         """Return what should be measured of a satellite on an arc."""
         n = len(self.data.times)
-        found = Predicted(np.full((n, 6), np.nan), np.zeros((n, 6, 6)), np.empty(n), np.empty(n))
+        found = PredictedTracking(np.full((n, 6), np.nan), np.zeros((n, 6, 6)), np.empty(n), np.empty(n))
         for k, station in enumerate(self.stations):
             rows = self.data.station == k
             if rows.any():
@@ -106,7 +106,9 @@ class TrackingModel:
                     target[rows] = part
         return found
 
-    def _of_station(self, arc: SatelliteArc, station: TrackingStation, rows: NDArray[np.bool_]) -> Predicted:
+    def _of_station(
+        self, arc: SatelliteArc, station: TrackingStation, rows: NDArray[np.bool_]
+    ) -> PredictedTracking:
         path = light_path(
             lambda t: arc.states(t)[:, :3],
             lambda t: self.site(station, t),
@@ -129,7 +131,7 @@ class TrackingModel:
             values[:, 2] += bending(elevation, air)
         elif self.corrections.refraction == "p834":
             values[:, 2] += bending_by_recommendation(elevation, station.height)
-        return Predicted(values, by_state, path.bounce, elevation)
+        return PredictedTracking(values, by_state, path.bounce, elevation)
 
     def _delay(
         self, path: LightPath, elevation: Array, air, station: TrackingStation, wavelength: Array

@@ -104,6 +104,17 @@ def test_a_wrong_line_is_refused_or_noted(table, old, new, said):
     assert (len(data.times), len(faults)) == (5, 1)
 
 
+def test_angles_are_from_minus_half_a_turn_to_a_whole_one(table):
+    for low, high in (("-180", "-90"), ("360", "90")):
+        table.write_text(f"2010-11-02T03:00:13 AZ_EL U {low} {high}\n")
+        (data,) = read_tracking(table)
+        assert np.degrees(data.values[0, 1:3]).tolist() == pytest.approx([float(low), float(high)], rel=1e-14)
+    for azimuth in ("-180.1", "360.1"):
+        table.write_text(f"2010-11-02T03:00:13 AZ_EL U {azimuth} 45\n")
+        with pytest.raises(UserError, match="column azimuth: expected a number from -180 to 360"):
+            read_tracking(table)
+
+
 def test_other_formats_are_refused_by_name(tmp_path):
     (tmp_path / "a.aer").write_text(CPF)
     with pytest.raises(UserError, match=r"received laser ranging predictions \(CPF\)"):
