@@ -12,6 +12,9 @@ epoch=2024-03-01T12:00:00       of time zero; else that of the data of the run, 
 frame=EME2000       also center=EARTH, time_system=UTC: where neither the run nor the start says them
 output=FILE         estimate and covariance after each line, CSV or JSON lines; else standard output
 state=FILE          saved every 1000 lines (every=N); the same command goes on with it after any stop
+objects=COLUMN      whose a line is: many objects, each as if alone; start is a table of their states by id,
+                    or one for all; every=N lines are taken together (100,000); Parquet in and out
+states=FILE         of objects, at the end: their last states, a start of ahnn.predict: .csv, .parquet, .oem
 window=SECONDS      late measurements are merged by replay; lines=N are kept for that at most
 measurement=NAME    what is measured; of several sensors: +measurement@sensors.NAME=OPTION for each
 measurement.bias_sd=NUMBER      its bias is estimated; bias_memory=TIME lets it wander; or of sensors.NAME

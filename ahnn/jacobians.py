@@ -47,7 +47,7 @@ def moved(step: Callable[[Tensor], Tensor], x: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def differenced(
-    flow: Callable[[Tensor, float], Tensor], x: Tensor, dt: float, half: Tensor
+    flow: Callable[[Tensor, float | Tensor], Tensor], x: Tensor, dt: float | Tensor, half: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Return states (B, D) after a step of a flow, and its Jacobians (B, D, D), by central differences.
 
@@ -56,11 +56,12 @@ def differenced(
     Args:
         flow: accurate to rounding.
         x: (B, D).
-        dt: length of the step.
+        dt: length of the step, or (B,) of each.
         half: (D,) half widths of the differences.
     """
     offsets = torch.diag(half).to(x)
     at = torch.cat((x.unsqueeze(1), x.unsqueeze(1) + offsets, x.unsqueeze(1) - offsets), dim=1)
-    after = flow(at.flatten(0, 1), dt).unflatten(0, at.shape[:2])
+    steps = dt.repeat_interleave(at.shape[1]) if isinstance(dt, Tensor) and dt.ndim else dt
+    after = flow(at.flatten(0, 1), steps).unflatten(0, at.shape[:2])
     plus, minus = after[:, 1:].chunk(2, dim=1)
     return after[:, 0], ((plus - minus) / (2.0 * half.to(x).unsqueeze(-1))).mT

@@ -34,6 +34,7 @@ ROOMS = {
     "ahnn_plugins.ekf": "Extended Kalman filter.",
     "ahnn_plugins.enkf": "Ensemble Kalman filter.",
     "ahnn_plugins.particle": "Particle filter.",
+    "ahnn_plugins.imm": "Interacting multiple models.",
 }
 """Rooms with public names, in the order of the navigation, and what they hold."""
 COMMANDS = (

@@ -69,6 +69,7 @@ MAY_IMPORT = {
     "dynamics": GROUND,
     "systems": GROUND | {"dynamics"},
     "data": GROUND | {"systems"},
+    "tracking": GROUND | {"data", "shooting", "systems"},
     "tasks": GROUND | {"systems"},
     "shooting": OPEN | {"measurements"},
     "uncertainty": GROUND | {"dynamics", "shooting"},
@@ -84,7 +85,7 @@ MAY_IMPORT = {
     "loading": GROUND | {"dynamics", "pretrained", "runs", "uncertainty"},
     "jobs": GROUND
     | {"assimilation", "data", "dynamics", "evaluation", "graphs", "models", "prediction", "pretrained"}
-    | {"loading", "runs", "shooting", "training", "uncertainty"},
+    | {"loading", "runs", "shooting", "tracking", "training", "uncertainty"},
 }
 ENTRIES = {
     "train",
@@ -95,6 +96,7 @@ ENTRIES = {
     "report",
     "reproduce",
     "benchmark",
+    "orbit",
     "fitting",
     "cli",
     "__init__",
@@ -102,7 +104,7 @@ ENTRIES = {
 }
 """The doors of the house: they may import every room, and no room imports them."""
 DOORS = [
-    *("train", "evaluate", "predict", "export", "assimilate", "report", "reproduce", "benchmark"),
+    *("train", "evaluate", "predict", "export", "assimilate", "report", "reproduce", "benchmark", "orbit"),
     "data/__main__",
 ]
 """What users call: a command line goes in, `cli` makes values of it, and `jobs` does what they say."""

@@ -98,7 +98,7 @@ MISTAKES = {
     "measurements=none.csv": "file none.csv: No such file",
     "measurements=fixes.csv wndow=3": "unknown key 'wndow'; did you mean 'window'?",
     "measurements=fixes.csv window=-1": "window: expected float >= 0; received -1",
-    "measurements=fixes.csv every=0": "every: expected int >= 1; received 0",
+    "measurements=fixes.csv every=0": "every: expected int >= 1 or None; received 0",
     "measurements=fixes.csv oem=x.oem": "output: expected a FILE",
     "measurements=fixes.csv output=fixes.csv": "output: expected a new file",
     "measurements=fixes.csv start=[1,2]": "start: expected one state or several of [x [km], y",

@@ -67,6 +67,7 @@ NOT_RUN = {
     "mutate.py": "hours: the suite runs once for each change",
     "campaign/run.py": "hours: 3,000 cases",
     "bench_gpu.py": "needs a GPU",
+    "ahnn.orbit ": "needs real measurements; tests/tracking/test_orbit_door.py runs it where they are",
     "ahnn.benchmark all": "hours: ten trainings for each model of each task",
 }
 """Commands that the slow suite leaves out, by a part of them, and why."""

@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
-from ahnn.assimilation.line_parser import Reading
+from ahnn.assimilation.catalogue import Catalogue
+from ahnn.assimilation.instrument_reading import Reading
 from ahnn.assimilation.online import Assimilation, Estimate
+from ahnn.assimilation.reading_table import CatalogueEstimates, ReadingTable
 from ahnn.assimilation.stream_sensor import StreamSensor
 from ahnn.estimation.process_model import Process
 
-__all__ = ["Assimilation", "Estimate", "Process", "Reading", "StreamSensor"]
+__all__ = [
+    "Assimilation",
+    "Catalogue",
+    "CatalogueEstimates",
+    "Estimate",
+    "Process",
+    "Reading",
+    "ReadingTable",
+    "StreamSensor",
+]

@@ -7,7 +7,7 @@ from bisect import bisect_left, bisect_right
 from operator import attrgetter
 from typing import NamedTuple
 
-from ahnn.assimilation.line_parser import Reading
+from ahnn.assimilation.instrument_reading import Reading
 from ahnn.assimilation.stream_controls import Held
 from ahnn.estimation import EstimatorState, Innovation
 

@@ -7,10 +7,11 @@ import json
 import logging
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 from ahnn.arguments import nearest
 from ahnn.assimilation.cells import BadLine, is_missing, number
+from ahnn.assimilation.instrument_reading import Reading
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.assimilation.stream_sensor import StreamSensor
 from ahnn.data.files.columns import control_named
@@ -22,49 +23,8 @@ log = logging.getLogger("ahnn")
 
 TIME, SENSOR, SD = ("time", "t"), "sensor", "sd_"
 """Names of columns: of the time, of the sensor, and what stands before the name of a standard deviation."""
-
-
-class Reading(NamedTuple):
-    """What an instrument said.
-
-    Attributes:
-        time: in the unit of the space.
-        values: M numbers, NaN where one is missing.
-        sensor: its name; "" where there is one sensor.
-        deviations: M standard deviations; None takes those of the sensor.
-        controls: m numbers that hold from its time on, None for one that stays as it is; () changes none.
-
-    One without values is of no sensor: it changes controls, or asks for a prediction.
-    """
-
-    time: float
-    values: tuple[float, ...] = ()
-    sensor: str = ""
-    deviations: tuple[float, ...] | None = None
-    controls: tuple[float | None, ...] = ()
-
-    @classmethod
-    def of_plain(
-        cls,
-        time: float,
-        values: list[float],
-        sensor: str,
-        deviations: list[float] | None,
-        controls: list[float | None],
-    ) -> Reading:
-        """Return the reading whose parts are lists."""
-        own = None if deviations is None else tuple(deviations)
-        return cls(time, tuple(values), sensor, own, tuple(controls))
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether nothing was measured."""
-        return all(map(math.isnan, self.values))
-
-    @property
-    def label(self) -> str:
-        """Its time, and which sensor it is of."""
-        return f"time {self.time:g}" + (f" of sensor {self.sensor}" if self.sensor else "")
+RESERVED = frozenset(',"\n\r')
+"""What the name of an object does not have: it is a cell of tables."""
 
 
 class Layout:
@@ -75,6 +35,7 @@ class Layout:
         sensors: by name.
         clock: what times mean; None takes numbers alone.
         controls: names of the controls of the model.
+        objects: name of the column that says whose a line is; "" where all are of one object.
 
     Raises:
         UserError: a header without time, with a column that no sensor has or in a unit that does not fit it,
@@ -87,11 +48,16 @@ class Layout:
         sensors: Mapping[str, StreamSensor],
         clock: StreamClock | None = None,
         controls: tuple[str, ...] = (),
+        objects: str = "",
     ) -> None:
-        self.sensors, self.clock, self.controls = sensors, clock, controls
+        self.sensors, self.clock, self.controls, self.objects = sensors, clock, controls, objects
         self.only = next(iter(sensors)) if len(sensors) == 1 else None
         self.measured = {key for sensor in sensors.values() for key in _keys(sensor)}
         self.known = {*TIME, SENSOR, *controls, *self.measured}
+        if objects in self.known:
+            message = f"objects: expected a column beside {', '.join(sorted(self.known))}; received {objects}"
+            raise UserError(message)
+        self.known |= {objects} - {""}
         self.foreign = {key: self.measured - _keys(sensor) for key, sensor in sensors.items()}
         if clash := self.measured & {*controls}:
             message = f"measurements: expected sensors that measure no control; received {', '.join(clash)}"
@@ -109,8 +75,9 @@ class Layout:
             except BadLine as error:
                 message = f"measurements: expected a header; received {first[:40]!r} ({error})"
                 raise UserError(message) from error
-            if len({*self.names}) < len(self.names) or len({*TIME} & {*self.names}) != 1:
-                expected = f"a header with time and {self._expected()}, each once"
+            whole = len({*TIME} & {*self.names}) == 1 and {objects} <= {"", *self.names}
+            if len({*self.names}) < len(self.names) or not whole:
+                expected = f"a header with {self._expected()}, each once"
                 message = f"measurements: expected {expected}; received {first.strip()!r}"
                 raise UserError(message)
             self._require_deviations({*self.names})
@@ -121,7 +88,24 @@ class Layout:
         Raises:
             BadLine: it is no measurement.
         """
-        row = self._cells(text) if self.names else self._object(text)
+        return self.reading_of(self.row(text))
+
+    def row(self, text: str) -> dict[str, Any]:
+        """Return what stands in a line, by the names of the columns; raises BadLine."""
+        return self._cells(text) if self.names else self._object(text)
+
+    def object_of(self, row: dict[str, Any]) -> str:
+        """Return the name of the object that a row is of; raises BadLine."""
+        cell = row.get(self.objects)
+        name = "" if is_missing(cell) or isinstance(cell, bool) else str(cell).strip()
+        if not name or not isinstance(cell, str | int) or not {*name}.isdisjoint(RESERVED):
+            expected = "the name of an object, without commas and quotes"
+            message = f"{self.objects}: expected {expected}; received {str(cell)[:40]!r}"
+            raise BadLine(message)
+        return name
+
+    def reading_of(self, row: dict[str, Any]) -> Reading:
+        """Return what a row says; raises BadLine."""
         name, time, controls = row.get(SENSOR) or self.only, self._time(row), self._controls(row)
         if name is None and all(is_missing(row[key]) for key in row.keys() & self.measured):
             return Reading(time, controls=controls)
@@ -129,7 +113,7 @@ class Layout:
             message = f"sensor: expected one of {', '.join(self.sensors)}; received {row.get(SENSOR)!r}"
             raise BadLine(message)
         sensor = self.sensors[name]
-        self._say_unused(name, row)
+        self.say_unused(name, row)
         values = tuple([self._number(row, column) for column in sensor.columns])
         return Reading(time, values, name, self._deviations(row, sensor, values), controls)
 
@@ -159,7 +143,7 @@ class Layout:
             return ()
         return tuple([None if math.isnan(value) else value for value in given])
 
-    def _say_unused(self, name: str, row: dict[str, Any]) -> None:
+    def say_unused(self, name: str, row: dict[str, Any]) -> None:
         """Warn, once for each sensor and column, of numbers that no reading of that sensor has."""
         for key in self.foreign[name]:
             if key in row and (name, key) not in self.said and not is_missing(row[key]):
@@ -195,7 +179,7 @@ class Layout:
             message = f"expected a JSON object; received {text[:40]!r}"
             raise BadLine(message)
         if unknown := row.keys() - self.known:
-            message = f"expected time and {self._expected()}; received {sorted(unknown)[0]!r}"
+            message = f"expected {self._expected()}; received {sorted(unknown)[0]!r}"
             raise BadLine(message)
         return row
 
@@ -238,7 +222,7 @@ class Layout:
         found = HEADER.fullmatch(cell)
         name = self._called(found["name"] if found else cell)
         if name not in self.known:
-            expected = f"a header with time and {self._expected()}"
+            expected = f"a header with {self._expected()}"
             message = (
                 f"measurements: expected {expected}; received {name!r}{nearest(name, sorted(self.known))}"
             )
@@ -276,7 +260,8 @@ class Layout:
 
     def _expected(self) -> str:
         names = dict.fromkeys(name for one in self.sensors.values() for name in one.columns)
-        return ", ".join((*names, *self.controls))
+        others = [self.objects] if self.objects else []
+        return "time and " + ", ".join((*others, *names, *self.controls))
 
 
 def _keys(sensor: StreamSensor) -> set[str]:

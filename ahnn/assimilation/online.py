@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
@@ -14,24 +13,16 @@ from torch import Tensor
 
 from ahnn.arguments import Count, Finite, Positive, Within, checked
 from ahnn.assimilation.cells import BadLine
+from ahnn.assimilation.instrument_reading import Reading
 from ahnn.assimilation.late_readings import KeptReading, ReadingWindow
-from ahnn.assimilation.line_parser import Reading
 from ahnn.assimilation.stream_controls import StreamControls
-from ahnn.assimilation.stream_sensor import StreamSensor, plain
+from ahnn.assimilation.stream_models import FURTHEST, StreamModels
+from ahnn.assimilation.stream_sensor import StreamSensor
 from ahnn.controls import ControlTable
 from ahnn.errors import UserError
 from ahnn.estimation import Belief, EstimatorState, Innovation, Status, load_notes, load_state, save_state
 from ahnn.estimation.process_model import Process
-from ahnn.estimation.sensor_error import SensorError
-from ahnn.measurements import Measurement
 
-HOPELESS = 1e16
-"""NIS of a number, 1e8 standard deviations: what is added to the state has no digit of it left."""
-FURTHEST = 10_000
-"""Steps of the flow that a reading may lie ahead, where nothing else is asked for."""
-
-LOST = (Status.NOT_FINITE, Status.COLLAPSED, Status.IMPRECISE)
-"""What a single reading of absurd size, or of absurd precision, makes of a filter."""
 Outcome = Literal["taken", "rejected", "predicted", "repeated", "late", "ahead"]
 """What became of a reading: it counted, the gate refused it, it was empty, it was there already, it came too
 late, or it lies too far ahead. The last three leave the estimate as it was."""
@@ -95,13 +86,12 @@ class Assimilation:
             message = f"start: expected a belief about one state; received {tuple(start.mean.shape)}"
             raise UserError(message)
         self.sensors, self.span, self.lines = dict(sensors), window, lines
-        self.errors = SensorError.of({name: sensor.biases for name, sensor in sensors.items()})
-        self.process = process if self.errors is None else self.errors.process(process)
         self.gap = FURTHEST * process.max_step if gap is None else gap
         self.size = start.mean.shape[-1]
         self.controls = StreamControls.of(process.flow, controls, time)
         with torch.inference_mode():
-            self._models = {name: self._seen(name, sensor) for name, sensor in self.sensors.items()}
+            self.models = StreamModels(process, sensors)
+            self.errors, self.process = self.models.errors, self.models.process
             self._factors = {
                 name: sensor.factor(None) for name, sensor in self.sensors.items() if sensor.deviations
             }
@@ -192,13 +182,7 @@ class Assimilation:
     @property
     def identity(self) -> str:
         """What determines the estimates besides start and readings, in 32 hexadecimal digits."""
-        sensors = {
-            name: [plain(one.measurement), one.deviations, *(one.biases or ())]
-            for name, one in self.sensors.items()
-        }
-        numbers = self.span, self.lines, self.gap, self.process.max_step
-        content = json.dumps([self.process.about, sensors, numbers], sort_keys=True)
-        return hashlib.blake2b(content.encode(), digest_size=16).hexdigest()
+        return self.models.identity((self.span, self.lines, self.gap, self.process.max_step))
 
     def _others(self, path: str | Path, notes: Mapping[str, str], time: float) -> str:
         """Return what a state that holds at a time was made with and is not ours; "" where all is."""
@@ -213,11 +197,6 @@ class Assimilation:
                 "same ones, added to behind it at most, or begin again with another state and output"
             )
         return ""
-
-    def _seen(self, name: str, sensor: StreamSensor) -> Measurement:
-        """Return the model of a sensor, of all that is estimated."""
-        model = self.process.seen(sensor.measurement)
-        return model if self.errors is None else self.errors.measurement(model, name)
 
     def _named(self, reading: Reading) -> Reading:
         """Return the reading under the name of its sensor; one without values needs none."""
@@ -250,37 +229,21 @@ class Assimilation:
         if reading.values:
             state, innovation = self._updated(state, reading)
         if status := int(state.status):
-            by = f", by sensor {reading.sensor}" if reading.sensor else ""
-            message = (
-                f"expected a filter that follows its measurements; it is {Status(status).name} at time "
-                f"{reading.time:g}{by}"
-            )
-            raise Diverged(message)
+            raise Diverged(lost_filter(status, reading.time, reading.sensor))
         entry = KeptReading(reading.time, reading, state, innovation, self.controls.after(held, reading))
         return window._replace(entries=(*window.entries, entry))
 
     def _updated(self, before: EstimatorState, reading: Reading) -> tuple[EstimatorState, Innovation]:
         """Return the state given a reading at its time, and what that told; raises BadLine."""
-        own, model = reading.deviations, self._models[reading.sensor]
+        own, model = reading.deviations, self.models.seen[reading.sensor]
         factor = self._factors[reading.sensor] if own is None else self.sensors[reading.sensor].factor(own)
         y = torch.tensor([reading.values], dtype=torch.float64)
         state, innovation = self.process.estimator.update(before, y, model, factor)
-        absurd = float(innovation.nis) > HOPELESS * y.numel() and not bool(innovation.rejected)
-        if (int(state.status) in LOST or absurd) and not reading.is_empty:
-            self._require_reading_at_fault(before, reading)
+        if bool(self.models.at_fault(reading.sensor, (before, state), innovation, y, model)):
+            columns = self.sensors[reading.sensor].columns
+            said = [f"{name} {value:g}" for name, value in zip(columns, reading.values, strict=True)]
+            raise BadLine(absurd_numbers(said, reading.deviations or ()))
         return state, innovation
-
-    def _require_reading_at_fault(self, state: EstimatorState, reading: Reading) -> None:
-        """Raise BadLine where the filter takes what it expects to read: the reading is no measurement."""
-        model, sensor = self._models[reading.sensor], self.sensors[reading.sensor]
-        y = model(state.moments.mean, reading.time)
-        factor = sensor.factor(sensor.deviations or (1.0,) * len(sensor.columns))
-        after, _ = self.process.estimator.update(state, y, model, factor)
-        if int(after.status) not in LOST:
-            said = [f"{name} {value:g}" for name, value in zip(sensor.columns, reading.values, strict=True)]
-            said += [f"sd {sd:g}" for sd in reading.deviations or ()]
-            message = f"expected numbers that leave a finite, precise estimate; received {', '.join(said)}"
-            raise BadLine(message)
 
     def _estimate(
         self, outcome: Outcome, innovation: Innovation | None = None, replayed: int = 0
@@ -288,3 +251,17 @@ class Assimilation:
         mean, chol = self.window.state.moments
         chol = chol[0, : self.size, : self.size]
         return Estimate(outcome, self.window.time, mean[0, : self.size], chol @ chol.T, innovation, replayed)
+
+
+def absurd_numbers(said: list[str], deviations: Sequence[float]) -> str:
+    """Return what is wrong with numbers that no filter takes, which are spelled already."""
+    received = ", ".join([*said, *(f"sd {sd:g}" for sd in deviations)])
+    return f"expected numbers that leave a finite, precise estimate; received {received}"
+
+
+def lost_filter(status: int, time: float, sensor: str) -> str:
+    """Return what has become of a filter at a time, by a sensor where one has a part in it."""
+    by = f", by sensor {sensor}" if sensor else ""
+    return (
+        f"expected a filter that follows its measurements; it is {Status(status).name} at time {time:g}{by}"
+    )

@@ -20,7 +20,7 @@ from ahnn.data.estimate_table import COVARIANCE, DEVIATION, FIRST, INNOVATION
 from ahnn.data.files.sidecar import Sidecar
 from ahnn.errors import UserError
 
-Format = Literal["csv", "json"]
+Format = Literal["csv", "json", "parquet"]
 TAIL = 1 << 14
 """Bytes at the end of an output that a state knows by their hash."""
 
@@ -31,7 +31,7 @@ class Rows:
     Args:
         components: of the state.
         sensors: by name.
-        kind: csv or json.
+        kind: csv or json, or of many objects parquet.
         said: units and frame, which go beside a file; None writes none.
     """
 
@@ -183,6 +183,11 @@ class Output:
         """Close a file; standard output stays open."""
         if self.file is not sys.stdout.buffer:
             self.file.close()
+
+    def remove(self, path: str) -> None:
+        """Remove what was written."""
+        if path != "-":
+            Path(path).unlink(missing_ok=True)
 
     def sync(self) -> None:
         """Wait until the rows are on the disk."""

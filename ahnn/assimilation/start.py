@@ -38,25 +38,34 @@ class Begin(NamedTuple):
     reference: Reference
 
 
-def belief_of(found: Starts, deviations: list[float] | None, space: Space, carry: Carry) -> Belief:
-    """Return the belief about the one state of some starts.
+def belief_of(
+    found: Starts, deviations: list[float] | None, space: Space, carry: Carry, *, many: bool = False
+) -> Belief:
+    """Return the belief about the one state of some starts, or those about all of many objects.
 
     Args:
         found: the starts.
         deviations: standard deviations where the start has no covariance.
         space: what the numbers of a state mean.
         carry: takes the covariance of an earlier state to the time of the start.
+        many: whether there are many objects.
 
     Raises:
-        UserError: several states, or no covariance.
+        UserError: several states of one object, or no covariance.
     """
-    if len(found.states) != 1:
-        names = ", ".join(found.names)
-        message = f"start: expected one state; received {len(found.states)}: {names}. Keep one of them"
+    if len(found.states) != 1 and not many:
+        names = ", ".join(found.names[:5]) + (", .." if len(found.names) > 5 else "")
+        remedy = "Keep one of them, or name the column of objects, objects=COLUMN"
+        message = f"start: expected one state; received {len(found.states)}: {names}. {remedy}"
         raise UserError(message)
     covariance = found.covariances
     if covariance is None:
         covariance = state_deviations(deviations, space, "start_sd").square().diag()
+    elif found.since is not None and many:
+        message = (
+            "start: expected covariances of the last states; received those of earlier ones. Add start_sd="
+        )
+        raise UserError(message)
     elif found.since is not None:
         times, states = found.since
         covariance = carry(states, torch.cat((times, found.times)), covariance)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import torch
 
-from ahnn.assimilation.line_parser import Reading
+from ahnn.assimilation.instrument_reading import Reading
 from ahnn.controls import ControlTable
 from ahnn.data.files.table import LARGEST
 from ahnn.errors import UserError

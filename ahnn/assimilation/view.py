@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from ahnn.assimilation.line_parser import Reading
+from ahnn.assimilation.instrument_reading import Reading
 from ahnn.assimilation.online import Estimate
 from ahnn.estimation.consistency import band
 from ahnn.labels import momentum_unit

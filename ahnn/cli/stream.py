@@ -12,7 +12,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from torch import Tensor
 
 from ahnn.arguments import check_arguments, nearest
-from ahnn.assimilation import Assimilation, Process, StreamSensor
+from ahnn.assimilation import Assimilation, Catalogue, Process, StreamSensor
 from ahnn.assimilation.assimilation_record import require_orbit
 from ahnn.assimilation.start import begin, belief_of
 from ahnn.assimilation.stream_clock import StreamClock
@@ -24,11 +24,11 @@ from ahnn.cli.unused_keys import refuse, unread_online
 from ahnn.data import SplitData
 from ahnn.data.files.epochs import spelled
 from ahnn.data.reference import Reference
-from ahnn.data.starts import starts
+from ahnn.data.starts import of_one_state, starts
 from ahnn.errors import UserError
 from ahnn.evaluation import Case, EvaluationPlugin
 from ahnn.evaluation.make_case import make_case
-from ahnn.jobs.assimilating import AssimilationRequest, Stream, require_places
+from ahnn.jobs.assimilation_request import AssimilationRequest, Stream, require_places
 from ahnn.jobs.control_times import control_names, known_controls
 from ahnn.loading import load
 from ahnn.measurements import reading
@@ -185,10 +185,15 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
         about = {"label": cfg.label, "seed": cfg.evaluation.seed, "folder": run.folder}
         return make_case(run.dynamics, splits, **about, uncertainty=run.uncertainty, domain=run.domain)
 
-    belief = belief_of(found, deviations, run.space, carry)
+    belief = belief_of(found, deviations, run.space, carry, many=asked.objects is not None)
     limits = {"window": asked.window, "lines": asked.lines, "gap": asked.gap}
     process = build_process(cfg, run, case)
-    filtering = Assimilation(process, sensors, belief, time=time, controls=controls, **limits)
+    if asked.objects is None:
+        filtering = Assimilation(process, sensors, belief, time=time, controls=controls, **limits)
+    else:
+        names = None if of_one_state(asked.start) else found.names
+        times = time + found.times - found.times[0]
+        filtering = Catalogue(process, sensors, belief, names, times=times, **limits)
     name = asked.object or (found.names[0] if isinstance(asked.start, str) else "UNKNOWN")
     return Stream(asked, run.space, filtering, clock, reference, name, control_names(run))
 

@@ -1,10 +1,10 @@
 """Look data over before anything is learned from them: `python -m ahnn.data check PATH...`.
 
-PATH...        files as system=files reads them, docs/data.md
+PATH...        files as system=files reads them, docs/data.md, or of tracking, docs/tracking.md
 figures=DIR    draw them, with what was found, into a folder as PNG and SVG
 mass=M         and gap, frame, step, duration: the keys of system=files
 
-It ends with 2 where something would spoil a training, and with 0 where nothing would.
+It ends with 2 where something would spoil a training or an orbit, and with 0 where nothing would.
 """
 
 from __future__ import annotations

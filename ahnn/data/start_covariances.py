@@ -10,10 +10,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ahnn.data.files import Ephemeris, read_oem
+from ahnn.data.files import Ephemeris, read_oem, read_opm
 from ahnn.data.files.ephemeris import of_orbits
 from ahnn.data.files.epochs import SECOND
 from ahnn.data.files.frames import turned
+from ahnn.data.files.kinds import kind_of
+from ahnn.data.files.raw import content_of
 from ahnn.data.files.samples import Array, Track
 from ahnn.data.reference import alias
 from ahnn.errors import UserError
@@ -52,7 +54,7 @@ def covariances_of(
     Raises:
         UserError: axes that cannot be turned into those of the states.
     """
-    segments = read_oem(path)
+    segments = (read_opm if kind_of(content_of(path), str(path)) == "opm" else read_oem)(path)
     if not any(one.covariances for one in segments):
         return None
     found = [latest(one, moment, frame, path, earlier) for one, moment in zip(segments, moments, strict=True)]

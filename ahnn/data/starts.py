@@ -17,10 +17,11 @@ from ahnn.contents import plain_yaml
 from ahnn.data.estimate_table import is_track, last_estimate
 from ahnn.data.files import Files, instant, units
 from ahnn.data.files.epochs import SECOND
-from ahnn.data.files.kinds import kind_of
+from ahnn.data.files.kinds import holds_mean_elements, kind_of
 from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.reference import Reference
 from ahnn.data.start_covariances import covariances_of
+from ahnn.data.start_deviations import deviations_of
 from ahnn.deviations import require_finite, state_deviations
 from ahnn.errors import UserError
 from ahnn.labels import momentum_unit, require_velocities
@@ -82,7 +83,7 @@ def starts(
         raise UserError(message)
     if path is None:
         found = of_numbers(given, space)
-    elif is_track(path) or path.suffix.lower() in PLAIN:
+    elif is_track(path) or (path.suffix.lower() in PLAIN and not holds_mean_elements(path)):
         found = of_track(path, space) if is_track(path) else of_plain(path, space)
         if frame := found.reference.turn(ours, f"start {path}"):
             message = f"start {path}: expected frame {frame}, that of the model; received {found.reference}"
@@ -95,6 +96,12 @@ def starts(
         log.warning("start_sd: in place of the covariance of %s", path)
     covariance = state_deviations(sd, space, "start_sd").square().diag()
     return found._replace(covariances=covariance.expand(len(found.states), -1, -1))
+
+
+def of_one_state(given: str | list[Any] | None) -> bool:
+    """Return whether a start is a state that has no name: numbers, plain values, or an estimate."""
+    path = Path(given).expanduser() if isinstance(given, str) else None
+    return path is None or path.suffix.lower() in PLAIN or is_track(path)
 
 
 def referred(found: Starts, ours: Reference) -> Starts:
@@ -170,7 +177,7 @@ def of_track(path: Path, space: Space) -> Starts:
 def of_files(path: Path, space: Space, ours: Reference, *, last: bool, weighed: bool) -> Starts:
     """Return the first or the last state of each trajectory in a data file; raises UserError."""
     kind = kind_of(content_of(path), str(path))
-    second = 1.0 if kind == "elements" else None  # between the two samples that SGP4 gives
+    second = 1.0 if kind in ("elements", "omm") else None  # between the two samples that SGP4 gives
 
     def read(frame: Any = None) -> Files:
         return Files("start", str(path), mass=space.mass, frame=frame, step=second, duration=second)
@@ -197,7 +204,14 @@ def of_files(path: Path, space: Space, ours: Reference, *, last: bool, weighed: 
     require_finite(chosen)
     names = files.names if all(files.names) else numbered(len(states))
     found = Starts(names, chosen, moments, reference)
-    if not weighed or files.epoch is None or kind not in ("oem", "xml"):
+    own = files.trajectories.times[rows, columns]
+    if weighed and (sds := deviations_of(path, kind, own, weighed=True)) is not None:
+        if frame is not None:
+            message = f"start {path}: expected standard deviations in {frame}; received others. Add start_sd="
+            raise UserError(message)
+        scale = factors if files.momenta else factors * space.scales
+        return found._replace(covariances=(sds[:, order] * scale).square().diag_embed())
+    if not weighed or files.epoch is None or kind not in ("oem", "xml", "opm"):
         return found
     size = units.unit(space.units.time).size
     since = [files.epoch + round(float(time) * size * SECOND) for time in moments]

@@ -22,13 +22,22 @@ NO_TIME = "flow: expected the time at which a step begins, on which forces depen
 def at(flow: Flow, time: float | Tensor) -> Flow:
     """Return a flow from an instant on; one that does not depend on time comes back as it is.
 
+    Args:
+        flow: any flow.
+        time: of the instant, or (B,) of one for each of B members.
+
     Raises:
         UserError: a flow with controls, which no clock tells.
     """
     if not clock_of(flow):
         return flow
     own = getattr(flow, "at", None)
-    return own(time) if own is not None else Bound(flow, float(time))
+    return own(time) if own is not None else Bound(flow, _instant(time))
+
+
+def _instant(time: float | Tensor) -> float | Tensor:
+    """Return one time as a number, times of members as they are."""
+    return time if isinstance(time, Tensor) and time.ndim else float(time)
 
 
 class Bound(NamedTuple):
@@ -36,12 +45,12 @@ class Bound(NamedTuple):
 
     Attributes:
         flow: which depends on time.
-        time: at which its steps begin.
+        time: at which its steps begin, or (B,) of each member.
         controls: values and rates there, (m,) each, or (B, m); None where it depends on time alone.
     """
 
     flow: Flow
-    time: float
+    time: float | Tensor
     controls: tuple[Tensor, Tensor] | None = None
 
     def clock(self, x: Tensor) -> Clock:
@@ -52,7 +61,10 @@ class Bound(NamedTuple):
                 "`ahnn.dynamics.flow_at_time.steered` makes them known"
             )
             raise UserError(message)
-        t = x.new_full((len(x), 1), self.time)
+        if isinstance(self.time, Tensor):
+            t = of_members(self.time.to(x).unsqueeze(-1), len(x))
+        else:
+            t = x.new_full((len(x), 1), self.time)
         known = Clock(t, torch.ones_like(t))
         if self.controls is None:
             return known
@@ -63,7 +75,7 @@ class Bound(NamedTuple):
         """Return the states (B, 2n) after dt."""
         return stepped(self.flow, x, dt, self.clock(x))
 
-    def transition(self, x: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+    def transition(self, x: Tensor, dt: TimeStep) -> tuple[Tensor, Tensor]:
         """Return the states (B, 2n) after dt, and the state transitions (B, 2n, 2n)."""
         after, moved = transition(self.flow, extended(x, self.clock(x)), dt)
         count = clock_of(self.flow)

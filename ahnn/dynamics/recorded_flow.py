@@ -61,13 +61,13 @@ class _Recorded:
         self.flow = flow
         self._known: dict[torch.Size, Callable[[Tensor, Tensor], Tensor]] = {}
 
-    def transition(self, x: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+    def transition(self, x: Tensor, dt: TimeStep) -> tuple[Tensor, Tensor]:
         """Return the states (B, D) after dt, and the state transitions (B, D, D)."""
         return transition(self.flow, x, dt)
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the states (B, D) after dt."""
-        if followed():
+        if followed() or (isinstance(dt, Tensor) and dt.ndim):  # steps of members are of large batches
             return self.flow(x, dt)
         step = torch.as_tensor(dt, dtype=torch.float64)
         with _RECORDING:

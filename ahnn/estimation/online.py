@@ -56,12 +56,32 @@ def online_process(
         "force_error": None if force_error is None else force_error.about,
     }
     if force_error is None:
-        noise = lru_cache(LENGTHS)(lambda dt: Factor(math.sqrt(dt / interval) * chol))
-        return Process(estimator, recorded(flow), noise, interval, about=known)
+        return Process(estimator, recorded(flow), WhiteNoise(chol, interval), interval, about=known)
     error = force_error
     noise = lru_cache(LENGTHS)(lambda dt: _augmented(math.sqrt(dt / interval) * chol, error, dt))
     lifted, seen = error.belief, error.measurement
     return Process(estimator, error.flow(recorded(flow)), noise, interval, lifted, seen, known)
+
+
+class WhiteNoise:
+    """Q of a step of any length, of white noise.
+
+    Args:
+        chol: (D, D) factor of Q of a step of `interval`.
+        interval: length of that step.
+    """
+
+    def __init__(self, chol: Tensor, interval: float) -> None:
+        self.chol, self.interval = chol, interval
+        self._known = lru_cache(LENGTHS)(lambda dt: Factor(math.sqrt(dt / interval) * chol))
+
+    def __call__(self, dt: float) -> Factor:
+        """Return the factor of Q of a step dt."""
+        return self._known(dt)
+
+    def each(self, lengths: Tensor) -> Factor:
+        """Return the factors (B, D, D) of Q of steps (B,)."""
+        return Factor((lengths / self.interval).sqrt()[:, None, None] * self.chol)
 
 
 def weights_hash(flow: Flow) -> str:

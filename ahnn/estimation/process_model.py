@@ -7,14 +7,16 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import torch
+from torch import Tensor
 
 from ahnn.controls import ControlTable
 from ahnn.dynamics.flow_at_time import steered
 from ahnn.estimation.belief import Belief
-from ahnn.estimation.covariances import Covariance
+from ahnn.estimation.covariances import Covariance, Factor, covariance_factor
 from ahnn.estimation.estimator import RecursiveEstimator, S
+from ahnn.estimation.member_steps import MemberFlow, member_rows, put_rows
 from ahnn.measurements import Measurement
-from ahnn.substeps import substeps
+from ahnn.substeps import substeps, substeps_of_each
 from ahnn.types import Flow
 
 
@@ -29,7 +31,8 @@ class Process(NamedTuple):
     Attributes:
         estimator: it predicts and updates.
         flow: the process model.
-        noise: Q of a step, as a function of its length.
+        noise: Q of a step, as a function of its length; one with a method `each` gives factors (B, D, D) of
+            lengths (B,), too.
         max_step: longest step of the flow; longer gaps are cut into equal ones.
         lifted: from a belief about the state to one about all that is estimated, the state first.
         seen: from a measurement model of the state to one of all that is estimated.
@@ -66,3 +69,46 @@ class Process(NamedTuple):
                 state = self.estimator.predict(state, flow, length, self.noise(length))
             state = state._replace(time=torch.tensor(end, dtype=torch.float64))
         return state
+
+    def members_advanced(self, state: S, since: Tensor, times: Tensor) -> S:
+        """Return the state of B members, each from a time of its own to a later one: `advanced` of each.
+
+        The time of the result means nothing.
+
+        Args:
+            state: of the estimator.
+            since: (B,).
+            times: (B,); who is not to move has the same time or an earlier one.
+        """
+        gaps = times - since
+        counts = substeps_of_each(gaps, self.max_step) * (gaps > 0)
+        lengths = gaps / counts
+        for k in range(int(counts.max())):
+            moving = counts > k
+            whole = bool(moving.all())
+            part, own = (state, lengths) if whole else (member_rows(state, moving), lengths[moving])
+            begun = since + k * lengths
+            flow = MemberFlow(self.flow, begun if whole else begun[moving], own)
+            part = self.estimator.predict(part, flow, 1.0, self.noises(own))
+            if whole:
+                state = part
+            else:
+                state = member_rows(state, torch.arange(len(gaps)))  # a copy
+                put_rows(state, moving, part)
+        return state
+
+    def noises(self, lengths: Tensor) -> Factor:
+        """Return the factors of Q, (B, D, D), of steps of lengths (B,)."""
+        each = getattr(self.noise, "each", None)
+        if each is not None:
+            return each(lengths)
+        known, which = lengths.unique(return_inverse=True)
+        return Factor(torch.stack([factored(self.noise(dt)) for dt in known.tolist()])[which])
+
+
+def factored(covariance: Covariance) -> Tensor:
+    """Return the lower factor (D, D) of a process noise (D, D); raises ValueError for what is none."""
+    if isinstance(covariance, Factor):
+        return covariance.chol
+    size = len(torch.as_tensor(covariance))
+    return covariance_factor(covariance, "Q", batch=1, size=size, definite=False)

@@ -21,8 +21,8 @@ from torch.nn.functional import pad
 
 from ahnn.dynamics.flow_at_time import wrapped
 from ahnn.estimation.belief import Belief
-from ahnn.estimation.covariances import Factor, covariance_factor
-from ahnn.estimation.process_model import Process
+from ahnn.estimation.covariances import Factor
+from ahnn.estimation.process_model import Process, factored
 from ahnn.measurements import Biases, Measurement, Time, periods, residual
 from ahnn.types import Flow, TimeStep
 
@@ -116,11 +116,7 @@ class SensorError(NamedTuple):
 
         @lru_cache(LENGTHS)
         def noise(dt: float) -> Factor:
-            inner = process.noise(dt)
-            if not isinstance(inner, Factor):
-                size = len(torch.as_tensor(inner))
-                inner = Factor(covariance_factor(inner, "Q", batch=1, size=size, definite=False))
-            return Factor(torch.block_diag(inner.chol, self._kick(dt).diag()))
+            return Factor(torch.block_diag(factored(process.noise(dt)), self._kick(dt).diag()))
 
         about = {**process.about, "sensor_error": [*self.about, self.places]}
         return process._replace(flow=self.flow(process.flow), noise=noise, lifted=lifted, about=about)

@@ -21,6 +21,7 @@ from ahnn.files import write_atomically
 from ahnn.manifest import require_own
 from ahnn.progress import track
 
+LEVELS = ("fault", "warning", "note")
 SHOWN = 5
 """Findings of a kind that the table lists; the others are counted."""
 CURVES = 6
@@ -35,24 +36,31 @@ LOOKS = tuple(
 
 def checkup(found: Examined) -> RenderableType:
     """Return the findings as a table, faults first, and a line that sums them up."""
-    levels = {
-        level: [one for one in found.findings if one.level == level] for level in ("fault", "warning", "note")
-    }
-    counts = ", ".join(f"{len(part)} {level}{'s' * (len(part) != 1)}" for level, part in levels.items())
+    counts = counted(found.findings)
     samples = sum(len(part.times) for content in found.contents for part in content.tracks)
     files = {finding.file for finding in found.findings} | {c.tracks[0].file for c in found.contents}
     many = "s" * (samples != 1)
     head = f"{len(files)} file{'s' * (len(files) != 1)}, {samples:,} sample{many}: {counts}"
     taken = [line for content in found.contents if (line := columns(content))]
-    if not found.findings:
-        return Group(*taken, head)
+    return Group(*([listed(found.findings), ""] if found.findings else []), *taken, head)
+
+
+def listed(findings: list[Finding]) -> RenderableType:
+    """Return findings as a table of 80 columns, faults first."""
     table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
     for name, width in (("", 7), ("file", 12), ("row", 6), ("column", 6), ("what", 24), ("what to do", 20)):
         table.add_column(name, width=width, overflow="fold", justify="right" if name == "row" else "left")
-    for level, part in levels.items():
+    for level in LEVELS:
+        part = [one for one in findings if one.level == level]
         for cells in shortened(sorted(part, key=lambda one: (one.file, one.row))):
             table.add_row(level, *cells)
-    return Group(table, "", *taken, head)
+    return table
+
+
+def counted(findings: list[Finding]) -> str:
+    """Return how many findings there are of each level."""
+    counts = ((level, sum(one.level == level for one in findings)) for level in LEVELS)
+    return ", ".join(f"{count} {level}{'s' * (count != 1)}" for level, count in counts)
 
 
 def columns(content: Content) -> str:

@@ -7,33 +7,53 @@ from pathlib import Path
 from typing import Any
 
 from ahnn.data.doctor import examine
+from ahnn.data.files.kinds import TRACKING, kind_of
+from ahnn.data.files.raw import content_of
 from ahnn.data.files.reading import FileReading
 from ahnn.errors import UserError
 from ahnn.evaluation.data_findings import checkup, draw
 from ahnn.evaluation.terminal import show
 from ahnn.files import require_writable
+from ahnn.jobs.tracking_checking import tracking_check
 
 
 def check(paths: Sequence[Path], figures: Path | None, options: dict[str, Any]) -> None:
-    """Show all that is wrong with files.
+    """Show all that is wrong with files: trajectories together, and each file of tracking data by itself.
 
     Args:
         paths: of the files.
-        figures: folder for drawings, or None.
+        figures: folder for drawings of trajectories, or None.
         options: mass, gap, and those of `Reading`.
 
     Raises:
-        UserError: something that would spoil a training.
+        UserError: something that would spoil a training, or tracking data that cannot be read.
     """
     if figures is not None:
         require_writable(figures)
-    mass, gap = options.get("mass"), options.get("gap", 10.0)
-    how = {key: value for key, value in options.items() if key not in ("mass", "gap")}
-    found = examine(paths, FileReading(mass is not None, **how), mass, gap)
-    show(checkup(found))
-    if figures is not None:
-        draw(found, figures)
-    if count := len(found.faults):
-        what = "1 fault that would" if count == 1 else f"{count} faults that would"
-        message = f"check: expected sound data; received {what} spoil a training"
+    tracking = [path for path in paths if is_tracking(path)]
+    faults = 0
+    for path in tracking:
+        findings, shown = tracking_check(path)
+        show(shown)
+        faults += sum(one.level == "fault" for one in findings)
+    if others := [path for path in paths if path not in tracking]:
+        mass, gap = options.get("mass"), options.get("gap", 10.0)
+        how = {key: value for key, value in options.items() if key not in ("mass", "gap")}
+        found = examine(others, FileReading(mass is not None, **how), mass, gap)
+        show(checkup(found))
+        if figures is not None:
+            draw(found, figures)
+        faults += len(found.faults)
+    if faults:
+        what = "1 fault that would" if faults == 1 else f"{faults} faults that would"
+        purpose = "mislead an orbit" if not others else "spoil a training"
+        message = f"check: expected sound data; received {what} {purpose}"
         raise UserError(message)
+
+
+def is_tracking(path: Path) -> bool:
+    """Return whether a file holds no trajectories but tracking data, or what belongs to them."""
+    try:
+        return kind_of(content_of(path), str(path)) in TRACKING
+    except UserError:
+        return False

@@ -16,7 +16,7 @@ from ahnn.compiled_libraries import POINTER as P
 from ahnn.cores import each, slices
 from ahnn.integrators import SymmetricComposition
 from ahnn.jacobians import differenced
-from ahnn.substeps import substeps
+from ahnn.substeps import substeps_of_each
 from ahnn.types import Flow, TimeStep
 
 
@@ -63,7 +63,16 @@ class OblateFlow:
         if not (numbers_alone(x, dt) and x.shape[1] == 6) or library() is None:
             return self.flow(x, dt)
         x, h = x.contiguous(), torch.as_tensor(dt, dtype=torch.float64).contiguous()
-        count = substeps(h, self.longest)
+        counts = substeps_of_each(h.abs().nan_to_num(), self.longest)
+        if h.numel() > 1 and bool((counts != counts[0]).any()):  # each its own, whoever is beside it
+            out = torch.empty_like(x)
+            for count in counts.unique():
+                out[counts == count] = self._followed(x[counts == count], h[counts == count], int(count))
+            return out
+        return self._followed(x, h, int(counts.flatten()[0]))
+
+    def _followed(self, x: Tensor, h: Tensor, count: int) -> Tensor:
+        """Return the states (B, 6) after steps h, () or (B,), each of `count` parts."""
         out, h = torch.empty_like(x), h / count
 
         def follow(part: slice) -> None:
@@ -72,7 +81,7 @@ class OblateFlow:
         each(follow, slices(len(x), PART), x.device)
         return out
 
-    def transition(self, x: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+    def transition(self, x: Tensor, dt: TimeStep) -> tuple[Tensor, Tensor]:
         """Return the states (B, 6) after dt, and the state transitions (B, 6, 6)."""
         return differenced(self, x, dt, cast(Any, self.flow).half)
 

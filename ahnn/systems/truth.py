@@ -15,7 +15,7 @@ from ahnn.errors import UserError
 from ahnn.integrators import INTEGRATORS
 from ahnn.jacobians import differenced
 from ahnn.rollouts import rollout
-from ahnn.substeps import substeps
+from ahnn.substeps import substeps, substeps_of_each
 from ahnn.systems.base import System
 from ahnn.types import Flow, TimeStep
 
@@ -117,12 +117,22 @@ class SubstepsFlow(NamedTuple):
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the states (B, D) after dt."""
-        integrator, parts = INTEGRATORS[self.system.integrator], substeps(dt, self.system.dt / self.number)
+        integrator, longest = INTEGRATORS[self.system.integrator], self.system.dt / self.number
+        if isinstance(dt, Tensor) and dt.ndim:
+            return self._of_members(x, dt, substeps_of_each(dt.abs().nan_to_num(), longest))
+        parts = substeps(dt, longest)
         for _ in range(parts):
             x = integrator.step(self.system, x, dt / parts)
         return x
 
-    def transition(self, x: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+    def _of_members(self, x: Tensor, dt: Tensor, parts: Tensor) -> Tensor:
+        """Return the states (B, D) after steps (B,), each in parts (B,) of its own, whoever is beside it."""
+        integrator, length = INTEGRATORS[self.system.integrator], dt / parts
+        for k in range(int(parts.max())):
+            x = torch.where((parts > k).unsqueeze(-1), integrator.step(self.system, x, length), x)
+        return x
+
+    def transition(self, x: Tensor, dt: TimeStep) -> tuple[Tensor, Tensor]:
         """Return the states (B, D) after dt, and the state transitions (B, D, D)."""
         return differenced(self, x, dt, self.half)
 

@@ -1,4 +1,4 @@
-"""Ensembles and particles through their YAML: one table with the others, every option, streams, trust."""
+"""Ensembles, particles, mixtures through their YAML: one table with the others, options, streams, trust."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ from ahnn.integrators import INTEGRATORS
 from ahnn.systems import MassSpring
 
 SPRING = MassSpring(name="spring", dt=0.04, steps=40, mass=2.0)
-ALL = ("ukf", "ckf", "ekf", "enkf", "particle")
-SMALL = {"enkf": ["estimator.ensemble=40"], "particle": ["estimator.particles=200"]}
+ALL = ("ukf", "ckf", "ghkf", "ekf", "enkf", "particle", "imm")
+SMALL = {"enkf": ["estimator.ensemble=40"], "particle": ["estimator.particles=200"], "imm": []}
+CHANGED = {"enkf": "seed=1", "particle": "seed=1", "imm": "dwell=500"}
 FILTERED = {"cadence": 4, "process_noise": [1e-4, 1e-4]}
 
 
@@ -57,7 +58,7 @@ def test_all_stand_in_one_table_with_floors_and_the_same_measurements(case):
         assert 0.6 < told["floor"]["perturbed"]["nees"]["mean"] / 2 < 1.6
         (row,) = (r for r in rows if r.who.floor and (r.who.start, r.who.span) == ("perturbed", "settled"))
         at_best[name] = row.scores.position
-    for name in ("ckf", "ekf", "enkf"):
+    for name in ("ckf", "ghkf", "ekf", "enkf", "imm"):
         assert at_best[name] == pytest.approx(at_best["ukf"], rel=1e-4)  # a linear motion
     assert at_best["particle"] == pytest.approx(at_best["ukf"], rel=0.15)
 
@@ -99,6 +100,8 @@ def test_an_ensemble_is_smoothed(case, form):
 def test_what_they_have_not_is_refused(case):
     with pytest.raises(UserError, match="smoother: expected false, since particle has none; received True"):
         run(case, "smoother=true", group="particle")
+    with pytest.raises(UserError, match="smoother: expected false, since imm has none"):
+        run(case, "smoother=true", group="imm")
     with pytest.raises(UserError, match="smoother: expected true, false or one of smoothed; received it"):
         run(case, "smoother=iterated", group="enkf")
     few = ["cadence=9", "estimator.ensemble=4", "bias_sd=[0.1]"]
@@ -110,7 +113,9 @@ def test_what_they_have_not_is_refused(case):
         plugin.check(SPRING, SPRING.space, 40)
 
 
-@pytest.mark.parametrize("options", [["plugins=enkf"], ["plugins=particle", "plugins.particle.gate=0.9999"]])
+@pytest.mark.parametrize(
+    "options", [["plugins=enkf"], ["plugins=particle", "plugins.particle.gate=0.9999"], ["plugins=imm"]]
+)
 def test_a_stream_is_filtered_and_goes_on_where_it_was(tmp_path, monkeypatch, options):
     monkeypatch.chdir(tmp_path)
     start = [0.0, -3145.0, -6173.0, 10.0, 0.0, 0.0]
@@ -129,10 +134,14 @@ def test_a_stream_is_filtered_and_goes_on_where_it_was(tmp_path, monkeypatch, op
     (tmp_path / "fixes.csv").write_text("\n".join(lines) + "\n")
     assert call("ahnn.assimilate", *parted) == 0
     assert (tmp_path / "parted.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
-    assert call("ahnn.assimilate", *parted, f"plugins.{name}.estimator.seed=1") == 2  # a state of another one
+    assert (
+        call("ahnn.assimilate", *parted, f"plugins.{name}.estimator.{CHANGED[name]}") == 2
+    )  # a state of another one
 
 
 def test_their_classes_may_be_built_from_a_run_of_somebody_else():
     assert is_trusted("ahnn_plugins.enkf.EnsembleKalmanFilter", "plugins")
     assert is_trusted("ahnn_plugins.particle.ParticleFilter", "plugins")
+    assert is_trusted("ahnn_plugins.imm.InteractingModels", "plugins")
+    assert is_trusted("ahnn_plugins.ukf.UnscentedKalmanFilter", "plugins")
     assert not is_trusted("ahnn_plugins.enkf.Localisation", "plugins")

@@ -94,9 +94,10 @@ def test_other_steps_take_substeps_in_proportion(drifting, dt, count, parts):
     assert steps == pytest.approx([dt / parts] * parts)
 
 
-def test_the_longest_step_of_the_members_decides(drifting):
+def test_each_member_takes_substeps_of_its_own_whoever_is_beside_it(drifting):
     steps = drifting(0.0)
     lengths = torch.tensor([0.2, -1.1], dtype=torch.float64)
     truth.SubstepsFlow(SYSTEM, 2)(ONE, lengths)
     assert len(steps) == 5  # ceil(2 * 1.1 / 0.5)
-    assert all(torch.allclose(h, lengths / 5) for h in steps)
+    own = lengths / torch.tensor([1, 5])
+    assert all(torch.allclose(h, own) for h in steps)

@@ -1,27 +1,22 @@
 """Two-line element sets, propagated by SGP4 to trajectories in TEME.
 
-Hoots and Roehrich, Spacetrack Report 3 (1980), as revised by Vallado et al., AIAA 2006-6753.
+Their columns are those of Hoots and Roehrich, Spacetrack Report 3 (1980).
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator
 from datetime import date
+from functools import partial
 from typing import Any, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
 
 from ahnn.data.files import epochs
 from ahnn.data.files.content import Content
-from ahnn.data.files.ephemeris import of_orbits
-from ahnn.data.files.optional_libraries import library
-from ahnn.data.files.samples import Track
-from ahnn.data.files.table import Fault, Note, Place, Remark, refuse
-from ahnn.errors import UserError
+from ahnn.data.files.sgp4_orbits import MeanOrbit, sgp4_content
+from ahnn.data.files.table import Fault, Note, Place, refuse
 
-FRAME = "TEME, EARTH, UTC"
 FIRST, SECOND = re.compile(r"1 [ \dA-Z]{5}[A-Z ] "), re.compile(r"2 [ \dA-Z]{5} ")
 LENGTH = 69
 """Signs of a line; what follows is no part of the set."""
@@ -73,32 +68,19 @@ def content(
     Raises:
         UserError: no step or duration, no set, or what `note` raises.
     """
-    if step is None or duration is None or duration < step:
-        message = (
-            "system.step, system.duration: expected seconds between samples and of a whole trajectory, that "
-            f"SGP4 propagates from the element sets of {file}; received {step} and {duration}"
-        )
-        raise UserError(message)
-    model = library("sgp4.api", "sgp4", "orbit", file)
-    times = step * np.arange(int(duration / step + 1e-9) + 1, dtype=np.float64)
-    tracks, starts = [], []
+    expected = "an element set, lines that begin with 1 and 2"
+    read = partial(orbits_of, text, file)
+    names = {"named": "element sets", "expected": expected, "unused": UNUSED}
+    return sgp4_content(read, file, (step, duration), weighed=weighed, note=note, **names)
+
+
+def orbits_of(text: str, file: str, model: Any, note: Note) -> Iterator[MeanOrbit]:
+    """Yield the orbit of each set; one without numbers is noted and left out."""
     for one in sets_of(text, file, note):
         try:
-            track, start = propagated(model, one, times), epoch(one)
+            yield MeanOrbit(one.place, one.lines[0][2:7].strip(), satellite_of(model, one), epoch(one))
         except Fault as fault:
             note(fault)
-        else:
-            tracks.append(track)
-            starts.append(start)
-    note(Remark(Place(file), UNUSED))
-    if not tracks:
-        Place(file).refuse("an element set, lines that begin with 1 and 2", "none")
-    first = min(starts)
-    shifted = [
-        track._replace(times=track.times + (start - first) / epochs.SECOND)
-        for track, start in zip(tracks, starts, strict=True)
-    ]
-    return of_orbits(shifted, FRAME, first, weighed=weighed)
 
 
 def sets_of(text: str, file: str, note: Note) -> list[ElementSets]:
@@ -143,28 +125,17 @@ def fault_of(line: str, place: Place) -> Fault | None:
     return None
 
 
-def propagated(model: Any, one: ElementSets, times: NDArray[np.float64]) -> Track:
-    """Return the orbit of a set; raises Fault where its lines hold no numbers or SGP4 gives up."""
+def satellite_of(model: Any, one: ElementSets) -> Any:
+    """Return the satellite of a set as SGP4 takes it; raises Fault where its lines hold no numbers."""
     for name, line, columns, notation, most in FIELDS:
         text = one.lines[line][columns]
         if not notation.fullmatch(text) or (most < math.inf and float(text.strip() or 0) > most):
             place = one.place._replace(row=one.place.row + line, column=name)
             place.refuse(f"a number up to {most:g}" if most < math.inf else "a number", repr(text))
     try:
-        satellite = model.Satrec.twoline2rv(*one.lines)
+        return model.Satrec.twoline2rv(*one.lines)
     except ValueError as error:
         one.place.refuse("an element set", " ".join(str(error).split()))
-    days = times / epochs.DAY
-    whole = np.full(len(times), satellite.jdsatepoch)
-    codes, positions, velocities = satellite.sgp4_array(whole, satellite.jdsatepochF + days)
-    if len(wrong := np.flatnonzero((codes != 0) | ~np.isfinite(positions).all(1))):
-        reason, k = model.SGP4_ERRORS.get(int(codes[wrong[0]]), "no finite position"), wrong[0]
-        one.place.refuse(
-            "elements that SGP4 propagates", f"after {times[k]:g} s: {reason}", "Shorten system.duration"
-        )
-    rows = np.full(len(times), one.place.row, dtype=np.int64)
-    name = one.lines[0][2:7].strip()
-    return Track(name, one.place.file, rows, times, np.concatenate((positions, velocities), axis=1))
 
 
 def epoch(one: ElementSets) -> int:

@@ -100,11 +100,17 @@ def leaps(days: int) -> int:
     return sum(leap <= days for leap in LEAPS)
 
 
-def spelled(moment: int, *, utc: bool) -> str:
-    """Return an epoch as a text that `instant` reads, with at least three decimals."""
+def day_and_time(moment: int, *, utc: bool) -> tuple[int, int]:
+    """Return the day of an epoch, from the first of 2000, and the picoseconds since its midnight."""
     seconds, fraction = divmod(moment, SECOND)
     days = (seconds - leaps(seconds // DAY)) // DAY if utc else seconds // DAY
-    of_day = seconds - days * DAY - (leaps(days) if utc else 0)
+    return days, (seconds - days * DAY - (leaps(days) if utc else 0)) * SECOND + fraction
+
+
+def spelled(moment: int, *, utc: bool) -> str:
+    """Return an epoch as a text that `instant` reads, with at least three decimals."""
+    days, of_day = day_and_time(moment, utc=utc)
+    of_day, fraction = divmod(of_day, SECOND)
     extra = max(0, of_day - DAY + 1)  # 23:59:60
     hour, rest = divmod(of_day - extra, 3600)
     clock = f"{hour:02}:{rest // 60:02}:{rest % 60 + extra:02}"

@@ -3,12 +3,49 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Literal, NoReturn
 
+from ahnn.data.files.raw import content_of
 from ahnn.data.files.table import Place
+from ahnn.errors import UserError
 
-Kind = Literal["table", "parquet", "oem", "xml", "elements"]
-READ = "a table, Parquet, an orbit ephemeris message (OEM) or two-line element sets"
+Kind = Literal[
+    "table",
+    "parquet",
+    "oem",
+    "xml",
+    "elements",
+    "opm",
+    "omm",
+    "sp3",
+    "cpf",
+    "tdm",
+    "crd",
+    "station_table",
+    "sinex",
+    "bulletin_b",
+]
+ABOUT: dict[Kind, str] = {
+    "table": "a table",
+    "parquet": "Parquet",
+    "oem": "an orbit ephemeris message (OEM)",
+    "xml": "an orbit ephemeris message (OEM)",
+    "elements": "two-line element sets",
+    "opm": "an orbit parameter message (OPM)",
+    "omm": "mean elements (OMM)",
+    "sp3": "precise ephemerides (SP3)",
+    "cpf": "laser ranging predictions (CPF)",
+    "tdm": "a tracking data message (TDM)",
+    "crd": "laser ranging data (CRD)",
+    "station_table": "a table of what stations measured",
+    "sinex": "coordinates of stations (SINEX)",
+    "bulletin_b": "a Bulletin B of the IERS",
+}
+"""What files of each kind are."""
+TRACKING: tuple[Kind, ...] = ("tdm", "crd", "station_table", "sinex", "bulletin_b")
+"""Kinds that hold no trajectories: `ahnn.tracking` reads them."""
+READ = ", ".join(about for kind, about in ABOUT.items() if kind not in (*TRACKING, "xml"))
 SUFFIXES: dict[str, Kind] = {
     ".parquet": "parquet",
     ".oem": "oem",
@@ -18,6 +55,11 @@ SUFFIXES: dict[str, Kind] = {
 """Of files whose content says nothing: damaged ones."""
 ELEMENTS = re.compile(r"1 [ \dA-Z]{5}[A-Z ] ")
 MESSAGE = re.compile(r"CCSDS_(\w+)_VERS\b")
+ROOT = re.compile(r"<(?:\w+:)?(oem|opm|omm|tdm)\b")
+IN_XML: dict[str, Kind] = {"oem": "xml", "opm": "opm", "omm": "omm", "tdm": "tdm"}
+IN_WORDS: dict[str, Kind] = {"OEM": "oem", "OPM": "opm", "OMM": "omm", "TDM": "tdm"}
+"""Messages of CCSDS that are read, by their elements in XML and by their names."""
+MEAN_ELEMENTS = re.compile(r"(?=.*\bMEAN_MOTION\b).*\bECCENTRICITY\b", re.DOTALL)
 MESSAGES = {
     "OPM": "an orbit parameter message (OPM), one state",
     "OMM": "an orbit mean-elements message (OMM)",
@@ -29,13 +71,8 @@ MESSAGES = {
     "CDM": "a conjunction data message (CDM)",
     "RDM": "a re-entry data message (RDM)",
 }
-"""Of CCSDS, that are not read."""
-REMEDIES = {
-    "OPM": "A start takes its numbers: start=[x, y, ...]",
-    "OMM": "Get the same elements as two lines (TLE)",
-    "OCM": "Write its trajectory as an OEM",
-    "TDM": "Write its observations as a table, docs/assimilate.md",
-}
+"""Of CCSDS, that are no ephemeris."""
+REMEDIES = {"OCM": "Write its trajectory as an OEM"}
 BINARY = {
     b"PK\x03\x04": "a zip archive, such as .xlsx or .npz",
     b"\xd0\xcf\x11\xe0": "a file of an old Excel",
@@ -48,18 +85,28 @@ BINARY = {
     b"ARROW1": "a Feather file",
     b"%PDF": "a PDF",
 }
+SIGNS: tuple[tuple[re.Pattern[str], Kind], ...] = (
+    (re.compile(r"#[a-d][PV]\s*\d{4}\s"), "sp3"),
+    (re.compile(r"%=SNX\b"), "sinex"),
+    (MEAN_ELEMENTS, "omm"),
+)
+"""How the first line of formats begins that are read."""
+LINES: tuple[tuple[re.Pattern[str], Kind], ...] = (
+    (re.compile(r"\s*H1\s+CPF\b", re.IGNORECASE), "cpf"),
+    (re.compile(r"\s*H1\s+CRD\b", re.IGNORECASE), "crd"),
+    (re.compile(r"\s*\d{4}-\S+T\S+\s+(RANGE|RANGE_RATE|AZ_EL|RA_DEC)\s+\S+\s+[-+.\d]"), "station_table"),
+    (re.compile(r"\s*BULLETIN B \d+", re.IGNORECASE), "bulletin_b"),
+)
+"""And one of the first lines that are no remarks."""
 TEXTS = (
-    (re.compile(r"#[a-d][PV]\s*\d{4}\s"), "precise ephemerides (SP3)"),
-    (re.compile(r"H1\s+CPF\b", re.IGNORECASE), "laser ranging predictions (CPF)"),
-    (re.compile(r"H1\s+CRD\b", re.IGNORECASE), "laser ranging data (CRD)"),
     (re.compile(r".{60}(RINEX|CRINEX) VERS"), "RINEX"),
     (re.compile(r".{60}(IONEX|ANTEX) VERS"), "IONEX or ANTEX"),
-    (re.compile(r"%=(SNX|TRO|BIA)"), "SINEX"),
+    (re.compile(r"%=(TRO|BIA)"), "SINEX of the troposphere or of biases"),
     (re.compile(r"stk\.v\.", re.IGNORECASE), "a file of STK"),
     (re.compile(r"[\[{]"), "JSON"),
-    (re.compile(r"(?=.*\bMEAN_MOTION\b).*\bECCENTRICITY\b"), "mean elements as a table (OMM)"),
     (re.compile(r"\*{20,}"), "an answer of JPL Horizons"),
     (re.compile(r"(product_type|begin_of_head)\b"), "a gravity field (GFC)"),
+    (re.compile(r"\s*\d{4} [A-Z]{3} +\d+ =JD"), "leap seconds (tai-utc.dat), which are known here"),
 )
 """How the first line of other formats begins."""
 
@@ -83,15 +130,31 @@ def kind_of(raw: bytes, file: str) -> Kind:
     head = [line for line in raw[:4096].decode("utf-8-sig", "replace").splitlines() if line.strip()]
     first = head[0].lstrip() if head else ""
     if first.startswith("<"):
-        return "xml"
+        found = ROOT.search("\n".join(head))
+        return IN_XML[found[1]] if found else "xml"
     if found := MESSAGE.match(first):
-        return "oem" if found[1] == "OEM" else refuse_message(found[1], Place(file))
-    if any(ELEMENTS.match(line) for line in [line for line in head if not line.startswith("#")][:2]):
+        return IN_WORDS[found[1]] if found[1] in IN_WORDS else refuse_message(found[1], Place(file))
+    if first[:1] in ("[", "{") and MEAN_ELEMENTS.search("\n".join(head)):
+        return "omm"
+    plain = [line for line in head if not line.startswith("#")]
+    if any(ELEMENTS.match(line) for line in plain[:2]):
         return "elements"
+    for signs, lines in ((SIGNS, head[:1]), (LINES, plain[:5])):
+        for pattern, kind in signs:
+            if any(pattern.match(line) or pattern.match(line.lstrip()) for line in lines):
+                return kind
     for pattern, name in TEXTS if head else ():
         if pattern.match(first) or pattern.match(head[0]):
             refuse(file, name)
     return SUFFIXES.get(suffix, "table")
+
+
+def holds_mean_elements(path: Path) -> bool:
+    """Return whether a file holds mean elements (OMM), which in JSON have no other sign than their keys."""
+    try:
+        return kind_of(content_of(path), str(path)) == "omm"
+    except UserError:
+        return False
 
 
 def refuse(file: str, received: str) -> NoReturn:

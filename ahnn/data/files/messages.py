@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from ahnn.data.files import kinds, oem, oem_xml
+from ahnn.data.files import kinds, oem, oem_xml, opm
 from ahnn.data.files.ephemeris import Ephemeris, MessageBlock, ephemeris, remarks
 from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.files.table import Note, Place, refuse
@@ -28,8 +28,25 @@ def read_oem(path: str | Path) -> list[Ephemeris]:
     path = Path(path)
     raw = content_of(path)
     if (kind := kinds.kind_of(raw, str(path))) not in ("oem", "xml"):
-        Place(str(path)).refuse("an orbit ephemeris message (OEM)", f"a file of kind {kind}")
-    blocks = blocks_of(decoded(raw, path), str(path))
+        Place(str(path)).refuse("an orbit ephemeris message (OEM)", kinds.ABOUT[kind])
+    return _ephemerides(blocks_of(decoded(raw, path), str(path)))
+
+
+def read_opm(path: str | Path) -> list[Ephemeris]:
+    """Return the states of an orbit parameter message, each as an ephemeris of one state.
+
+    Raises:
+        UserError: names the line of what is wrong.
+    """
+    path = Path(path)
+    raw = content_of(path)
+    if (kind := kinds.kind_of(raw, str(path))) != "opm":
+        Place(str(path)).refuse("an orbit parameter message (OPM)", kinds.ABOUT[kind])
+    return _ephemerides(opm.opm_blocks(decoded(raw, path), str(path)))
+
+
+def _ephemerides(blocks: list[MessageBlock]) -> list[Ephemeris]:
+    """Return the numbers of segments; what is not used is logged."""
     for remark in remarks(blocks):
         refuse(remark)
     return [ephemeris(block) for block in blocks]

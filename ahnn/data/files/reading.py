@@ -5,7 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
-from ahnn.data.files import elements, ephemeris, frames, kinds, messages, parquet, sidecar
+from ahnn.data.files import (
+    cpf,
+    elements,
+    ephemeris,
+    frames,
+    kinds,
+    messages,
+    omm,
+    opm,
+    parquet,
+    sidecar,
+    sp3,
+)
 from ahnn.data.files.content import Content, joined
 from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.files.table import Note, Place, Remark, read_csv, refuse
@@ -56,13 +68,20 @@ def parsed(path: Path, raw: bytes, aside: bytes | None, reading: FileReading, no
             sheet = read_csv(decoded(raw, path), file, note)
         said = sidecar.Sidecar() if aside is None else sidecar.parse(decoded(aside, beside), str(beside))
         return turned([of_sheet(sheet, said, weighed=weighed, note=note)], [sheet.place], reading)
+    if kind in kinds.TRACKING:
+        remedy = "It holds no trajectories: python -m ahnn.data check looks it over, docs/tracking.md"
+        Place(file).refuse(kinds.READ, kinds.ABOUT[kind], remedy)
     if aside is not None:
         note(Remark(Place(str(beside)), f"not used: {path.name} says its units and frame itself"))
-    if kind == "elements":
-        given = (reading.step, reading.duration)
-        found = elements.content(decoded(raw, path), file, *given, weighed=weighed, note=note)
+    text = decoded(raw, path)
+    if kind in ("elements", "omm"):
+        read = elements.content if kind == "elements" else omm.omm_content
+        found = read(text, file, reading.step, reading.duration, weighed=weighed, note=note)
         return turned([found], [Place(file)], reading)
-    blocks = messages.blocks_of(decoded(raw, path), file, note)
+    if kind in ("cpf", "sp3"):
+        read = cpf.cpf_content if kind == "cpf" else sp3.sp3_content
+        return turned([read(text, file, weighed=weighed, note=note)], [Place(file)], reading)
+    blocks = (opm.opm_blocks if kind == "opm" else messages.blocks_of)(text, file, note)
     parts = ephemeris.contents(blocks, weighed=weighed, note=note)
     return turned(parts, [block.place for block in blocks], reading)
 

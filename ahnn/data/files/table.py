@@ -214,3 +214,11 @@ def number(cell: str, place: Place, remedy: str = EMPTY) -> float:
     if abs(value) > LARGEST:
         place.refuse(FINITE, repr(cell), remedy)
     return value
+
+
+def within(cell: str, place: Place, low: float, high: float) -> float:
+    """Return the number in a cell, which is there and from `low` to `high`; raises UserError."""
+    value = number(cell, place, "")
+    if not low <= value <= high:
+        place.refuse(f"a number from {low:.10g} to {high:.10g}", repr(cell))
+    return value

@@ -94,8 +94,8 @@ def say_unused(header: Header, found: Roles, place: Place, note: Note) -> None:
     if others := [name for name in unused if name not in deviations]:
         note(Remark(place, f"not used, since the sidecar does not name them: {', '.join(others)}"))
     if deviations:
-        what = f"not used, one standard deviation counts for all samples: {', '.join(deviations)}"
-        remedy = "Say it: sensor=recorded data.noise=..., or start_sd=[...] of a start"
+        what = f"a training uses no standard deviations of single samples: {', '.join(deviations)}"
+        remedy = "Say one for all: sensor=recorded data.noise=...; as those of a start they count"
         note(Remark(place, what, remedy, "warning"))
 
 

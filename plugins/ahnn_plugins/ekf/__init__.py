@@ -3,6 +3,9 @@
 The Jacobian of a step is its state transition (`ahnn.dynamics.transition`), in closed form for learned
 Hamiltonians; that of a measurement is by reverse mode (Bar-Shalom, Li & Kirubarajan 2001, section 10.3).
 Prediction and update triangularise rows and subtract nothing (Kailath, Sayed & Hassibi 2000, chapter 12).
+An iterated update linearises the measurement again where the last iteration put the mean: Gauss-Newton steps
+to the most probable state (Bell & Cathey 1993). What a row tells is by its prediction, which no iteration
+changes.
 Gate, status, streams, process noise, figures and rows are those of every filter, see
 `ahnn.estimation.estimator`.
 """
@@ -10,13 +13,14 @@ Gate, status, streams, process noise, figures and rows are those of every filter
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
 from ahnn.dynamics.transition import transition
+from ahnn.errors import UserError
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.conditioning import conditioned, present_noise
 from ahnn.estimation.estimator import SensorModel
@@ -35,7 +39,13 @@ __all__ = ["ExtendedKalmanFilter", "LinearisedKernel"]
 
 
 class LinearisedKernel(NamedTuple):
-    """Predictions and updates to first order about the mean."""
+    """Predictions and updates to first order about the mean.
+
+    Attributes:
+        iterations: of an update.
+    """
+
+    iterations: int = 1
 
     @property
     def rounding(self) -> Rounding:
@@ -58,13 +68,21 @@ class LinearisedKernel(NamedTuple):
 
     def update(self, prior: Belief, y: Tensor, sensor: SensorModel, time: float) -> Updated:
         """Return the belief given the components of y that are not NaN."""
+        first = updated = self.linearised(prior, prior.mean, y, sensor, time)
+        for _ in range(self.iterations - 1):
+            updated = self.linearised(prior, updated.belief.mean, y, sensor, time)
+        return first._replace(belief=updated.belief, singular=first.singular | updated.singular)
+
+    def linearised(self, prior: Belief, at: Tensor, y: Tensor, sensor: SensorModel, time: float) -> Updated:
+        """Return the belief given y, the measurement a line at the states `at`, (B, D)."""
         model, present = sensor.measurement, ~torch.isnan(y)
-        predicted = measured(model, prior.mean.unsqueeze(1), time)[:, 0]
         with torch.inference_mode(mode=False):
-            at = prior.mean.clone() if prior.mean.is_inference() else prior.mean
+            at = at.clone() if at.is_inference() else at
             slope = pointwise_jacobian(lambda x: model(x, time).to(x.dtype), at)
+        predicted = measured(model, at.unsqueeze(1), time)[:, 0]
         # What is missing is filled in: a residual may mix components.
         innovation = residual(model, torch.where(present, y, predicted), predicted)
+        innovation = innovation - (slope @ (prior.mean - at).unsqueeze(-1)).squeeze(-1)
         innovation = torch.where(present, innovation, 0.0)
         image = torch.where(present.unsqueeze(1), (slope @ prior.chol).mT, 0.0)
         image = torch.cat((image, present_noise(sensor.chol_r, present)), dim=1)
@@ -81,9 +99,27 @@ class ExtendedKalmanFilter(GaussianFilter):
 
     Attributes:
         gate: refuses improbable measurement rows; None takes all.
+        iterations: of an update; 1 linearises at the prediction alone.
+
+    Raises:
+        UserError: no whole number of iterations.
     """
 
     gate: Gate | None = None
+    iterations: int = 1
+
+    def __post_init__(self) -> None:
+        """Refuse what is no number of iterations and no gate."""
+        super().__post_init__()
+        if not isinstance(self.iterations, int) or self.iterations < 1:
+            message = f"iterations: expected a whole number >= 1; received {self.iterations!r}"
+            raise UserError(message)
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """Plain values that determine its estimates."""
+        # States of streams that were saved before there were iterations are of one.
+        return super().about | ({} if self.iterations == 1 else {"iterations": self.iterations})
 
     @property
     def name(self) -> str:
@@ -91,6 +127,6 @@ class ExtendedKalmanFilter(GaussianFilter):
         return "ekf"
 
     def kernel(self, belief: Belief) -> LinearisedKernel:
-        """Return the linearisation, which has no constants."""
+        """Return the linearisation."""
         del belief
-        return LinearisedKernel()
+        return LinearisedKernel(self.iterations)

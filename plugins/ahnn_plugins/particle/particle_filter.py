@@ -9,14 +9,15 @@ West 2001),
 without which copies of one particle would stay together wherever there is no process noise. A measurement
 that is far more precise than its prediction leaves hardly a particle. It is taken in stages (progressive
 correction: Oudjane & Musso 2000): the likelihood to a power that leaves enough effective particles, which are
-resampled and moved, until the powers sum to 1.
+resampled and moved, until the powers sum to 1. Or each particle is drawn where an unscented update puts it,
+see `unscented_proposal`.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, Literal, final, get_args
 
 import torch
 from torch import Tensor
@@ -38,9 +39,12 @@ from ahnn.estimation.samples import (
     sample_moments,
     systematic_resampling,
 )
+from ahnn_plugins.particle.unscented_proposal import unscented_proposal
 from ahnn_plugins.particle.weighing import STAGE_BANDWIDTH, STAGE_SIZE, WeighingRow, exponent
 
 TINY = torch.finfo(torch.float64).tiny
+Proposal = Literal["prior", "ukf"]
+STAGES = 50
 
 
 @final
@@ -57,6 +61,8 @@ class ParticleFilter(SampleFilter):
             best for Gaussian beliefs (Silverman 1986, section 4.3), and at least 0.6 between two stages.
             Narrow modes call for less.
         stages: most stages in which a measurement is taken; 1 weighs at once, as the bootstrap filter does.
+        proposal: `prior` weighs particles where the flow took them; `ukf` moves each to where an unscented
+            update of its kernel puts it, in one stage.
         seed: of the random numbers.
         gate: refuses improbable measurement rows; None takes all.
 
@@ -67,9 +73,10 @@ class ParticleFilter(SampleFilter):
     particles: int = 1000
     resample_below: float = 0.5
     bandwidth: float | None = None
-    stages: int = 50
+    stages: int = STAGES
     seed: int = 0
     gate: Gate | None = None
+    proposal: Proposal = "prior"
 
     def __post_init__(self) -> None:
         """Refuse values beyond their limits."""
@@ -86,6 +93,15 @@ class ParticleFilter(SampleFilter):
         h = self.bandwidth
         if h is not None and (not isinstance(h, int | float) or not 0.0 <= h < 1.0):
             message = f"bandwidth: expected null or a number from 0 to below 1; received {h!r}"
+            raise UserError(message)
+        if self.proposal not in get_args(Proposal):
+            message = f"proposal: expected one of {', '.join(get_args(Proposal))}; received {self.proposal!r}"
+            raise UserError(message)
+        if self.proposal == "ukf" and (h == 0.0 or self.stages != STAGES):
+            message = (
+                "proposal: expected prior where bandwidth is 0 or stages are set, since ukf updates kernels "
+                f"of some width in one stage; received ukf with bandwidth={h}, stages={self.stages}"
+            )
             raise UserError(message)
 
     @property
@@ -107,7 +123,8 @@ class ParticleFilter(SampleFilter):
     def about(self) -> dict[str, Any]:
         """Plain values that determine its estimates."""
         own = {"resample_below": self.resample_below, "bandwidth": self.bandwidth, "stages": self.stages}
-        return {**super().about, **own}
+        # States of streams that were saved before there was a choice are of the prior.
+        return {**super().about, **own, **({} if self.proposal == "prior" else {"proposal": self.proposal})}
 
     def drawn(self, belief: Belief, random: RandomNumbers) -> Tensor:
         """Return particles (B, N, D) of a Gaussian belief."""
@@ -142,7 +159,11 @@ class ParticleFilter(SampleFilter):
         weights = normalised(state.log_weights).exp().unsqueeze(-1)
         deviations, innovation = image_deviations(images, weights, y, sensor)
         noise = present_noise(sensor.chol_r, ~torch.isnan(y))
-        after, log_likelihood = self.weighed(state, images, WeighingRow.of(y, sensor, noise))
+        row = WeighingRow.of(y, sensor, noise)
+        if self.proposal == "ukf":
+            after, log_likelihood = self.moved(state, row)
+        else:
+            after, log_likelihood = self.weighed(state, images, row)
         return after, _told(after.belief, weights.sqrt() * deviations, noise, innovation, log_likelihood)
 
     def weighed(self, state: SampleState, images: Tensor, row: WeighingRow) -> tuple[SampleState, Tensor]:
@@ -179,6 +200,28 @@ class ParticleFilter(SampleFilter):
                 break
             images = measured(row.sensor.measurement, state.points, float(state.time))
         return state, total
+
+    def moved(self, state: SampleState, row: WeighingRow) -> tuple[SampleState, Tensor]:
+        """Return the particles of a state drawn where a row puts their kernels, and its log density.
+
+        Args:
+            state: before, weights zero of particles without an image.
+            row: with its noise.
+        """
+        weights = normalised(state.log_weights)
+        belief, points = self.moments(state.points, weights), state.points
+        nobody = torch.zeros(len(points), dtype=torch.bool, device=points.device)
+        h = self.kernel_bandwidth(points.shape[-1], nobody)[:, None, None]
+        centre = belief.mean.unsqueeze(1)
+        centres = centre + (1.0 - h * h).sqrt() * (points - centre)
+        z = state.random.normal(points, *points.shape, stage=1)
+        found = unscented_proposal(h * belief.chol, centres, weights, row, z, float(state.time))
+        total, weighed = found.log_weights.logsumexp(-1), normalised(found.log_weights)
+        belief = self.moments(found.points, weighed)
+        state = state._replace(points=found.points, log_weights=weighed, belief=belief)
+        few = effective_size(weighed) < self.resample_below * self.particles
+        # The kernels of the next update part what is drawn twice.
+        return (self.resampled(state, few, torch.zeros_like(total), 0) if bool(few.any()) else state), total
 
     def resampled(self, state: SampleState, few: Tensor, h: Tensor, stage: int) -> SampleState:
         """Return the state in which some members are resampled and moved; its moments stay.

@@ -14,6 +14,7 @@ from ahnn.estimation.likelihood import Learned, learned_noise
 from ahnn.estimation.online import online_process
 from ahnn.estimation.parameter_error import ParameterError
 from ahnn.estimation.results import FilterResult, SmootherResult
+from ahnn_plugins.ukf.gauss_hermite import GaussHermiteFilter
 from ahnn_plugins.ukf.iterated import Iterated, iterated_smoother
 from ahnn_plugins.ukf.parameters import Form, UnscentedParameters
 from ahnn_plugins.ukf.square_root import SQUARE_ROOT
@@ -28,6 +29,7 @@ __all__ = [
     "FilterResult",
     "ForceError",
     "Form",
+    "GaussHermiteFilter",
     "Iterated",
     "Learned",
     "ParameterError",

@@ -21,9 +21,10 @@ def test_columns_that_nothing_is_read_of_are_said(tmp_path):
     ]
     assert [one.what for one in notes] == [
         "1 line left out, behind #",
-        "not used, one standard deviation counts for all samples: sd_x",
+        "a training uses no standard deviations of single samples: sd_x",
     ]
-    assert notes[1].remedy == "Say it: sensor=recorded data.noise=..., or start_sd=[...] of a start"
+    remedy = "Say one for all: sensor=recorded data.noise=...; as those of a start they count"
+    assert notes[1].remedy == remedy
     (tmp_path / "a.yaml").write_text("columns: {time: t, positions: x}")
     (tmp_path / "a.csv").write_text("t,x,note\n0,1,9\n1,2,9\n")
     assert [one.what for one in said(tmp_path / "a.csv")[1]] == [

@@ -42,7 +42,7 @@ def test_a_table_is_one_whatever_the_ends_of_its_lines(tmp_path):
 
 FOREIGN = {
     "CCSDS_OPM_VERS = 2.0\n": "orbit parameter message (OPM)",
-    "CCSDS_OMM_VERS = 2.0\n": "orbit mean-elements message (OMM)",
+    "CCSDS_OMM_VERS = 2.0\n": "that SGP4 propagates from the mean elements (OMM)",
     "CCSDS_TDM_VERS = 1.0\n": "tracking data message (TDM)",
     "CCSDS_OCM_VERS = 3.0\n": "orbit comprehensive message (OCM)",
     "CCSDS_CDM_VERS = 1.0\n": "conjunction data message (CDM)",
@@ -78,7 +78,8 @@ def test_other_formats_are_called_by_their_names(tmp_path, text, name):
 def test_every_message_of_ccsds_has_a_name(tmp_path):
     for name, about in kinds.MESSAGES.items():
         (tmp_path / "a.txt").write_text(f"CCSDS_{name}_VERS = 2.0\n")
-        assert about in refused(tmp_path / "a.txt")
+        assert f"({name})" in about
+        assert (about if name not in kinds.IN_WORDS else f"({name})") in refused(tmp_path / "a.txt")
         with pytest.raises(UserError, match=name):
             read_oem(tmp_path / "a.txt")
 

@@ -1,0 +1,218 @@
+"""A round of a catalogue: at most one reading of each object, in its place, and what is later replayed."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from ahnn.assimilation.member_updates import FAULT, MeasuredRows, MemberUpdates, Told
+from ahnn.assimilation.object_windows import FollowedObjects, KeptRow
+from ahnn.assimilation.online import absurd_numbers, lost_filter
+from ahnn.assimilation.reading_table import FATES, Array, CatalogueEstimates, Places, ReadingTable
+from ahnn.estimation.member_steps import member_rows
+
+TAKEN, REJECTED, PREDICTED, REPEATED, LATE, AHEAD, BAD, GONE = range(len(FATES) - 1)
+
+
+class Limits(NamedTuple):
+    """How late readings may come, how many are kept for that, and how far ahead they may lie."""
+
+    window: float
+    lines: int
+    gap: float
+
+
+class Candidates(NamedTuple):
+    """Readings of B objects that are filtered.
+
+    Attributes:
+        rows: (B,) of the table.
+        numbers: (B,) of the objects.
+        slots: (B,) rows of the beliefs that they follow.
+        since: (B,) times of these.
+        later: by the number of the candidate what its object has after the reading.
+    """
+
+    rows: Places
+    numbers: Places
+    slots: Places
+    since: Array
+    later: dict[int, list[KeptRow]]
+
+
+class CatalogueRounds:
+    """Rounds of readings of followed objects.
+
+    Args:
+        objects: that are followed.
+        updates: their filters.
+        limits: of their readings.
+    """
+
+    def __init__(self, objects: FollowedObjects, updates: MemberUpdates, limits: Limits) -> None:
+        self.objects, self.updates, self.limits = objects, updates, limits
+
+    def take(self, rows: Places, numbers: Places, readings: ReadingTable, found: CatalogueEstimates) -> None:
+        """Take one reading of each of some objects, and write what became of it.
+
+        Args:
+            rows: (B,) of the readings.
+            numbers: (B,) of their objects, each once.
+            readings: of which they are rows.
+            found: is written to.
+        """
+        fates = self._refused(readings.times[rows], numbers)
+        candidates = self._candidates(rows, numbers, readings, fates)
+        if len(candidates.rows):
+            self._filter(candidates, readings, found)
+        refused = fates >= 0
+        found.fates[rows[refused]] = fates[refused]
+        found.times[rows] = self.objects.times[numbers]
+        belief, place = self.objects.beliefs(numbers, found.means.shape[-1]), torch.from_numpy(rows)
+        found.means[place], found.covariances[place] = belief.mean, belief.covariance
+
+    def _refused(self, times: Array, numbers: Places) -> Places:
+        """Return which readings do not count by their times alone, as fates; -1 of others."""
+        now, fates = self.objects.times[numbers], np.full(len(times), -1)
+        fates[times < np.maximum(now - self.limits.window, self.objects.since[numbers])] = LATE
+        fates[times > now + self.limits.gap] = AHEAD
+        fates[self.objects.lost[numbers] != 0] = GONE
+        return fates
+
+    def _candidates(self, rows: Places, numbers: Places, readings: ReadingTable, fates: Places) -> Candidates:
+        """Return the readings that are filtered; those that were there before get their fate."""
+        objects, times = self.objects, readings.times[rows]
+        slots, since, later = objects.newest[numbers], objects.times[numbers], dict[int, list[KeptRow]]()
+        for k in np.flatnonzero((fates < 0) & (times <= since)).tolist():
+            window, row = objects.windows[numbers[k]], rows[k]
+            if window.holds(times[k], int(readings.sensors[row]), readings.values[row].tolist()):
+                fates[k] = REPEATED
+            elif (place := window.place(times[k])) < len(window):
+                later[k] = window[place:]
+                slots[k], since[k] = window[place - 1].slot, window[place - 1].time
+        chosen = np.flatnonzero(fates < 0)
+        if later:
+            place_of = {k: j for j, k in enumerate(chosen.tolist())}
+            later = {place_of[k]: entries for k, entries in later.items()}
+        return Candidates(rows[chosen], numbers[chosen], slots[chosen], since[chosen], later)
+
+    def _filter(self, chosen: Candidates, readings: ReadingTable, found: CatalogueEstimates) -> None:
+        """Filter readings, replay what is later, keep what is sound, and write what was told."""
+        _, times, sensors, values, deviations = readings
+        given = MeasuredRows(times, sensors, values, deviations).at(chosen.rows)
+        told, targets = self._step(chosen.slots, chosen.since, given)
+        statuses = told.statuses.numpy()
+        chains = {j: [_kept(given, j, int(targets[j]))] for j in chosen.later if not statuses[j]}
+        faults = {j: _kept(given, j, -1) for j in np.flatnonzero(statuses).tolist()}
+        self._replay(chosen.later, chains, statuses, faults)
+        for j, by in faults.items():
+            self._fail(int(chosen.rows[j]), int(chosen.numbers[j]), int(statuses[j]), by, found)
+        sound = np.flatnonzero(statuses == 0)
+        self._keep(chosen, given, targets, sound, chains)
+        place, own = chosen.rows[sound], torch.from_numpy(sound)
+        empty = np.isnan(given.values[sound]).all(1)
+        fates = np.where(told.rejected.numpy()[sound], REJECTED, np.where(empty, PREDICTED, TAKEN))
+        found.fates[place] = fates
+        into = found.residuals, found.deviations, found.nis, found.measured
+        for whole, part in zip(into, told[3:], strict=True):
+            whole[torch.from_numpy(place)] = part[own]
+        for j in chains:
+            found.replayed[chosen.rows[j]] = len(chosen.later[j])
+
+    def _step(self, slots: Places, since: Array, given: MeasuredRows) -> tuple[Told, Places]:
+        """Filter readings; return what they told, and the rows of the beliefs after them, of who is sound."""
+        objects = self.objects
+        told = self.updates.filtered(objects.state, slots, since, given)
+        sound = told.statuses.numpy() == 0
+        targets = objects.take(len(slots)) if self.limits.window else slots
+        if sound.all():
+            objects.write(targets, told.state)
+        else:
+            objects.write(targets[sound], member_rows(told.state, torch.from_numpy(sound)))
+            if self.limits.window:
+                objects.release(targets[~sound].tolist())
+        return told, targets
+
+    def _replay(
+        self,
+        later: dict[int, list[KeptRow]],
+        chains: dict[int, list[KeptRow]],
+        statuses: Places,
+        faults: dict[int, KeptRow],
+    ) -> None:
+        """Filter what is later again, one reading of each object at a time; who fails gives its rows back."""
+        wave = 0
+        while live := [j for j in chains if wave < len(later[j])]:
+            again, last = [later[j][wave] for j in live], [chains[j][-1] for j in live]
+            slots, since = np.array([one.slot for one in last]), np.array([one.time for one in last])
+            told, targets = self._step(slots, since, _rows_of(again))
+            for k, j in enumerate(live):
+                if status := int(told.statuses[k]):
+                    statuses[j], faults[j] = status, again[k]
+                    self.objects.release([one.slot for one in chains.pop(j)])
+                else:
+                    chains[j].append(again[k]._replace(slot=int(targets[k])))
+            wave += 1
+
+    def _keep(
+        self,
+        chosen: Candidates,
+        given: MeasuredRows,
+        targets: Places,
+        sound: Places,
+        chains: dict[int, list[KeptRow]],
+    ) -> None:
+        """Put sound readings, and what was replayed behind them, into the windows of their objects."""
+        objects, (window, lines, _) = self.objects, self.limits
+        numbers = chosen.numbers[sound]
+        plain = np.setdiff1d(sound, [*chains]).astype(np.int64) if chains else sound
+        own, fresh = chosen.numbers[plain], given.at(plain)
+        columns = fresh.times, targets[plain], *fresh[1:]
+        new = map(KeptRow, *(column.tolist() for column in columns))
+        objects.times[own], objects.newest[own] = fresh.times, targets[plain]
+        if not window:
+            for number, entry in zip(own.tolist(), new, strict=True):
+                objects.windows[number].renew(entry, lines)
+            return
+        for number, entry in zip(own.tolist(), new, strict=True):
+            objects.windows[number].append(entry)
+        for j, chain in chains.items():
+            number, replaced = int(chosen.numbers[j]), chosen.later[j]
+            kept = objects.windows[number]
+            kept[len(kept) - len(replaced) :] = chain
+            objects.release([one.slot for one in replaced])
+            objects.newest[number] = chain[-1].slot
+        for number in numbers.tolist():
+            kept = objects.windows[number]
+            freed = kept.forget(window, lines)
+            if freed:
+                objects.release(freed)
+                objects.since[number] = kept[0].time
+
+    def _fail(self, row: int, number: int, status: int, by: KeptRow, found: CatalogueEstimates) -> None:
+        """Write why a reading does not count; a filter that failed is lost."""
+        updates = self.updates
+        name = updates.names[by.sensor] if by.sensor >= 0 else ""
+        if status != FAULT:
+            self.objects.lost[number] = status
+            found.fates[row], found.reasons[row] = GONE, lost_filter(status, by.time, name)
+            return
+        columns, own = updates.models.sensors[name].columns, updates.places[by.sensor].tolist()
+        values, deviations = by.values or [], by.deviations or []
+        said = [f"{column} {values[k]:g}" for column, k in zip(columns, own, strict=True)]
+        sds = [deviations[k] for k in own if deviations[k] == deviations[k]]
+        found.fates[row], found.reasons[row] = BAD, absurd_numbers(said, sds)
+
+
+def _kept(given: MeasuredRows, j: int, slot: int) -> KeptRow:
+    """Return one of some readings as a window keeps it."""
+    time, sensor, values, deviations = (part[j].tolist() for part in given)
+    return KeptRow(time, slot, sensor, values, deviations)
+
+
+def _rows_of(kept: list[KeptRow]) -> MeasuredRows:
+    """Return readings of windows as columns."""
+    times, _, sensors, values, deviations = zip(*kept, strict=True)
+    return MeasuredRows(np.array(times), np.array(sensors), np.array(values), np.array(deviations))

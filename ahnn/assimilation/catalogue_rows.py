@@ -1,0 +1,93 @@
+"""Estimates of many objects as rows of text under the names that those of one object have."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ahnn.assimilation.decimal_rows import decimal_rows
+from ahnn.assimilation.output_rows import Format, Rows
+from ahnn.assimilation.parquet_stream import packed_table
+from ahnn.assimilation.reading_table import Array, CatalogueEstimates, ReadingTable
+from ahnn.assimilation.stream_sensor import StreamSensor
+from ahnn.data.estimate_table import FIRST
+from ahnn.data.files.sidecar import Sidecar
+
+OBJECT = "object"
+"""Name of the column that says whose estimate a row is."""
+
+
+class CatalogueRows(Rows):
+    """Rows of a catalogue; arguments as of `Rows`."""
+
+    def __init__(
+        self,
+        components: tuple[str, ...],
+        sensors: Mapping[str, StreamSensor],
+        kind: Format,
+        said: Sidecar | None = None,
+    ) -> None:
+        super().__init__(components, sensors, kind, said)
+        self.names.insert(1, OBJECT)
+        self.sensors = [*sensors, ""]  # -1 is none
+
+    def columns(self, lines: list[int], readings: ReadingTable, found: CatalogueEstimates) -> dict[str, Any]:
+        """Return what goes out of readings, of those that counted, by the names of the columns.
+
+        Args:
+            lines: K numbers of the lines.
+            readings: K of them.
+            found: the estimates after them.
+        """
+        chosen, outcomes = np.flatnonzero(found.counted), found.outcomes
+        first = {
+            FIRST[0]: np.array(lines, dtype=np.int64)[chosen],
+            OBJECT: [readings.objects[k] for k in chosen.tolist()],
+            FIRST[1]: found.times[chosen],
+            FIRST[2]: [self.sensors[k] for k in readings.sensors[chosen].tolist()],
+            FIRST[3]: [outcomes[k] for k in chosen.tolist()],
+            FIRST[4]: found.replayed[chosen],
+            FIRST[5]: found.nis.numpy()[chosen],
+            FIRST[6]: found.measured.numpy()[chosen],
+        }
+        numbers = self._numbers(found, chosen)
+        return first | dict(zip(self.names[len(first) :], numbers.T, strict=True))
+
+    def batch(self, lines: list[int], readings: ReadingTable, found: CatalogueEstimates) -> str | bytes:
+        """Return what is written of readings that counted; arguments as of `columns`."""
+        if self.kind == "parquet":
+            return packed_table(self.columns(lines, readings, found))
+        return self.text(lines, readings, found)
+
+    def text(self, lines: list[int], readings: ReadingTable, found: CatalogueEstimates) -> str:
+        """Return the rows of readings, of those that counted; arguments as of `columns`."""
+        table = self.columns(lines, readings, found)
+        if self.kind != "csv":
+            parts = [column if isinstance(column, list) else column.tolist() for column in table.values()]
+            rows = (dict(zip(self.names, row, strict=True)) for row in zip(*parts, strict=True))
+            plain = ({name: None if v != v else v for name, v in row.items()} for row in rows)
+            return "".join([json.dumps(row) + "\n" for row in plain])
+        line, objects, time, sensor, outcome, replayed, nis, dof, *numbers = table.values()
+        texts = (
+            map(str, line.tolist()),
+            objects,
+            decimal_rows(time[:, None]),
+            sensor,
+            outcome,
+            map(str, replayed.tolist()),
+            decimal_rows(nis[:, None]),
+            map(str, dof.tolist()),
+            decimal_rows(np.stack(numbers, axis=1)),
+        )
+        return "".join([",".join(cells) + "\n" for cells in zip(*texts, strict=True)])
+
+    def _numbers(self, found: CatalogueEstimates, chosen: Any) -> Array:
+        """Return means, lower triangles of covariances, innovations and their deviations, (K, C)."""
+        rows, columns = zip(*self.lower, strict=True)
+        triangles = found.covariances.numpy()[chosen][:, list(rows), list(columns)]
+        others = (part.numpy()[chosen] for part in (found.means, found.residuals, found.deviations))
+        means, residuals, deviations = others
+        return np.concatenate((means, triangles, residuals, deviations), axis=1)

@@ -1,0 +1,156 @@
+"""A stream of many objects, assimilated a table of lines at a time."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ahnn.assimilation.catalogue import Catalogue
+from ahnn.assimilation.catalogue_rows import CatalogueRows
+from ahnn.assimilation.line_parser import Layout
+from ahnn.assimilation.lines import Lines
+from ahnn.assimilation.parquet_stream import ParquetParts, ParquetRows
+from ahnn.assimilation.reading_table import FATES, CatalogueEstimates
+from ahnn.assimilation.stream_clock import StreamClock
+from ahnn.assimilation.stream_session import Notes, StreamSession
+from ahnn.assimilation.table_parser import ParsedLines, TableParser
+from ahnn.errors import UserError
+
+log = logging.getLogger("ahnn")
+
+SAID = 5
+"""Lines of a table that are told one by one for each outcome; of others it is told how many there are."""
+NAMED = 1000
+"""Unknown objects whose names are remembered, to be told once."""
+
+
+class CatalogueSession(StreamSession):
+    """The stream of many objects; arguments as of `StreamSession`, and the column that names the object.
+
+    A state is saved behind each table, so that a restart takes the same tables: with them come the same bits.
+    """
+
+    filter: Catalogue
+    rows: CatalogueRows
+
+    def __init__(
+        self,
+        filtering: Catalogue,
+        lines: Lines | ParquetRows,
+        rows: CatalogueRows,
+        output: str,
+        state: Path | None,
+        every: int,
+        clock: StreamClock | None = None,
+        *,
+        objects: str,
+    ) -> None:
+        self.objects, self.unknown = objects, set[str]()
+        super().__init__(filtering, lines, rows, output, state, every, clock)
+
+    def run(self) -> None:
+        """Assimilate all lines that come.
+
+        Raises:
+            UserError: a header that names what is not there.
+            TrainingError: no line counted.
+        """
+        try:
+            for parsed in self._tables():
+                self._take(parsed)
+                self._count()
+                self._save()
+            self._end()
+        finally:
+            self.close()
+
+    def _layout(self, first: str) -> Layout:
+        return Layout(first, self.filter.sensors, self.clock, objects=self.objects)
+
+    def _output(self, known: Notes | None) -> Any:
+        if self.rows.kind != "parquet":
+            return super()._output(known)
+        return ParquetParts(self.path) if known is None else ParquetParts(self.path, known.size, known.tail)
+
+    def _tables(self) -> Iterator[ParsedLines]:
+        """Yield the readings of so many lines at once."""
+        if isinstance(self.lines, ParquetRows):
+            for numbers, columns in self.lines.batches(self.every):
+                parser = self._parser(self.lines.header)
+                if self.layout is None or self.layout.names is None:
+                    message = "measurements: expected names of columns; received those of JSON"
+                    raise UserError(message)
+                yield parser.of_columns(numbers, dict(zip(self.layout.names, columns, strict=True)))
+            return
+        reader = iter(self.lines)
+        while texts := list(islice(reader, self.every)):
+            first = self.lines.number - len(texts) + 1
+            there = [(first + k, text) for k, text in enumerate(texts) if text and not text.startswith("#")]
+            if not there:
+                continue
+            parser = self._parser(there[0][1])
+            if parser.layout.names:
+                there = [(number, text) for number, text in there if text != self.header]
+            yield parser.of_lines([number for number, _ in there], [text for _, text in there])
+
+    def _parser(self, first: str) -> TableParser:
+        """Return what reads lines, and begin with the first of them."""
+        if self.layout is None:
+            self._begin(first)
+        assert self.layout is not None
+        return TableParser(self.layout, self.filter.columns)
+
+    def _take(self, parsed: ParsedLines) -> None:
+        """Filter the readings of a table, write what comes of them, and tell what did not count."""
+        found = self.filter.update(parsed.table)
+        assert self.output is not None
+        if found.counted.any():
+            self.output.write(self.rows.batch(parsed.lines, parsed.table, found))
+            self.written = True
+        bad = dict(parsed.bad)
+        for k, reason in found.reasons.items():
+            if FATES[found.fates[k]] == "bad":
+                bad[parsed.lines[k]] = reason
+            else:
+                name, line = parsed.table.objects[k], parsed.lines[k]
+                log.warning("line %d: object %s: %s. It is left out from here on", line, name, reason)
+        counts = np.bincount(found.fates, minlength=len(FATES)).tolist()
+        self.counts.update({fate: count for fate, count in zip(FATES, counts, strict=True) if count})
+        self.counts.update({"bad": len(parsed.bad)} if parsed.bad else {})
+        taken = (found.fates == FATES.index("taken")) & (found.measured.numpy() > 0)
+        self.nis += float(found.nis.numpy()[taken].sum())
+        self.numbers += int(found.measured.numpy()[taken].sum())
+        _say("bad", {line: f"{bad[line]}; skipped" for line in sorted(bad)})
+        self._say_others(parsed, found)
+
+    def _say_others(self, parsed: ParsedLines, found: CatalogueEstimates) -> None:
+        """Tell of readings that did not count for their times, and of unknown objects."""
+        for fate, words in WORDS.items():
+            chosen = np.flatnonzero(found.fates == FATES.index(fate)).tolist()
+            _say(fate, {parsed.lines[k]: f"object {parsed.table.objects[k]} {words}" for k in chosen})
+        unknown = np.flatnonzero(found.fates == FATES.index("unknown")).tolist()
+        new = {parsed.table.objects[k]: parsed.lines[k] for k in reversed(unknown)}
+        new = {name: line for name, line in new.items() if name not in self.unknown}
+        self.unknown |= {*islice(new, max(0, NAMED - len(self.unknown)))}
+        _say("unknown", {line: f"object {name} has no start: not counted" for name, line in new.items()})
+
+
+WORDS = {
+    "late": "comes later than the window allows: not counted",
+    "repeated": "was counted before: not counted again",
+    "ahead": "lies further ahead than a gap may be: not counted",
+    "rejected": "rejected by the gate",
+}
+
+
+def _say(fate: str, lines: dict[int, str]) -> None:
+    """Tell of lines, the first of them one by one."""
+    for number in sorted(lines)[:SAID]:
+        log.info("line %d: %s", number, lines[number])
+    if len(lines) > SAID:
+        log.info("%s more lines %s, up to line %d", f"{len(lines) - SAID:,}", fate, max(lines))

@@ -1,0 +1,135 @@
+"""One reading of each of many objects, filtered side by side, each at its own time."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ahnn.assimilation.reading_table import Array, Places
+from ahnn.assimilation.stream_models import StreamModels
+from ahnn.cores import each
+from ahnn.estimation import Factor, FilterState
+from ahnn.estimation.member_steps import empty_rows, measured_at, member_rows, put_rows
+
+TOGETHER = 1024
+"""Objects that are worth a core."""
+FAULT = -1
+"""Status of a reading that is no measurement; others are those of filters."""
+
+
+class MeasuredRows(NamedTuple):
+    """One reading of each of B objects: times (B,), numbers of sensors (B,), values and deviations (B, W)."""
+
+    times: Array
+    sensors: Places
+    values: Array
+    deviations: Array
+
+    def at(self, chosen: Places) -> MeasuredRows:
+        """Return some of them."""
+        times, sensors, values, deviations = self
+        return MeasuredRows(times[chosen], sensors[chosen], values[chosen], deviations[chosen])
+
+
+class Told(NamedTuple):
+    """What readings made of B objects.
+
+    Attributes:
+        state: after the readings; nothing sound where they failed.
+        statuses: (B,) int64, 0 of who is sound, `FAULT` where a reading is no measurement.
+        rejected: (B,) bool, the gate refused the reading.
+        residuals: (B, W) measurement less prediction, NaN where nothing was measured.
+        deviations: (B, W) standard deviations of the residuals.
+        nis: (B,) normalised innovation squared.
+        measured: (B,) numbers that are there.
+    """
+
+    state: FilterState
+    statuses: Tensor
+    rejected: Tensor
+    residuals: Tensor
+    deviations: Tensor
+    nis: Tensor
+    measured: Tensor
+
+    @classmethod
+    def room(cls, like: FilterState, count: int, width: int) -> Told:
+        """Return memory for what B readings of nothing tell."""
+        wide = torch.full((2, count, width), torch.nan, dtype=torch.float64)
+        whole = torch.zeros(2, count, dtype=torch.int64)
+        rejected = torch.zeros(count, dtype=torch.bool)
+        nis = torch.full((count,), torch.nan, dtype=torch.float64)
+        return cls(empty_rows(like, count), whole[0], rejected, wide[0], wide[1], nis, whole[1])
+
+
+class MemberUpdates:
+    """Predictions and updates of many members by the sensors of a stream.
+
+    Args:
+        models: process and sensors.
+        columns: names of the W numbers of all sensors.
+    """
+
+    def __init__(self, models: StreamModels, columns: tuple[str, ...]) -> None:
+        self.models, self.width, self.names = models, len(columns), [*models.sensors]
+        own = [[columns.index(name) for name in one.columns] for one in models.sensors.values()]
+        self.places = [torch.tensor(places) for places in own]
+
+    def filtered(self, state: FilterState, slots: Places, since: Array, given: MeasuredRows) -> Told:
+        """Return what readings make of rows of a state, each of which holds at a time (B,) of its own."""
+        told = Told.room(state, len(slots), self.width)
+        rows, begun = torch.from_numpy(slots), torch.from_numpy(since)
+        times, _, values, deviations = (torch.from_numpy(part) for part in given)
+        blocks = [
+            (sensor, block)
+            for sensor in np.unique(given.sensors).tolist()
+            for block in torch.from_numpy(np.flatnonzero(given.sensors == sensor)).split(TOGETHER)
+        ]
+
+        def work(part: tuple[int, Tensor]) -> None:
+            sensor, block = part
+            before, end = member_rows(state, rows[block]), times[block]
+            predicted = self.models.process.members_advanced(before, begun[block], end)
+            if sensor < 0:
+                put_rows(told.state, block, predicted)
+                told.statuses[block] = predicted.status
+            else:
+                self._update(sensor, block, predicted, (end, values[block], deviations[block]), told)
+
+        each(work, blocks, state.status.device)
+        return told
+
+    def _update(
+        self,
+        sensor: int,
+        block: Tensor,
+        before: FilterState,
+        given: tuple[Tensor, Tensor, Tensor],
+        told: Told,
+    ) -> None:
+        """Write what a sensor tells of a block of members."""
+        name, own = self.names[sensor], self.places[sensor]
+        times, y, deviations = given[0], given[1][:, own], given[2][:, own]
+        model = measured_at(self.models.seen[name], times)
+        after, innovation = self.models.process.estimator.update(
+            before, y, model, self._noise(name, deviations)
+        )
+        fault = self.models.at_fault(name, (before, after), innovation, y, model)
+        put_rows(told.state, block, after)
+        told.statuses[block] = torch.where(fault, FAULT, after.status)
+        told.rejected[block] = innovation.rejected
+        column = block.unsqueeze(1)
+        told.residuals[column, own], told.deviations[column, own] = innovation.residual, innovation.deviation
+        told.nis[block], told.measured[block] = innovation.nis, innovation.measured
+
+    def _noise(self, name: str, deviations: Tensor) -> Factor:
+        """Return the factor of R of readings, whose own standard deviations (B, M) come first."""
+        sensor, missing = self.models.sensors[name], deviations.isnan()
+        if sensor.deviations is not None:
+            if bool(missing.all()):
+                return sensor.factor(None)
+            deviations = torch.where(missing, deviations.new_tensor(sensor.deviations), deviations)
+        return Factor(torch.diag_embed(deviations))

@@ -1,0 +1,156 @@
+"""Parquet in and out: rows of a file in constant memory, and a folder of parts that can be cut back."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from ahnn.data.files.optional_libraries import library
+from ahnn.data.files.parquet import cells
+from ahnn.data.files.table import Place
+from ahnn.errors import UserError
+from ahnn.files import write_atomically
+from ahnn.manifest import digest_of, is_own, remove_own
+
+PIECE = 1 << 20
+PART = "part-{:06d}.parquet"
+NAMED = re.compile(r"part-(\d{6})\.parquet")
+
+
+class ParquetRows:
+    """The rows of a file, as `Lines` has those of a text.
+
+    Args:
+        path: of the file.
+
+    Attributes:
+        number: of the last row, from 1.
+        place: 0.
+        digest: hash of the file, which does not grow.
+        header: names of its columns with their units, as a table has them.
+
+    Raises:
+        UserError: no Parquet, or pyarrow is not installed.
+    """
+
+    def __init__(self, path: str) -> None:
+        self.arrow = library("pyarrow", "pyarrow", "parquet", path)
+        reader = library("pyarrow.parquet", "pyarrow", "parquet", path)
+        self.path, self.number, self.place, self._skipped = path, 0, 0, 0
+        digest = hashlib.blake2b(digest_size=16)
+        with open(path, "rb") as file:
+            while piece := file.read(PIECE):
+                digest.update(piece)
+        self.digest = digest.hexdigest()
+        try:
+            self.file: Any = reader.ParquetFile(path)
+        except (self.arrow.ArrowInvalid, OSError) as error:
+            Place(path).refuse("a Parquet file", " ".join(str(error).split()))
+        schema = self.file.schema_arrow
+        said = [(field.metadata or {}).get(b"unit", b"").decode() for field in schema]
+        names = [name + (f" [{unit}]" if unit else "") for name, unit in zip(schema.names, said, strict=True)]
+        self.header = ",".join(names)
+
+    def batches(self, count: int) -> Iterator[tuple[list[int], list[Any]]]:
+        """Yield the numbers of rows, at most so many at once, and their columns."""
+        for batch in self.file.iter_batches(batch_size=count):
+            left, self._skipped = max(0, self._skipped - batch.num_rows), min(self._skipped, batch.num_rows)
+            own, self._skipped = batch.slice(self._skipped), left
+            if not own.num_rows:
+                continue
+            first, self.number = self.number + 1, self.number + own.num_rows
+            columns = [
+                cells(self.arrow, own.column(k), Place(self.path, 0, name))
+                for k, name in enumerate(own.schema.names)
+            ]
+            yield list(range(first, self.number + 1)), columns
+
+    def begin(self) -> None:
+        """Begin with the first row."""
+
+    def resume(self, number: int, place: int, digest: str) -> None:
+        """Go on behind a row; raises UserError where the file is another."""
+        del place
+        if digest != self.digest:
+            message = (
+                f"measurements: expected the file whose {number} rows were counted before; received another. "
+                "Begin again with another state and output"
+            )
+            raise UserError(message)
+        self.number = self._skipped = number
+
+    def saved(self, place: int) -> None:
+        """A state holds the rows so far, which come again from the file."""
+
+    def close(self, *, discard: bool = False) -> None:
+        """Close the file."""
+        del discard
+        self.file.close()
+
+
+class ParquetParts:
+    """A folder of Parquet files, one for each write, which readers of Parquet take as one table.
+
+    Args:
+        path: of the folder.
+        parts: number of parts that a state knows of, later ones are removed; None begins a new folder.
+        tail: hash of the last of them.
+
+    Raises:
+        UserError: a folder that exists where a new one begins, or one that is not as the state knows it.
+    """
+
+    def __init__(self, path: str, parts: int | None = None, tail: str = "") -> None:
+        self.folder, self.size, self.digest = Path(path), parts or 0, tail
+        if parts is None:
+            self.folder.mkdir(parents=True)
+            return
+        found = {int(m[1]): one for one in self._files() if (m := NAMED.fullmatch(one.name))}
+        whole = found.keys() >= {*range(1, parts + 1)}
+        if not whole or (parts and digest_of(found[parts].read_bytes()) != tail):
+            message = (
+                f"output: expected {path} as it was left, with {parts} parts; received other content. Begin "
+                "again with another state and output"
+            )
+            raise UserError(message)
+        for number in found.keys() - {*range(1, parts + 1)}:
+            if not is_own(found[number]):
+                message = f"output: expected parts of ours; received {found[number]}. Move it"
+                raise UserError(message)
+            remove_own(found[number])
+
+    def write(self, content: bytes) -> None:
+        """Write a part, which appears whole or not at all."""
+        self.size += 1
+        self.digest = digest_of(content)
+        write_atomically(self.folder / PART.format(self.size), content)
+
+    def sync(self) -> None:
+        """Parts are on the disk when they appear."""
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def remove(self, path: str) -> None:
+        """Remove what was written."""
+        del path
+        for file in self._files():
+            remove_own(file)
+        if not any(self.folder.iterdir()):
+            self.folder.rmdir()
+
+    def _files(self) -> list[Path]:
+        return [*self.folder.glob("*.parquet")] if self.folder.is_dir() else []
+
+
+def packed_table(columns: dict[str, Any]) -> bytes:
+    """Return columns as a Parquet file; raises UserError without pyarrow."""
+    arrow = library("pyarrow", "pyarrow", "parquet", "output")
+    writer = library("pyarrow.parquet", "pyarrow", "parquet", "output")
+    buffer = io.BytesIO()
+    writer.write_table(arrow.table(columns), buffer)
+    return buffer.getvalue()

@@ -1,0 +1,246 @@
+"""Lines or columns of many objects as tables of readings: column by column, and row by row where that fails.
+
+What a row says is decided by `Layout`. Rows that are plain numbers, nearly all of them, need not be asked one
+by one: their columns are converted at once, and whatever is unusual goes to `Layout`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ahnn.assimilation.cells import BadLine, is_missing
+from ahnn.assimilation.instrument_reading import Reading
+from ahnn.assimilation.line_parser import RESERVED, SD, SENSOR, TIME, Layout
+from ahnn.assimilation.reading_table import Array, Places, ReadingTable
+from ahnn.data.files.table import is_number
+
+Column = Sequence[Any] | Array
+"""The K cells of a column: texts, or numbers."""
+Mask = NDArray[np.bool_]
+
+
+class ParsedLines(NamedTuple):
+    """Readings with the numbers of their lines, and what is wrong with other lines, by their numbers."""
+
+    lines: list[int]
+    table: ReadingTable
+    bad: dict[int, str]
+
+
+class TableParser:
+    """Readings in the columns of all sensors.
+
+    Args:
+        layout: of the stream.
+        columns: names of the W numbers of all sensors.
+    """
+
+    def __init__(self, layout: Layout, columns: tuple[str, ...]) -> None:
+        self.layout, self.columns = layout, columns
+        self.sensors = [*layout.sensors]
+        self.seen = np.array([[name in one.columns for name in columns] for one in layout.sensors.values()])
+        own = [dict(zip(one.columns, one.deviations or (), strict=False)) for one in layout.sensors.values()]
+        self.own = np.array([[sds.get(name, math.nan) for name in columns] for sds in own])
+
+    def of_lines(self, lines: list[int], texts: list[str]) -> ParsedLines:
+        """Return what lines of text say, which are neither empty nor remarks."""
+        names = self.layout.names
+        if names is None:
+            return self._joined(lines, None, self._singly(lines, texts))
+        width, mark = len(names), self.layout.delimiter
+        cells = [text.split(mark) for text in texts]
+        odd = [len(row) != width or '"' in text for row, text in zip(cells, texts, strict=True)]
+        if any(odd):
+            chosen = [k for k, is_odd in enumerate(odd) if not is_odd]
+            others = [k for k, is_odd in enumerate(odd) if is_odd]
+            singly = self._singly([lines[k] for k in others], [texts[k] for k in others])
+            lines, cells = [lines[k] for k in chosen], [cells[k] for k in chosen]
+        else:
+            singly = [], {}
+        columns: list[Column] = [*zip(*cells, strict=True)] if cells else [()] * width
+        return self._of_columns(lines, dict(zip(names, columns, strict=True)), singly)
+
+    def of_columns(self, lines: list[int], columns: dict[str, Column]) -> ParsedLines:
+        """Return what columns of texts or numbers say, by their names."""
+        return self._of_columns(lines, columns, ([], {}))
+
+    def _of_columns(
+        self, lines: list[int], columns: dict[str, Column], singly: tuple[list[Any], dict[int, str]]
+    ) -> ParsedLines:
+        """Return what columns say, and rows that were read one by one."""
+        plain, table = self._at_once(columns, len(lines))
+        if not plain.all():
+            others = np.flatnonzero(~plain).tolist()
+            rows = [{name: _cell(column[k]) for name, column in columns.items()} for k in others]
+            found, bad = self._rows([lines[k] for k in others], rows)
+            singly = [*singly[0], *found], {**singly[1], **bad}
+            kept = np.flatnonzero(plain)
+            lines = [lines[k] for k in kept.tolist()]
+            objects = [table.objects[k] for k in kept.tolist()]
+            table = _rebuilt(objects, table, kept)
+        return self._joined(lines, table, singly)
+
+    def _at_once(self, columns: dict[str, Column], count: int) -> tuple[Mask, ReadingTable]:
+        """Return the readings of columns, and which rows are as plain as that, (K,) bool."""
+        layout, plain = self.layout, np.ones(count, dtype=bool)
+        times = self._times(next(columns[key] for key in TIME if key in columns), plain)
+        objects = [str(cell).strip() for cell in columns[layout.objects]]
+        plain &= [not is_missing(name) and RESERVED.isdisjoint(name) for name in objects]
+        sensors = self._sensors(columns, count)
+        plain &= sensors >= 0
+        shape = (count, len(self.columns))
+        values, deviations = np.full(shape, math.nan), np.full(shape, math.nan)
+        for prefix, whole in (("", values), (SD, deviations)):
+            for k, name in enumerate(self.columns):
+                if (key := prefix + name) in columns:
+                    whole[:, k] = self._numbers(columns[key], plain, layout.scales.get(key, 1.0))
+        if len(self.sensors) > 1:
+            foreign = ~self.seen[sensors]
+            plain &= ~(foreign & ~(np.isnan(values) & np.isnan(deviations))).any(1)
+        self._complete(sensors, values, deviations, plain)
+        return plain, ReadingTable(objects, times, sensors, values, deviations)
+
+    def _times(self, column: Column, plain: Mask) -> Array:
+        """Return the times of rows; those without one are not plain. Raises UserError as a clock does."""
+        clock = self.layout.clock
+        if clock is None or (_is_numeric(column) and not clock.dated):
+            times = self._numbers(column, plain, 1.0 if clock is None else clock.scale)
+        else:
+            known = dict[Any, float]()  # objects are often measured at the same times
+            for cell in dict.fromkeys(column.tolist() if isinstance(column, np.ndarray) else column):
+                try:
+                    known[cell] = clock.time(cell.strip() if isinstance(cell, str) else cell)
+                except BadLine:
+                    known[cell] = math.nan
+            times = np.array([known[cell] for cell in column], dtype=np.float64)
+        plain &= np.isfinite(times)
+        return times
+
+    def _complete(self, sensors: Places, values: Array, deviations: Array, plain: Mask) -> None:
+        """Complete standard deviations in place, as `Layout` does; rows where none is known are not plain."""
+        own, seen = self.own[sensors], self.seen[sensors]
+        bare = np.isnan(deviations).all(1) & ~np.any(np.isnan(own) & seen, axis=1)
+        filled = np.where(np.isnan(deviations), own, deviations)
+        filled = np.where(np.isnan(filled) & np.isnan(values), 1.0, filled)
+        plain &= bare | ~np.any(seen & ~(filled > 0.0), axis=1)
+        deviations[:] = np.where(seen & ~bare[:, None], filled, math.nan)
+
+    def _sensors(self, columns: dict[str, Column], count: int) -> Places:
+        """Return the numbers of sensors, -1 where none is named of several."""
+        if SENSOR not in columns:
+            return np.full(count, 0 if len(self.sensors) == 1 else -1)
+        known = {name: k for k, name in enumerate(self.sensors)}
+        cells = [str(cell).strip() for cell in columns[SENSOR]]
+        only = {"": 0} if len(self.sensors) == 1 else {}
+        return np.array([(known | only).get(cell, -1) for cell in cells], dtype=np.int64)
+
+    def _numbers(self, column: Column, plain: Mask, scale: float) -> Array:
+        """Return the numbers of a column, NaN where one is missing; rows with others are not plain."""
+        if isinstance(column, np.ndarray):
+            found = column.astype(np.float64)
+        else:
+            try:
+                found = np.array(list(map(float, column)))
+            except (ValueError, TypeError):
+                found = np.array([_number(cell, k, plain) for k, cell in enumerate(column)])
+            if "_" in "".join(map(str, column)):
+                plain &= ["_" not in str(cell) for cell in column]
+        with np.errstate(over="ignore"):
+            found = found * scale
+        plain &= ~np.isinf(found)
+        return found
+
+    def _singly(self, lines: list[int], texts: list[str]) -> tuple[list[Any], dict[int, str]]:
+        """Return what lines say, one by one, and what is wrong with others."""
+        rows, bad = [], dict[int, str]()
+        for line, text in zip(lines, texts, strict=True):
+            try:
+                rows.append((line, self.layout.row(text)))
+            except BadLine as error:
+                bad[line] = str(error)
+        found, others = self._rows([line for line, _ in rows], [row for _, row in rows])
+        return found, bad | others
+
+    def _rows(self, lines: list[int], rows: list[dict[str, Any]]) -> tuple[list[Any], dict[int, str]]:
+        """Return what rows say, one by one, and what is wrong with others."""
+        found, bad = list[tuple[int, str, Reading]](), dict[int, str]()
+        for line, row in zip(lines, rows, strict=True):
+            try:
+                found.append((line, self.layout.object_of(row), self.layout.reading_of(row)))
+            except BadLine as error:
+                bad[line] = str(error)
+        return found, bad
+
+    def _joined(
+        self, lines: list[int], table: ReadingTable | None, singly: tuple[list[Any], dict[int, str]]
+    ) -> ParsedLines:
+        """Return readings in the order of their lines."""
+        found, bad = singly
+        if not found and table is not None:
+            return ParsedLines(lines, table, bad)
+        own = [line for line, _, _ in found]
+        parts = self._table([(name, reading) for _, name, reading in found])
+        if table is None:
+            return ParsedLines(own, parts, bad)
+        order = np.argsort([*lines, *own], kind="stable")
+        objects = [*table.objects, *parts.objects]
+        both = ReadingTable(
+            objects,
+            np.concatenate((table.times, parts.times)),
+            np.concatenate((table.sensors, parts.sensors)),
+            np.concatenate((table.values, parts.values)),
+            np.concatenate((table.deviations, parts.deviations)),
+        )
+        whole = _rebuilt([objects[k] for k in order.tolist()], both, order)
+        return ParsedLines([[*lines, *own][k] for k in order.tolist()], whole, bad)
+
+    def _table(self, pairs: list[tuple[str, Reading]]) -> ReadingTable:
+        """Return single readings as a table."""
+        shape = (len(pairs), len(self.columns))
+        values, deviations = np.full(shape, math.nan), np.full(shape, math.nan)
+        sensors = np.full(len(pairs), -1)
+        for k, (_, reading) in enumerate(pairs):
+            if reading.sensor:
+                sensors[k] = self.sensors.index(reading.sensor)
+                own = np.flatnonzero(self.seen[sensors[k]])
+                order = [self.layout.sensors[reading.sensor].columns.index(self.columns[j]) for j in own]
+                values[k, own] = np.array(reading.values)[order]
+                if reading.deviations is not None:
+                    deviations[k, own] = np.array(reading.deviations)[order]
+        times = np.array([reading.time for _, reading in pairs], dtype=np.float64)
+        return ReadingTable([name for name, _ in pairs], times, sensors, values, deviations)
+
+
+def _rebuilt(objects: list[str], table: ReadingTable, chosen: Places) -> ReadingTable:
+    """Return some rows of a table under the names of their objects."""
+    _, times, sensors, values, deviations = table
+    return ReadingTable(objects, times[chosen], sensors[chosen], values[chosen], deviations[chosen])
+
+
+def _is_numeric(column: Column) -> bool:
+    """Return whether the first cell that holds something is a number."""
+    if isinstance(column, np.ndarray):
+        return True
+    first = next((cell for cell in column if not is_missing(cell)), "")
+    return not isinstance(first, str) or is_number(first)
+
+
+def _number(cell: Any, row: int, plain: Mask) -> float:
+    """Return the number in a cell, NaN where it is missing; a row with something else is not plain."""
+    if is_missing(cell) or (isinstance(cell, str) and is_missing(cell.strip())):
+        return math.nan
+    try:
+        return float(cell)
+    except (ValueError, TypeError):
+        plain[row] = False
+        return math.nan
+
+
+def _cell(cell: Any) -> Any:
+    """Return a cell as one of a line: text without spaces around it."""
+    return cell.strip() if isinstance(cell, str) else cell.item() if isinstance(cell, np.generic) else cell

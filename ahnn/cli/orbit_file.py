@@ -1,0 +1,54 @@
+"""From a command line to an orbit determination: `FILE.yaml [KEY=VALUE...]`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ahnn.cli.commandline import pair
+from ahnn.cli.pairs import divided
+from ahnn.contents import read_plain
+from ahnn.errors import UserError
+from ahnn.jobs.determining import OrbitRequest
+from ahnn.tracking.orbit_setup import setup_of
+
+OWN = ("folder", "out")
+"""Keys of the command beside those of the file."""
+
+
+def read_orbit(arguments: list[str], usage: str) -> OrbitRequest:
+    """Return what a command line asks for.
+
+    Raises:
+        UserError: no file, a key that is unknown or missing, or a value of another type.
+    """
+    paths, texts = divided(arguments, OWN)
+    if len(paths) != 1:
+        message = f"{usage}; received: {' '.join(arguments) or 'nothing'}"
+        raise UserError(message)
+    values, own = read_plain(paths[0]), dict[str, Any]()
+    for key, value in map(pair, texts):
+        if key in OWN:
+            own[key] = Path(str(value)).expanduser()
+        else:
+            put(values, key, value)
+    folder = own.get("folder", paths[0].parent)
+    if not folder.is_dir():
+        message = f"folder: expected that of the measurements; received {folder}"
+        raise UserError(message)
+    return OrbitRequest(setup_of(values), folder, own.get("out"), paths[0].stem)
+
+
+def put(values: dict[str, Any], key: str, value: Any) -> None:
+    """Set a value under a dotted key; raises UserError where a part of it has no keys below."""
+    *above, last = key.split(".")
+    place = values
+    for part in above:
+        below = place.get(part)
+        if below is None:
+            below = place[part] = {}
+        if not isinstance(below, dict):
+            message = f"{key}: expected keys below {part!r}; received {below!r} in the file"
+            raise UserError(message)
+        place = below
+    place[last] = value

@@ -1,0 +1,160 @@
+"""Orbit messages of CCSDS that are one list of fields (OPM, OMM), in keyword = value notation and in XML."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from xml.parsers import expat
+
+from ahnn.arguments import nearest
+from ahnn.data.files.table import Place
+
+LINE = re.compile(r"(?P<key>[A-Z0-9_]+)\s*=\s*(?P<value>.*?)\s*(\[(?P<unit>[^\[\]]*)\])?")
+HEADER = ("CREATION_DATE", "ORIGINATOR", "MESSAGE_ID", "CLASSIFICATION")
+STRUCTURE = (
+    *("ndm", "opm", "omm", "header", "body", "segment", "metadata", "data", "stateVector", "meanElements"),
+    *("keplerianElements", "spacecraftParameters", "covarianceMatrix", "maneuverParameters", "tleParameters"),
+    "userDefinedParameters",
+)
+"""Elements that hold others."""
+VERSIONS = ("1.0", "2.0", "3.0")
+
+
+@dataclass
+class FieldMessage:
+    """Fields of a message.
+
+    Attributes:
+        place: where it begins.
+        about: what it is.
+        values: texts by keyword.
+        rows: numbers of their lines.
+        units: that stand behind them.
+        repeated: keywords of blocks that may occur several times, such as those of manoeuvres.
+    """
+
+    place: Place
+    about: str
+    values: dict[str, str] = field(default_factory=dict)
+    rows: dict[str, int] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
+    repeated: dict[str, None] = field(default_factory=dict)
+
+    def at(self, key: str) -> Place:
+        """Return where a field stands."""
+        return self.place._replace(row=self.rows.get(key, self.place.row), column=key)
+
+    def add(self, key: str, value: str, unit: str | None, place: Place) -> None:
+        """Add a field; raises UserError for one that is there already."""
+        if key == "COMMENT":
+            return
+        if key.startswith(("MAN_", "USER_DEFINED")):
+            self.repeated[key] = None
+        elif key in self.values:
+            place._replace(column=key).refuse("each keyword once", "it twice")
+        else:
+            self.values[key], self.rows[key] = value, place.row
+            if unit is not None:
+                self.units[key] = unit
+
+    def text(self, key: str) -> str:
+        """Return a field that must be there; raises UserError."""
+        return self.values.get(key) or self.at(key).refuse(f"a value in {self.about}", "none")
+
+    def require_units(self, expected: Callable[[str], str]) -> None:
+        """Refuse other units than the standard has; raises UserError."""
+        for key, unit in self.units.items():
+            plain = unit.replace(" ", "").lower().replace("^", "**")
+            if (wanted := expected(key)) and plain != wanted:
+                self.at(key).refuse(f"units {wanted}", repr(unit))
+
+    def unknown(self, known: Sequence[str]) -> list[str]:
+        """Return what is said of keywords that the standard does not have."""
+        every = (*known, *HEADER)
+        return [f"{key}{nearest(key, every)}" for key in self.values if key not in every]
+
+
+def field_messages(text: str, file: str, name: str) -> list[FieldMessage]:
+    """Return the messages of a text.
+
+    Args:
+        text: of a message, or of several in one NDM.
+        file: its name.
+        name: OPM or OMM.
+
+    Raises:
+        UserError: another message, or what is no field.
+    """
+    if text.lstrip().startswith("<"):
+        return _of_xml(text, file, name)
+    lines = [(row, line.strip()) for row, line in enumerate(text.split("\n"), 1)]
+    used = [(row, line) for row, line in lines if line and line.split()[0] != "COMMENT"]
+    version = f"CCSDS_{name}_VERS"
+    found: list[FieldMessage] = []
+    for row, line in used:
+        place = Place(file, row)
+        cells = LINE.fullmatch(line)
+        if cells is None:
+            place.refuse(f"KEYWORD = value of {ABOUT[name]}", repr(line))
+        if cells["key"] == version:
+            _require_version(cells["value"], name, place)
+            found.append(FieldMessage(place, ABOUT[name]))
+        elif not found:
+            place.refuse(f"{version} first", repr(line))
+        else:
+            found[-1].add(cells["key"], cells["value"], cells["unit"], place)
+    return found
+
+
+ABOUT = {"OPM": "an orbit parameter message (OPM)", "OMM": "an orbit mean-elements message (OMM)"}
+
+
+def _require_version(text: str, name: str, place: Place) -> None:
+    if text not in VERSIONS:
+        place.refuse(f"version {', '.join(VERSIONS)} of {ABOUT[name]}", repr(text))
+
+
+def _of_xml(text: str, file: str, name: str) -> list[FieldMessage]:
+    """Return the messages of XML; raises UserError."""
+    found: list[FieldMessage] = []
+    path: list[str] = []
+    texts: list[str] = []
+    attributes: list[dict[str, str]] = []
+    parser = expat.ParserCreate()
+
+    def start(tag: str, given: dict[str, str]) -> None:
+        tag, place = tag.rpartition(":")[2], Place(file, parser.CurrentLineNumber)
+        if tag == name.lower():
+            _require_version(given.get("version", "2.0"), name, place)
+            found.append(FieldMessage(place, ABOUT[name]))
+        elif tag not in STRUCTURE and not (found and path and path[-1] in STRUCTURE):
+            place.refuse(ABOUT[name], f"<{tag}> in it")
+        elif tag in ("opm", "omm", "segment") and tag in path:
+            place.refuse(ABOUT[name], f"<{tag}> in <{tag}>")
+        path.append(tag)
+        texts.append("")
+        attributes.append(given)
+
+    def end(_: str) -> None:
+        tag, text, given = path.pop(), texts.pop().strip(), attributes.pop()
+        place = Place(file, parser.CurrentLineNumber)
+        if tag not in STRUCTURE and found:
+            found[-1].add(tag, text, given.get("units"), place)
+
+    def more(text: str) -> None:
+        if texts:
+            texts[-1] += text
+
+    def entity(*_: object) -> None:
+        Place(file, parser.CurrentLineNumber).refuse("no entities of its own", "one")
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.CharacterDataHandler, parser.EntityDeclHandler = more, entity
+    try:
+        parser.Parse(text.encode(), True)
+    except expat.ExpatError as error:
+        Place(file, error.lineno).refuse("XML", expat.ErrorString(error.code))
+    if not found:
+        Place(file).refuse(ABOUT[name], "none")
+    return found

@@ -1,0 +1,107 @@
+"""Orbits that SGP4 propagates from mean elements, whatever the notation of these.
+
+Hoots and Roehrich, Spacetrack Report 3 (1980), as revised by Vallado et al., AIAA 2006-6753.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ahnn.data.files import epochs
+from ahnn.data.files.content import Content
+from ahnn.data.files.ephemeris import of_orbits
+from ahnn.data.files.optional_libraries import library
+from ahnn.data.files.samples import Track
+from ahnn.data.files.table import Fault, Note, Place, Remark, refuse
+from ahnn.errors import UserError
+
+FRAME = "TEME, EARTH, UTC"
+
+
+class MeanOrbit(NamedTuple):
+    """Mean elements as SGP4 takes them.
+
+    Attributes:
+        place: where they stand.
+        name: of the satellite.
+        satellite: `Satrec` of the package sgp4.
+        epoch: in picoseconds (`epochs.instant`).
+    """
+
+    place: Place
+    name: str
+    satellite: Any
+    epoch: int
+
+
+def sgp4_content(
+    orbits: Callable[[Any, Note], Iterator[MeanOrbit]],
+    file: str,
+    span: tuple[float | None, float | None],
+    *,
+    weighed: bool,
+    named: str,
+    expected: str,
+    unused: str,
+    note: Note = refuse,
+) -> Content:
+    """Return a trajectory for each set of mean elements, from its epoch on.
+
+    Args:
+        orbits: yields them, given the module `sgp4.api` and what notes faults.
+        file: its name, for messages.
+        span: seconds between samples and of each trajectory.
+        weighed: whether a mass is stated.
+        named: what the elements are called.
+        expected: what a file without elements should hold.
+        unused: what is said of fields that SGP4 does not need.
+        note: of elements that are damaged or cannot be propagated.
+
+    Raises:
+        UserError: no step or duration, no elements, or what `note` raises.
+    """
+    step, duration = span
+    if step is None or duration is None or duration < step:
+        message = (
+            "system.step, system.duration: expected seconds between samples and of a whole trajectory, that "
+            f"SGP4 propagates from the {named} of {file}; received {step} and {duration}"
+        )
+        raise UserError(message)
+    model = library("sgp4.api", "sgp4", "orbit", file)
+    times = step * np.arange(int(duration / step + 1e-9) + 1, dtype=np.float64)
+    tracks, starts = [], []
+    for one in orbits(model, note):
+        try:
+            track = propagated(model, one, times)
+        except Fault as fault:
+            note(fault)
+        else:
+            tracks.append(track)
+            starts.append(one.epoch)
+    note(Remark(Place(file), unused))
+    if not tracks:
+        Place(file).refuse(expected, "none")
+    first = min(starts)
+    shifted = [
+        track._replace(times=track.times + (start - first) / epochs.SECOND)
+        for track, start in zip(tracks, starts, strict=True)
+    ]
+    return of_orbits(shifted, FRAME, first, weighed=weighed)
+
+
+def propagated(model: Any, one: MeanOrbit, times: NDArray[np.float64]) -> Track:
+    """Return the orbit of mean elements; raises Fault where SGP4 gives up."""
+    whole = np.full(len(times), one.satellite.jdsatepoch)
+    fractions = one.satellite.jdsatepochF + times / epochs.DAY
+    codes, positions, velocities = one.satellite.sgp4_array(whole, fractions)
+    if len(wrong := np.flatnonzero((codes != 0) | ~np.isfinite(positions).all(1))):
+        reason, k = model.SGP4_ERRORS.get(int(codes[wrong[0]]), "no finite position"), wrong[0]
+        one.place.refuse(
+            "elements that SGP4 propagates", f"after {times[k]:g} s: {reason}", "Shorten system.duration"
+        )
+    rows = np.full(len(times), one.place.row, dtype=np.int64)
+    return Track(one.name, one.place.file, rows, times, np.concatenate((positions, velocities), axis=1))

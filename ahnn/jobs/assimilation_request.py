@@ -1,0 +1,119 @@
+"""What is asked of an assimilation, and all that it needs besides its lines."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, BinaryIO, Literal, NamedTuple, cast
+
+from ahnn.arguments import Count, Finite, Positive, Within
+from ahnn.assimilation import Assimilation, Catalogue
+from ahnn.assimilation.journal import Journal
+from ahnn.assimilation.output_rows import require_new
+from ahnn.assimilation.stream_clock import StreamClock
+from ahnn.assimilation.stream_figures import NAMES
+from ahnn.data.reference import Reference
+from ahnn.errors import UserError
+from ahnn.evaluation.sinks.figure_files import FORMATS
+from ahnn.manifest import require_own
+from ahnn.types import Space
+
+
+@dataclass(frozen=True, kw_only=True)
+class AssimilationRequest:
+    """The keys of conf/assimilate.yaml."""
+
+    measurements: str
+    output: str
+    format: Literal["csv", "json"] | None = None
+    state: str | None = None
+    every: Count | None = None
+    objects: str | None = None
+    states: str | None = None
+    start: str | list[float] | None = None
+    start_sd: list[Positive] | None = None
+    time: Finite | None = None
+    sensors: dict[str, Any]
+    window: Annotated[float, Within(0)]
+    lines: Count
+    gap: Positive | None = None
+    watch: bool
+    figures: str | None = None
+    oem: str | None = None
+    object: str | None = None
+    controls: str | list[Finite] | Finite | None = None
+    epoch: str | None = None
+    frame: str | None = None
+    center: str | None = None
+    time_system: str | None = None
+
+
+class Stream(NamedTuple):
+    """All that an assimilation needs besides its lines.
+
+    Attributes:
+        asked: where lines come from, and what is made of them.
+        space: of the states.
+        filtering: the filter, or those of many objects.
+        clock: what times mean.
+        reference: of the estimates.
+        name: of what is followed.
+        controls: names of those that forces of the model take.
+    """
+
+    asked: AssimilationRequest
+    space: Space
+    filtering: Assimilation | Catalogue
+    clock: StreamClock
+    reference: Reference
+    name: str
+    controls: tuple[str, ...] = ()
+
+
+def require_places(options: AssimilationRequest) -> None:
+    """Refuse places for output, state, figures and message where something else is; raises UserError."""
+    require_together(options)
+    if options.output == "-" and (options.figures or options.oem):
+        message = "output: expected a FILE, of which figures and oem are made; received -"
+        raise UserError(message)
+    if options.state is None or not Path(options.state).exists():
+        require_new(options.output)
+    if options.state is not None and Path(options.state).is_symlink():
+        message = f"state: expected a file; received {options.state}, a link. Name the file itself"
+        raise UserError(message)
+    places = options.output, options.state, options.states, options.oem
+    given = [Path(path).resolve() for path in places if path]
+    if len({*given}) < len(given):
+        message = "assimilate: expected an output, a state and others of their own; received one path twice"
+        raise UserError(message)
+    require_own(_made_at_the_end(options), "assimilate")
+
+
+def require_together(options: AssimilationRequest) -> None:
+    """Refuse options of one object beside those of many; raises UserError."""
+    if options.objects is None:
+        if options.states is not None:
+            message = f"states: expected objects=COLUMN beside it; received states={options.states} alone"
+            raise UserError(message)
+        return
+    one = {key: getattr(options, key) for key in ("figures", "oem", "object", "controls")}
+    one["watch"] = options.watch or None
+    if given := [key for key, value in one.items() if value is not None]:
+        message = f"{given[0]}: expected none with objects={options.objects}; received one. Leave it out"
+        raise UserError(message)
+
+
+def opened(path: str, state: Path | None) -> BinaryIO | Journal:
+    """Return a stream of bytes, standard input with a journal beside its state."""
+    if path != "-":
+        return open(path, "rb")
+    pipe = cast(Any, sys.stdin.buffer)
+    return pipe if state is None else Journal(pipe.raw, Path(f"{state}.lines"))
+
+
+def _made_at_the_end(options: AssimilationRequest) -> list[Path]:
+    """Return the files that are made of the output."""
+    names = [f"{name}{suffix}" for name in NAMES for suffix in FORMATS]
+    pictures = [Path(options.figures) / name for name in names] if options.figures else []
+    return [*pictures, *([Path(options.oem)] if options.oem else [])]

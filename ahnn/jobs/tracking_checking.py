@@ -1,0 +1,104 @@
+"""What is in tracking data, coordinates of stations and orientations of the Earth, and what is wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.table import Table
+
+from ahnn.data.doctor import Finding
+from ahnn.data.files import epochs
+from ahnn.data.files.kinds import ABOUT, kind_of
+from ahnn.data.files.raw import content_of, decoded
+from ahnn.data.files.table import Fault, Place, Remark
+from ahnn.evaluation.data_findings import counted, listed
+from ahnn.tracking.formats.bulletin_b import read_bulletins
+from ahnn.tracking.formats.sinex import sinex_stations
+from ahnn.tracking.formats.tracking_files import READABLE, read_tracking
+from ahnn.tracking.survey import SeriesSurvey, survey
+from ahnn.tracking.tracking_data import TrackingData
+
+EVENTS = {"receive": "reception", "transmit": "transmission", "bounce": "reflection"}
+LISTED = 20
+"""Outliers of a series that are listed."""
+
+
+def tracking_check(path: Path) -> tuple[list[Finding], RenderableType]:
+    """Return what is wrong with a file, and what to show of it; raises UserError if it is not there."""
+    kind = kind_of(content_of(path), str(path))
+    said: list[Fault | Remark] = []
+    shown: list[RenderableType] = []
+    found: list[Finding] = []
+    try:
+        if kind in READABLE:
+            for data in read_tracking(path, note=said.append):
+                series = survey(data)
+                shown.append(_table(path, data, series))
+                found += _findings(path, data, series)
+        else:
+            holds, unused = (_stations if kind == "sinex" else _days)(path)
+            shown.append(f"{path.name}: {holds}")
+            said.append(Remark(Place(str(path)), f"not used: {unused}"))
+    except Fault as fault:
+        said.append(fault)
+    found = [*map(Finding.of, said), *found]
+    body = [*shown, ""] if shown else []
+    findings = [listed(found), ""] if found else []
+    return found, Group(*body, *findings, f"{path.name}, {ABOUT[kind]}: {counted(found)}")
+
+
+def _stations(path: Path) -> tuple[str, str]:
+    """Return what a SINEX file holds, and what of it is not used."""
+    found = sinex_stations(decoded(content_of(path), path), str(path))
+    holds = f"positions of stations: {len(found.solutions)}, eccentricities: {len(found.eccentricities)}"
+    return holds, ", ".join(found.unused) or "nothing"
+
+
+def _days(path: Path) -> tuple[str, str]:
+    """Return what a Bulletin B holds, and what of it is not used."""
+    found = read_bulletins(path)
+    last = found.mjd[found.final][-1] if found.final.any() else float("nan")
+    ends = f"MJD {found.mjd[0]:.0f} to {found.mjd[-1]:.0f}, final until {last:.0f}"
+    holds = f"polar motion and UT1 - UTC of {len(found.mjd)} days, {ends}"
+    return holds, "standard deviations, sections from 2 on"
+
+
+def _table(path: Path, data: TrackingData, series: list[SeriesSurvey]) -> RenderableType:
+    """Return who measured what, when and how often."""
+    whose = f"satellite {data.object}" if data.object else "a satellite that it does not name"
+    head = f"{path.name}: {len(data.times)} measurements of {whose}, by times of {EVENTS[data.event]} in UTC"
+    table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
+    for name in ("station", "kind", "count", "passes", "from", "to", "longest gap"):
+        table.add_column(name, justify="left" if name in ("station", "kind", "from", "to") else "right")
+    for one in series:
+        ends = (_spelled(data, float(one.times[k]))[:16] for k in (0, -1))
+        kind_of_it, gap = one.kind.replace("_", " "), duration(one.gap)
+        table.add_row(one.station, kind_of_it, str(len(one.times)), str(one.passes), *ends, gap)
+    return Group(head, table)
+
+
+def _spelled(data: TrackingData, time: float) -> str:
+    return epochs.spelled(data.epoch + round(time * epochs.SECOND), utc=True)
+
+
+def duration(seconds: float) -> str:
+    """Return a time in words, such as 13.2 h."""
+    units = (("d", 86400.0), ("h", 3600.0), ("min", 60.0))
+    name, size = next(((name, size) for name, size in units if seconds >= 2 * size), ("s", 1.0))
+    return f"{seconds / size:.1f} {name}"
+
+
+def _findings(path: Path, data: TrackingData, series: list[SeriesSurvey]) -> list[Finding]:
+    """Return what stands out of data, and what of the file is not used."""
+    found = [Finding("note", str(path), 0, "", one, "Nothing") for one in data.remarks]
+    for one in series:
+        for places, what, remedy in (
+            (one.outliers, "far from its neighbours", "Leave it out, if residuals say so too"),
+            (one.impossible, "the range changes faster than a satellite moves", "Look at time and range"),
+        ):
+            for k in np.asarray(places)[:LISTED]:
+                text = f"{one.station} at {_spelled(data, float(one.times[k]))[:19]}: {what}"
+                found.append(Finding("warning", str(path), 0, one.kind.replace("_", " "), text, remedy))
+    return found

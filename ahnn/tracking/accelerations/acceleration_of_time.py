@@ -1,0 +1,90 @@
+"""An acceleration as a sum of functions of time: polynomials, or a spline that is learned."""
+
+from __future__ import annotations
+
+from typing import Literal, Protocol
+
+import numpy as np
+
+from ahnn.tracking.accelerations.contract import NONE, Acceleration, Array
+
+Axes = Literal["inertial", "orbital"]
+LETTERS: dict[str, str] = {"inertial": "XYZ", "orbital": "RTN"}
+"""X, Y, Z of GCRF; or radial, along the track and normal to the orbit."""
+
+
+class TimeBasis(Protocol):
+    """Functions of time."""
+
+    size: int
+    unit: float
+    """km/s^2 that a weight of 1 stands for, times the function."""
+
+    def __call__(self, t: Array) -> Array:
+        """Return the functions at times (T,), shape (T, size)."""
+        ...
+
+
+class Powers:
+    """Powers of the time since an origin, in units of the segment's length: 1, s, s^2, ..."""
+
+    def __init__(self, origin: float, length: float, degree: int, unit: float = 1e-9) -> None:
+        self.origin, self.length, self.size, self.unit = origin, length, degree + 1, unit
+
+    def __call__(self, t: Array) -> Array:
+        """Return the powers at times (T,), shape (T, size)."""
+        s = (np.asarray(t, dtype=np.float64) - self.origin) / self.length
+        return np.column_stack([s**k for k in range(self.size)])
+
+
+class CubicSplines:
+    """Cubic B-splines on even knots (de Boor 1978); they add up to 1 between the first and the last time."""
+
+    def __init__(self, first: float, last: float, pieces: int, unit: float = 1e-9) -> None:
+        self.first, self.last, self.size, self.unit = first, last, pieces + 3, unit
+        self.spacing = (last - first) / pieces
+
+    def __call__(self, t: Array) -> Array:
+        """Return the splines at times (T,), shape (T, size); outside the value at the nearer end."""
+        at = (np.clip(np.asarray(t, dtype=np.float64), self.first, self.last) - self.first) / self.spacing
+        piece = np.minimum(at.astype(np.int64), self.size - 4)
+        s = at - piece
+        rest = 1 - s
+        four = (rest**3, 3 * s**3 - 6 * s**2 + 4, 3 * rest**3 - 6 * rest**2 + 4, s**3)
+        values, rows = np.zeros((len(at), self.size)), np.arange(len(at))
+        for k, part in enumerate(four):
+            values[rows, piece + k] = part / 6
+        return values
+
+    @property
+    def centres(self) -> Array:
+        """Where each spline is highest, (size,)."""
+        return self.first + self.spacing * np.arange(-1.0, self.size - 1.0)
+
+
+class AccelerationOfTime:
+    """The sum of basis functions in three axes; its parameters are weights, in units of the basis.
+
+    Args:
+        basis: functions of time.
+        axes: in which it acts.
+        name: before those of its parameters.
+    """
+
+    def __init__(self, basis: TimeBasis, axes: Axes, name: str = "acceleration") -> None:
+        self.basis, self.axes = basis, axes
+        self.parameters = tuple(f"{name} {letter}{k}" for letter in LETTERS[axes] for k in range(basis.size))
+
+    def __call__(self, t: float, r: Array, v: Array, p: Array) -> Acceleration:
+        """Return the acceleration at a state; derivatives leave out that orbital axes turn with it."""
+        values = self.basis.unit * self.basis(np.array([t]))[0]
+        frame = np.eye(3) if self.axes == "inertial" else orbital_axes(r, v)
+        by_parameters = (frame[:, :, None] * values).reshape(3, -1)
+        return Acceleration(by_parameters @ p, NONE, NONE, by_parameters)
+
+
+def orbital_axes(r: Array, v: Array) -> Array:
+    """Return the unit vectors outward, along the track and along the momentum as columns, (3, 3)."""
+    outward, normal = r / np.linalg.norm(r), np.cross(r, v)
+    normal = normal / np.linalg.norm(normal)
+    return np.column_stack((outward, np.cross(normal, outward), normal))

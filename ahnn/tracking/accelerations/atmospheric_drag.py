@@ -1,0 +1,64 @@
+"""Drag of an atmosphere that turns with the Earth and thins out exponentially."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ahnn.tracking.accelerations.contract import Acceleration, Array
+
+ROTATION = 7.292115e-5
+"""Rate of the Earth, rad/s (IERS Conventions 2010, table 1.2)."""
+RADIUS = 6378.137
+"""km."""
+LAYERS = np.array(
+    [
+        (150.0, 2.070e-9, 22.523),
+        (180.0, 5.464e-10, 29.740),
+        (200.0, 2.789e-10, 37.105),
+        (250.0, 7.248e-11, 45.546),
+        (300.0, 2.418e-11, 53.628),
+        (350.0, 9.518e-12, 53.298),
+        (400.0, 3.725e-12, 58.515),
+        (450.0, 1.585e-12, 60.828),
+        (500.0, 6.967e-13, 63.822),
+        (600.0, 1.454e-13, 71.835),
+        (700.0, 3.614e-14, 88.667),
+        (800.0, 1.170e-14, 124.64),
+        (900.0, 5.245e-15, 181.05),
+        (1000.0, 3.019e-15, 268.00),
+    ]
+)
+"""Base height in km, density there in kg/m^3, scale height in km (Vallado 2013, table 8-4)."""
+
+
+class AtmosphericDrag:
+    """Acceleration against the wind, with one parameter: the drag coefficient (1).
+
+    Args:
+        area_to_mass: m^2/kg.
+    """
+
+    parameters: tuple[str, ...] = ("drag",)
+
+    def __init__(self, area_to_mass: float) -> None:
+        self.strength = 0.5e3 * area_to_mass  # km
+
+    def __call__(self, t: float, r: Array, v: Array, p: Array) -> Acceleration:
+        """Return the acceleration at a state; heights are above a sphere. See `AccelerationTerm`."""
+        del t
+        distance = np.linalg.norm(r)
+        density, scale = atmosphere(float(distance) - RADIUS)
+        spin = ROTATION * np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+        wind = v + spin @ r
+        speed = np.linalg.norm(wind)
+        unit = -self.strength * density * speed * wind
+        by_wind = -self.strength * density * (speed * np.eye(3) + np.outer(wind, wind) / speed)
+        by_position = by_wind @ spin - np.outer(unit, r) / (distance * scale)
+        return Acceleration(p[0] * unit, p[0] * by_position, p[0] * by_wind, unit[:, None])
+
+
+def atmosphere(height: float) -> tuple[float, float]:
+    """Return density in kg/m^3 and scale height in km at a height in km; the lowest layer goes on down."""
+    layer = max(0, int(np.searchsorted(LAYERS[:, 0], height, side="right")) - 1)
+    base, density, scale = LAYERS[layer]
+    return float(density * np.exp((base - height) / scale)), float(scale)

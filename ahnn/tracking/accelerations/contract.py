@@ -1,0 +1,50 @@
+"""What every acceleration of a satellite offers."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+NONE = np.zeros((3, 3))
+
+
+class Acceleration(NamedTuple):
+    """An acceleration at one state, in km/s^2 and the axes of GCRF.
+
+    Attributes:
+        value: (3,).
+        by_position: its derivatives by the position, (3, 3).
+        by_velocity: by the velocity, (3, 3).
+        by_parameters: by the term's own parameters, (3, P).
+    """
+
+    value: Array
+    by_position: Array
+    by_velocity: Array
+    by_parameters: Array
+
+
+class AccelerationTerm(Protocol):
+    """One cause of acceleration."""
+
+    parameters: tuple[str, ...]
+    """Names of what can be estimated of it, each with its unit in the term's docstring."""
+
+    def __call__(self, t: float, r: Array, v: Array, p: Array) -> Acceleration:
+        """Return the acceleration of a satellite.
+
+        Args:
+            t: seconds after the epoch.
+            r: position, (3,) km in GCRF.
+            v: velocity, (3,) km/s.
+            p: parameters, (P,).
+        """
+        ...
+
+
+def known(value: Array, by_position: Array, by_velocity: Array = NONE) -> Acceleration:
+    """Return an acceleration that has no parameters."""
+    return Acceleration(value, by_position, by_velocity, np.empty((3, 0)))

@@ -1,0 +1,47 @@
+"""The bulge that Sun and Moon raise on the solid Earth, of degree 2 (IERS Conventions 2010, 6.2.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ahnn.tracking.accelerations.contract import Acceleration, Array, known
+
+LOVE = 0.30190
+"""k_20 of the elastic Earth (IERS Conventions 2010, table 6.3)."""
+RADIUS = 6378.1366
+"""km, to which the number belongs."""
+
+
+class EarthTide:
+    """Attraction by the tide that a body raises; its constant part is there, so the field is tide-free.
+
+    The potential is k2 mu / d^3 R^5 / r^3 (3 cos^2 z - 1) / 2, z the angle between satellite and body.
+
+    Args:
+        mu: gravitational parameter of the body, km^3/s^2.
+        position: t -> (3,) km from the Earth's centre.
+    """
+
+    parameters: tuple[str, ...] = ()
+
+    def __init__(self, mu: float, position: Callable[[float], Array]) -> None:
+        self.mu, self.position = mu, position
+
+    def __call__(self, t: float, r: Array, v: Array, p: Array) -> Acceleration:
+        """Return the attraction at a state; see `AccelerationTerm`."""
+        del v, p
+        body = self.position(t)
+        away = np.linalg.norm(body)
+        e, square = body / away, r @ r
+        s = r @ e
+        factor = 0.5 * LOVE * self.mu * RADIUS**5 / away**3
+        # Potential factor (3 s^2 / r^5 - 1 / r^3), its gradient and the gradient of that.
+        r5 = square**2.5
+        c, b = (3.0 - 15.0 * s**2 / square) / r5, 6.0 * s / r5
+        value = factor * (c * r + b * e)
+        c_slope = -5.0 * c * r / square + (-30.0 * s / square * e + 30.0 * s**2 / square**2 * r) / r5
+        b_slope = 6.0 / r5 * (e - 5.0 * s / square * r)
+        tensor = factor * (c * np.eye(3) + np.outer(r, c_slope) + np.outer(e, b_slope))
+        return known(value, tensor)

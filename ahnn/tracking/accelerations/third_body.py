@@ -1,0 +1,33 @@
+"""A body beyond the Earth: what it attracts a satellite with, less what it attracts the Earth with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ahnn.tracking.accelerations.contract import Acceleration, Array, known
+
+
+class ThirdBody:
+    """Attraction by Sun or Moon as a point (Montenbruck & Gill, Satellite Orbits, 3.37).
+
+    Args:
+        mu: gravitational parameter, km^3/s^2.
+        position: t -> (3,) km from the Earth's centre.
+    """
+
+    parameters: tuple[str, ...] = ()
+
+    def __init__(self, mu: float, position: Callable[[float], Array]) -> None:
+        self.mu, self.position = mu, position
+
+    def __call__(self, t: float, r: Array, v: Array, p: Array) -> Acceleration:
+        """Return the attraction at a state; see `AccelerationTerm`."""
+        del v, p
+        body = self.position(t)
+        line = body - r
+        distance = np.linalg.norm(line)
+        value = self.mu * (line / distance**3 - body / np.linalg.norm(body) ** 3)
+        tensor = self.mu * (3 * np.outer(line, line) / distance**5 - np.eye(3) / distance**3)
+        return known(value, tensor)

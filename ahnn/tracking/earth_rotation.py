@@ -1,0 +1,95 @@
+"""The turn of the Earth: matrices from GCRF to ITRF by IAU 2006/2000A, with UT1 and polar motion as measured.
+
+IERS Conventions (2010), chapter 5, by the celestial intermediate origin; the routines are those of ERFA.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from ahnn.data.files import epochs
+from ahnn.data.files.frames import terrestrial
+from ahnn.data.files.optional_libraries import library
+from ahnn.errors import UserError
+from ahnn.tracking.formats.bulletin_b import EarthOrientation
+
+Array = NDArray[np.float64]
+MJD_2000 = 51544
+"""Modified Julian date of the first day of 2000."""
+TT_TO_TAI = -32.184
+ARCSECOND = np.pi / 648000
+NODES = 3600.0
+"""Seconds between the epochs at which precession and nutation are computed; the shortest terms have days."""
+MARGIN = 4 * NODES
+"""Seconds by which these reach beyond what is asked for."""
+
+
+class EarthRotation:
+    """Matrices from GCRF to ITRF at times.
+
+    Args:
+        epoch: of time zero, picoseconds of UTC as in `TrackingData`.
+        first, last: seconds after the epoch between which matrices are asked for.
+        rows: orientation as measured, at least four days that enclose these times. Tides of less than a day
+            in UT1 and in the pole (a few cm on the ground) are left out.
+
+    Raises:
+        UserError: the rows do not reach that far, or pyerfa is missing.
+    """
+
+    def __init__(self, epoch: int, first: float, last: float, rows: EarthOrientation) -> None:
+        self.epoch, self.first, self.last, self.rows = epoch, first, last, rows
+        self._erfa = library("erfa", "pyerfa", "orbit", "the Earth's rotation")
+        since = self._since
+        if len(rows.mjd) < 4 or since[0] > first or since[-1] < last:
+            asked, known = (self.day(first), self.day(last)), (rows.mjd[0], rows.mjd[-1])
+            message = (
+                f"orientation: expected four days that enclose MJD {asked[0]:.1f} to {asked[1]:.1f}; "
+                f"received {len(rows.mjd)} from {known[0]:.0f} to {known[1]:.0f}. Give bulletins of that time"
+            )
+            raise UserError(message)
+
+    def day(self, time: float) -> float:
+        """Return the modified Julian date of a time, to within half a minute."""
+        return MJD_2000 + (self.epoch / epochs.SECOND + time) / epochs.DAY
+
+    @cached_property
+    def _since(self) -> Array:
+        """The midnights of the rows as seconds after the epoch, leap seconds counted."""
+        days = np.round(self.rows.mjd).astype(int) - MJD_2000
+        seconds = np.array([int(d) * epochs.DAY + epochs.leaps(int(d)) for d in days])
+        return seconds - self.epoch / epochs.SECOND
+
+    @cached_property
+    def _measured(self) -> CubicSpline:
+        """TAI - 10 s less UT1 in s, the pole's x and y and offsets dX, dY in rad: (T,) -> (T, 5)."""
+        rows = self.rows
+        leaps = np.array([epochs.leaps(round(d) - MJD_2000) for d in rows.mjd])
+        angles = ARCSECOND * np.column_stack((rows.x, rows.y, rows.pole))
+        return CubicSpline(self._since, np.column_stack((leaps - rows.ut1_utc, angles)), axis=0)
+
+    @cached_property
+    def _intermediate(self) -> CubicSpline:
+        """Matrices from GCRF to the celestial intermediate frame, (T,) -> (T, 3, 3)."""
+        nodes = np.arange(self.first - MARGIN, self.last + MARGIN + NODES, NODES)
+        x, y, s = self._erfa.xys06a(*terrestrial(self.epoch, nodes, "UTC"))
+        measured = self._measured(nodes)
+        return CubicSpline(nodes, self._erfa.c2ixys(x + measured[:, 3], y + measured[:, 4], s), axis=0)
+
+    def matrices(self, times: Array) -> Array:
+        """Return the matrices from GCRF to ITRF at times (T,), shape (T, 3, 3)."""
+        measured = self._measured(times)
+        tt, fraction = terrestrial(self.epoch, times, "UTC")
+        # The clock of instants is TAI - 10 s, as of all epochs that count the leap seconds since 1972.
+        ut1 = fraction + (TT_TO_TAI - 10 - measured[:, 0]) / epochs.DAY
+        angle = self._erfa.era00(tt, ut1)
+        polar = self._erfa.pom00(measured[:, 1], measured[:, 2], self._erfa.sp00(tt, fraction))
+        turn = np.zeros((len(times), 3, 3))
+        turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angle)
+        turn[:, 0, 1] = np.sin(angle)
+        turn[:, 1, 0], turn[:, 2, 2] = -turn[:, 0, 1], 1.0
+        return polar @ turn @ self._intermediate(times)

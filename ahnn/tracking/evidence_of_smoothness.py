@@ -1,0 +1,61 @@
+"""How large and how smooth a learned acceleration is, by the evidence of the measurements."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ahnn.tracking.unknowns import Smoothness, Unknowns
+
+if TYPE_CHECKING:
+    from ahnn.tracking.orbit_fit import WhitenedRows
+
+Array = NDArray[np.float64]
+DEVIATIONS = np.geomspace(1e-2, 1e3, 21)
+"""Standard deviations that are tried, in units of the basis."""
+LENGTHS = np.geomspace(0.1, 10.0, 13)
+"""Lengths that are tried, as fractions of the time between the first and the last spline."""
+
+
+def chosen_smoothness(
+    unknowns: Unknowns, rows: WhitenedRows, weights: Array, x: Array, before: Smoothness
+) -> Smoothness:
+    """Return the smoothness of the largest evidence, of a grid.
+
+    The measurements are linear around a point and their noise normal: the evidence is that of Rasmussen &
+    Williams (2006), 5.8, with what does not depend on the smoothness left out.
+
+    Args:
+        unknowns: with the blocks of learned weights.
+        rows: fitted measurements around the point, whitened.
+        weights: of a robust loss, (M,).
+        x: the point, (Q,).
+        before: returned where there is nothing to learn.
+    """
+    if not unknowns.smooth:
+        return before
+    basis = unknowns.smooth[0].basis
+    square = rows.by.T @ (weights[:, None] * rows.by)
+    # What the measurements say of the unknowns themselves, and not of a step from the point.
+    free = unknowns.free
+    pull = rows.by.T @ (weights * (rows.e + rows.by @ (x - unknowns.mean)[free]))
+    found = []
+    for length in LENGTHS * (basis.last - basis.first):
+        for deviation in DEVIATIONS:
+            smooth = Smoothness(float(deviation), float(length))
+            prior = unknowns.precision(smooth)[np.ix_(free, free)]
+            found.append((evidence(square, pull, prior, unknowns, smooth), smooth))
+    return max(found, key=lambda one: one[0])[1]
+
+
+def evidence(square: Array, pull: Array, prior: Array, unknowns: Unknowns, smooth: Smoothness) -> float:
+    """Return the logarithm of the evidence up to a constant."""
+    normal = square + prior
+    scale = 1 / np.sqrt(np.diagonal(square) + np.diagonal(prior))
+    factor = np.linalg.cholesky(normal * scale * scale[:, None])
+    gain = np.linalg.solve(factor, pull * scale)
+    volume = 2 * np.log(np.diagonal(factor)).sum() - 2 * np.log(scale).sum()
+    own = sum(np.linalg.slogdet(block.precision(smooth))[1] for block in unknowns.smooth)
+    return float(0.5 * (gain @ gain + own - volume))

@@ -1,0 +1,76 @@
+"""A pass of laser ranging: its normal points, the weather at the station, and when both were."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from datetime import date
+from typing import NamedTuple
+
+from ahnn.data.files import epochs
+from ahnn.tracking.formats.gathered import UNKNOWN, between
+from ahnn.tracking.formats.instants import day_moment
+from ahnn.tracking.tracking_data import Event
+
+DAY_PS = epochs.DAY * epochs.SECOND
+
+
+class WeatherRecord(NamedTuple):
+    """Weather at a station: moment, pressure in hPa, temperature in K, relative humidity from 0 to 1."""
+
+    moment: int
+    values: tuple[float, float, float]
+
+
+class NormalPoint(NamedTuple):
+    """A normal point: its moment, range in km, configuration of the station and line."""
+
+    moment: int
+    range: float
+    configuration: str
+    event: Event
+    row: int
+
+
+@dataclass
+class RangingSession:
+    """What is known of a pass while its records are read.
+
+    Attributes:
+        start, stop: between which its points lie; no stop where the record says none.
+        last: the last moment, from which seconds of the day go on.
+    """
+
+    start: int
+    stop: int | None
+    last: int
+    wavelengths: dict[str, float] = field(default_factory=dict)
+    weather: list[WeatherRecord] = field(default_factory=list)
+    points: list[NormalPoint] = field(default_factory=list)
+
+
+def moment_near(moment: int, seconds: str) -> int:
+    """Return the moment at so many seconds of a day, of that day which brings it nearest to another moment.
+
+    Args:
+        moment: another one.
+        seconds: of the day, a number of which no picosecond is lost; some stations count on after midnight,
+            some begin again.
+    """
+    whole, _, fraction = seconds.partition(".")
+    plain = whole.isdigit() and (fraction or "0").isdigit()
+    parts = int(fraction[:12].ljust(12, "0")) if plain else 0
+    of_day = int(whole) * epochs.SECOND + parts if plain else round(float(seconds) * epochs.SECOND)
+    today = date(2000, 1, 1).toordinal() + moment // DAY_PS
+    candidates = [day_moment(today + k) + of_day for k in (-4, -3, -2, -1, 0, 1)]
+    return min(candidates, key=lambda one: abs(one - moment))
+
+
+def weather_at(records: list[WeatherRecord], moments: list[int]) -> list[tuple[float, float, float]]:
+    """Return the weather at some moments, between records linearly and outside of them as in the nearest."""
+    if not records:
+        return [UNKNOWN] * len(moments)
+    known = [one.moment for one in records]
+    columns = [
+        between(known, list(column), moments) for column in zip(*(one.values for one in records), strict=True)
+    ]
+    return list(zip(*columns, strict=True))

@@ -1,0 +1,133 @@
+"""Stations on the Earth: where the point is to which their measurements refer, at any time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ahnn.arguments import nearest
+from ahnn.data.files import epochs
+from ahnn.errors import UserError
+
+YEAR = 365.25 * epochs.DAY
+"""Seconds of the year of velocities."""
+RADIUS, FLATTENING = 6378.137, 1 / 298.257222101
+"""Of the ellipsoid GRS80, in km, whose normals are verticals (Moritz, Geodetic Reference System 1980)."""
+
+Vector = NDArray[np.float64]
+
+
+class StationSolution(NamedTuple):
+    """Motion of a marker.
+
+    Attributes:
+        reference: moment of the position (`epochs.instant`).
+        position: (3,) km in the terrestrial frame.
+        velocity: (3,) km a year.
+        start, end: of the data that it is from; None where nobody said.
+        moving: whether its velocity is known.
+    """
+
+    reference: int
+    position: Vector
+    velocity: Vector
+    start: int | None
+    end: int | None
+    moving: bool = True
+
+    def at(self, moment: int) -> Vector:
+        """Return the position at a moment, in km."""
+        return self.position + self.velocity * ((moment - self.reference) / epochs.SECOND / YEAR)
+
+
+class Eccentricity(NamedTuple):
+    """From the marker to the point of reference of measurements.
+
+    Attributes:
+        start, end: between which it holds; None where that is open.
+        offset: up, north and east where it is local, otherwise x, y and z, in km.
+        local: which of the two.
+    """
+
+    start: int | None
+    end: int | None
+    offset: tuple[float, float, float]
+    local: bool
+
+
+@dataclass
+class StationCatalogue:
+    """Stations by their codes, such as 7090.
+
+    Attributes:
+        solutions: of each code, in the order of their times.
+        eccentricities: of each code.
+        unused: blocks and parameters of files that are not read.
+    """
+
+    solutions: dict[str, list[StationSolution]] = field(default_factory=dict)
+    eccentricities: dict[str, list[Eccentricity]] = field(default_factory=dict)
+    unused: dict[str, None] = field(default_factory=dict)
+
+    def position(self, code: str, moment: int) -> Vector:
+        """Return the point of reference of a station in the terrestrial frame, (3,) km.
+
+        Where data of no solution are of that time, the last that began before it goes on; without any file
+        of eccentricities the marker itself is the point.
+
+        Args:
+            code: of the station.
+            moment: picoseconds from 2000-01-01 in UTC with all leap seconds (`epochs.instant`).
+
+        Raises:
+            UserError: no solution of the station, or no eccentricity at that time.
+        """
+        when = epochs.spelled(moment, utc=True)
+        if code not in self.solutions:
+            guess = nearest(code, tuple(self.solutions))
+            among = f"its position among those of {len(self.solutions)} stations"
+            message = f"station {code}: expected {among}; received none{guess}"
+            raise UserError(message)
+        began = [one for one in self.solutions[code] if one.start is None or one.start <= moment]
+        if not began:
+            first = epochs.spelled(self.solutions[code][0].start or 0, utc=True)
+            message = f"station {code}: expected a solution of {when}; received the first from {first} on"
+            raise UserError(message)
+        marker = began[-1].at(moment)
+        if not self.eccentricities:
+            return marker
+        for one in self.eccentricities.get(code, ()):
+            if (one.start is None or one.start <= moment) and (
+                one.end is None or moment <= one.end + epochs.SECOND
+            ):
+                offset = np.array(one.offset)
+                return marker + (offset @ local_axes(marker) if one.local else offset)
+        message = f"station {code}: expected an eccentricity of {when}; received none of that time"
+        raise UserError(message)
+
+
+def geodetic(position: Vector) -> tuple[float, float, float]:
+    """Return latitude and longitude in rad and height in km above GRS80 of a position in km.
+
+    The latitude by fixed-point iteration of tan(latitude) = (z + e² N sin(latitude)) / p, which contracts by
+    e² near the Earth's surface.
+    """
+    x, y, z = (float(one) for one in position)
+    p, e2 = float(np.hypot(x, y)), FLATTENING * (2 - FLATTENING)
+    latitude = float(np.arctan2(z, p * (1 - e2)))
+    for _ in range(8):
+        n = RADIUS / np.sqrt(1 - e2 * np.sin(latitude) ** 2)
+        latitude = float(np.arctan2(z + e2 * n * np.sin(latitude), p))
+    n = RADIUS / np.sqrt(1 - e2 * np.sin(latitude) ** 2)
+    height = p * np.cos(latitude) + z * np.sin(latitude) - n * (1 - e2 * np.sin(latitude) ** 2)
+    return latitude, float(np.arctan2(y, x)), float(height)
+
+
+def local_axes(position: Vector) -> Vector:
+    """Return the unit vectors up, north and east at a position, the rows of a (3, 3) matrix."""
+    latitude, longitude, _ = geodetic(position)
+    (sf, cf), (sl, cl) = ((np.sin(a), np.cos(a)) for a in (latitude, longitude))
+    return np.array([[cf * cl, cf * sl, sf], [-sf * cl, -sf * sl, cf], [-sl, cl, 0.0]])

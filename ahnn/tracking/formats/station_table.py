@@ -1,0 +1,91 @@
+"""A plain table of what stations measured: on each line an epoch, a kind, a station and numbers.
+
+    2010-11-02T03:00:13.3851   RANGE       Uralla         38014.9488
+    2010-11-02T03:00:50.5716   AZ_EL       Kumsan           211.1446   43.4099
+
+A table does not say its units. A sidecar does (`tracking_sidecar`), a YAML of the same name:
+
+    object: W3B
+    clock: UTC
+    event: receive
+    two_way: half
+    units: {RANGE: km, RANGE_RATE: km/s, AZ_EL: deg, RA_DEC: deg}
+    deviations: {RANGE: 0.02, AZ_EL: 0.02}
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ahnn.data.files.raw import content_of, decoded
+from ahnn.data.files.table import Fault, Note, Place, refuse
+from ahnn.tracking.formats.gathered import TrackingReading, gathered, measured
+from ahnn.tracking.formats.instants import utc_moment
+from ahnn.tracking.formats.tracking_sidecar import COLUMNS, UNITS, TrackingSidecar, sidecar_of
+from ahnn.tracking.tracking_data import Kind, TrackingData
+
+
+def read_station_table(path: str | Path, aside: str | Path | None = None) -> list[TrackingData]:
+    """Return what a plain table of measurements holds.
+
+    Args:
+        path: of the table.
+        aside: its sidecar; None is the YAML of its name, if there is one.
+
+    Raises:
+        UserError: names the line of what is wrong.
+    """
+    path = Path(path)
+    said = sidecar_of(path, None if aside is None else Path(aside))
+    return table_data(decoded(content_of(path), path), str(path), said)
+
+
+def table_data(text: str, file: str, said: TrackingSidecar, note: Note = refuse) -> list[TrackingData]:
+    """Return the measurements of a table, of one satellite.
+
+    Args:
+        text: of the table; lines that begin with # are left out.
+        file: its name.
+        said: what its sidecar says.
+        note: of a line that is no measurement, which is then left out.
+
+    Raises:
+        UserError: no measurement, or what `note` raises.
+    """
+    found, kinds = [], set[str]()
+    for row, line in enumerate(text.split("\n"), 1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            try:
+                found.append(reading_of(line.split(), Place(file, row), said))
+                kinds.add(line.split()[1])
+            except Fault as fault:
+                note(fault)
+    if not found:
+        Place(file).refuse("a measurement: epoch, kind, station and numbers", "none")
+    assumed = ", ".join(f"{kind} in {unit_of(kind, said)[0]}" for kind in sorted(kinds))
+    remarks = () if said.given else (f"no sidecar: taken for {assumed}, epochs of reception in UTC",)
+    return [gathered(said.object, found, said.event, remarks)]
+
+
+def reading_of(cells: list[str], place: Place, said: TrackingSidecar) -> TrackingReading:
+    """Return the measurement of a line; raises UserError."""
+    kind = cells[1] if len(cells) > 1 else ""
+    if kind not in COLUMNS:
+        place.refuse(f"an epoch and one of {', '.join(COLUMNS)}", repr(" ".join(cells[:2])))
+    columns = COLUMNS[kind]
+    if len(cells) != 3 + len(columns):
+        place.refuse(f"epoch, {kind}, station and {' and '.join(columns)}", f"{len(cells)} values")
+    moment = utc_moment(cells[0], place._replace(column="epoch"), said.clock)
+    halved = 0.5 if said.two_way == "whole" and kind.startswith("RANGE") else 1.0
+    factor, values = halved * unit_of(kind, said)[1], dict[Kind, float]()
+    for column, cell in zip(columns, cells[3:], strict=True):
+        values[column] = measured(column, cell, factor, place._replace(column=column))
+    sigma = said.deviations.get(kind)
+    deviations = {} if sigma is None else dict.fromkeys(columns, factor * sigma)
+    return TrackingReading(moment, cells[2], values, place.row, deviations=deviations)
+
+
+def unit_of(kind: str, said: TrackingSidecar) -> tuple[str, float]:
+    """Return the unit of a kind and its factor."""
+    name = said.units.get(kind, next(iter(UNITS[kind])))
+    return name, UNITS[kind][name]

@@ -1,0 +1,105 @@
+"""Segments of tracking data messages (CCSDS 503.0-B) as text, from keyword = value notation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from ahnn.arguments import nearest
+from ahnn.data.files.oem import pair
+from ahnn.data.files.table import Place
+
+VERSION = "CCSDS_TDM_VERS"
+VERSIONS = ("1.0", "2.0")
+HEADER = ("CREATION_DATE", "ORIGINATOR", "MESSAGE_ID")
+USED_DATA = ("RANGE", "DOPPLER_INSTANTANEOUS", "DOPPLER_INTEGRATED", "ANGLE_1", "ANGLE_2")
+WEATHER = ("PRESSURE", "TEMPERATURE", "RHUMIDITY")
+INDEXED = ("RECEIVE_FREQ", "RECEIVE_PHASE_CT", "TRANSMIT_FREQ", "TRANSMIT_FREQ_RATE", "TRANSMIT_PHASE_CT")
+UNUSED_DATA = (
+    *("CARRIER_POWER", "CLOCK_BIAS", "CLOCK_DRIFT", "DOPPLER_COUNT", "DOR", "MAG", "PC_N0", "PR_N0", "RCS"),
+    *("RECEIVE_FREQ", "STEC", "TROPO_DRY", "TROPO_WET", "VLBI_DELAY"),
+    *(f"{name}_{k}" for name in INDEXED for k in range(1, 6)),
+)
+"""Keywords of data of which nothing is read."""
+
+
+@dataclass
+class TdmSegment:
+    """What a segment says.
+
+    Attributes:
+        place: where it begins.
+        meta: keywords and values of its metadata.
+        records: line, keyword, epoch and value of its data.
+    """
+
+    place: Place
+    meta: dict[str, str] = field(default_factory=dict)
+    records: list[tuple[int, str, str, str]] = field(default_factory=list)
+
+    def say(self, key: str, value: str, place: Place) -> None:
+        """Add to the metadata; raises UserError for a keyword that stands there already."""
+        if key in self.meta:
+            place._replace(column=key).refuse("each keyword once in the metadata", "it twice")
+        self.meta[key] = value
+
+    def record(self, key: str, epoch: str, value: str, place: Place) -> None:
+        """Add to the data; raises UserError for a keyword that is none of a TDM."""
+        known = (*USED_DATA, *WEATHER, *UNUSED_DATA)
+        if key not in known:
+            guess = nearest(key, known)
+            guess = guess if "mean" in guess else ""  # and not the list of all
+            place.refuse("a keyword of the data of a TDM", f"{key!r}{guess}")
+        self.records.append((place.row, key, epoch, value))
+
+
+def require_version(text: str, place: Place) -> None:
+    """Refuse a version that is not known; raises UserError."""
+    if text not in VERSIONS:
+        place.refuse(f"version {' or '.join(VERSIONS)} of a TDM", repr(text))
+
+
+def kvn_segments(text: str, file: str) -> list[TdmSegment]:
+    """Return the segments of a message.
+
+    Raises:
+        UserError: names the line of what does not belong there.
+    """
+    lines = [(row, line.strip()) for row, line in enumerate(text.split("\n"), 1)]
+    used = [(row, line) for row, line in lines if line and line.split()[0] != "COMMENT"]
+    if not used or not used[0][1].startswith(VERSION):
+        received = repr(used[0][1][:40]) if used else "no line"
+        Place(file, used[0][0] if used else 0).refuse(f"{VERSION} first", received)
+    require_version(pair(used[0][1], Place(file, used[0][0]))[1], Place(file, used[0][0]))
+    segments: list[TdmSegment] = []
+    state = "header"
+    for row, line in used[1:]:
+        place = Place(file, row)
+        if line == "META_START" and state in ("header", "between"):
+            segments.append(TdmSegment(place))
+            state = "meta"
+        elif (line, state) in CHANGES:
+            state = CHANGES[line, state]
+        elif state == "header":
+            if (key := pair(line, place)[0]) not in HEADER:
+                place.refuse(f"{', '.join(HEADER)} or META_START", repr(key))
+        elif state == "meta":
+            segments[-1].say(*pair(line, place), place)
+        elif state == "data":
+            key, value = pair(line, place)
+            cells = value.split()
+            if len(cells) != 2:
+                place.refuse("KEYWORD = epoch value", repr(line))
+            segments[-1].record(key, cells[0], cells[1], place)
+        else:
+            place.refuse("DATA_START behind META_STOP, META_START behind DATA_STOP", repr(line))
+    if state != "between" or segments[-1].place.row > used[-1][0]:
+        Place(file, used[-1][0]).refuse("DATA_STOP at the end of a segment", "the end of the file")
+    return segments
+
+
+CHANGES = {
+    ("META_STOP", "meta"): "ready",
+    ("DATA_START", "ready"): "data",
+    ("DATA_STOP", "data"): "between",
+}
+"""What a line makes of a part of the message."""

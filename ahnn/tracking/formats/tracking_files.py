@@ -1,0 +1,40 @@
+"""Tracking data from a file of any format that is read, told by its content."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ahnn.data.files.kinds import ABOUT, Kind, kind_of
+from ahnn.data.files.raw import content_of, decoded
+from ahnn.data.files.table import Note, Place, refuse
+from ahnn.tracking.formats.crd import crd_data
+from ahnn.tracking.formats.station_table import table_data
+from ahnn.tracking.formats.tdm import tdm_data
+from ahnn.tracking.formats.tracking_sidecar import sidecar_of
+from ahnn.tracking.tracking_data import TrackingData
+
+READABLE: tuple[Kind, ...] = ("tdm", "crd", "station_table")
+
+
+def read_tracking(
+    path: str | Path, aside: str | Path | None = None, note: Note = refuse
+) -> list[TrackingData]:
+    """Return the measurements of a file, for each satellite and event that times tag.
+
+    Args:
+        path: of a TDM in either notation, of normal points (CRD), or of a plain table.
+        aside: its sidecar; None is the YAML of its name, if there is one.
+        note: of what is damaged, which is then left out.
+
+    Raises:
+        UserError: another format, by its name, or what `note` raises.
+    """
+    path = Path(path)
+    raw, file = content_of(path), str(path)
+    kind = kind_of(raw, file)
+    if kind not in READABLE:
+        Place(file).refuse(" or ".join(ABOUT[one] for one in READABLE), ABOUT[kind])
+    text, said = decoded(raw, path), sidecar_of(path, None if aside is None else Path(aside))
+    if kind == "crd":
+        return crd_data(text, file, note)
+    return tdm_data(text, file, said.two_way, note) if kind == "tdm" else table_data(text, file, said, note)

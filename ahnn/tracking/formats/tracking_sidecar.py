@@ -1,0 +1,112 @@
+"""The YAML beside a file of tracking data that says what the file does not: `W3B.yaml` beside `W3B.aer`."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import yaml
+
+from ahnn.arguments import nearest
+from ahnn.contents import plain_yaml
+from ahnn.data.files import sidecar
+from ahnn.data.files.raw import content_of, decoded
+from ahnn.data.files.table import Place
+from ahnn.tracking.formats.instants import CLOCKS
+from ahnn.tracking.tracking_data import Event, Kind
+
+TwoWay = Literal["half", "whole"]
+"""Of which way a two-way range is: half of the way there and back, or the whole."""
+COLUMNS: dict[str, tuple[Kind, ...]] = {
+    "RANGE": ("range",),
+    "RANGE_RATE": ("range_rate",),
+    "AZ_EL": ("azimuth", "elevation"),
+    "RA_DEC": ("right_ascension", "declination"),
+}
+UNITS = {
+    "RANGE": {"km": 1.0, "m": 1e-3},
+    "RANGE_RATE": {"km/s": 1.0, "m/s": 1e-3},
+    "AZ_EL": {"deg": math.pi / 180, "rad": 1.0},
+    "RA_DEC": {"deg": math.pi / 180, "rad": 1.0},
+}
+"""Of each kind, and the factors to km, km/s and rad; the first is taken where nobody says."""
+EVENTS = ("receive", "transmit", "bounce")
+KEYS = ("object", "clock", "event", "units", "deviations", "two_way")
+
+
+class TrackingSidecar(NamedTuple):
+    """What a sidecar says of a file of tracking data.
+
+    Attributes:
+        object: name of the satellite.
+        clock: of the epochs.
+        event: what they tag.
+        units: of each kind.
+        deviations: standard deviations of each kind, in its unit.
+        two_way: whether ranges and rates of two-way links are of half the way or of the whole.
+        given: whether there is a sidecar.
+    """
+
+    object: str = ""
+    clock: str = "UTC"
+    event: Event = "receive"
+    units: dict[str, str] = {}  # noqa: RUF012 - never written to
+    deviations: dict[str, float] = {}  # noqa: RUF012 - never written to
+    two_way: TwoWay = "half"
+    given: bool = True
+
+
+def sidecar_of(path: Path, aside: Path | None = None) -> TrackingSidecar:
+    """Return what the sidecar of a file says; that is the YAML of its name unless another is named.
+
+    Raises:
+        UserError: a sidecar that is wrong, or a named one that is not there.
+    """
+    beside = sidecar.beside(path) if aside is None else aside
+    if aside is None and (beside == path or not beside.is_file()):
+        return TrackingSidecar(given=False)
+    return parse_sidecar(decoded(content_of(beside), beside), str(beside))
+
+
+def parse_sidecar(text: str, file: str) -> TrackingSidecar:
+    """Return what a sidecar says of a file of tracking data.
+
+    Raises:
+        UserError: no YAML, another key, or a value that is none of its key.
+    """
+    place = Place(file)
+    try:
+        content = plain_yaml(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        place.refuse("YAML", " ".join(str(error).split()))
+    given: dict[Any, Any] = content if isinstance(content, dict) else {str(content): None}
+    for key in given:
+        if key not in KEYS:
+            place.refuse(f"keys {', '.join(KEYS)} of tracking data", f"{key!r}{nearest(str(key), KEYS)}")
+    said = TrackingSidecar(
+        object=str(given.get("object", "")),
+        clock=chosen(given.get("clock", "UTC"), CLOCKS, place._replace(column="clock")),
+        event=chosen(given.get("event", "receive"), EVENTS, place._replace(column="event")),
+        units=mapping(given.get("units", {}), place._replace(column="units")),
+        two_way=chosen(given.get("two_way", "half"), ("half", "whole"), place._replace(column="two_way")),
+        deviations=mapping(given.get("deviations", {}), place._replace(column="deviations")),
+    )
+    for kind, unit in said.units.items():
+        chosen(unit, tuple(UNITS[kind]), place._replace(column=f"units: {kind}"))
+    for kind, sigma in said.deviations.items():
+        if isinstance(sigma, bool) or not isinstance(sigma, int | float) or not 0 < sigma < math.inf:
+            place._replace(column=f"deviations: {kind}").refuse("a number above 0", repr(sigma))
+    return said
+
+
+def chosen(value: Any, among: tuple[str, ...], place: Place) -> Any:
+    """Return one of several words; raises UserError for another."""
+    return value if value in among else place.refuse(f"one of {', '.join(among)}", repr(value))
+
+
+def mapping(value: Any, place: Place) -> dict[str, Any]:
+    """Return values of kinds; raises UserError for what is none."""
+    if not isinstance(value, dict) or any(key not in COLUMNS for key in value):
+        place.refuse(f"values of {', '.join(COLUMNS)}", repr(value))
+    return value

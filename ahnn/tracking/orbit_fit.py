@@ -1,0 +1,244 @@
+"""Orbit determination: start, coefficients, biases and learned accelerations from what stations measured.
+
+Gauss-Newton on weighted residuals and priors (Tapley, Schutz & Born, Statistical Orbit Determination, 4.3),
+with steps halved where they do not go down. First by squares with the noise that is given; then by a robust
+loss, the noise estimated from the residuals and the smoothness of learned accelerations by the evidence.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ahnn.errors import TrainingError
+from ahnn.tracking.evidence_of_smoothness import chosen_smoothness
+from ahnn.tracking.residual_noise import huber_weights, noise_deviations_of, scatter_of
+from ahnn.tracking.satellite_arc import Forces, SatelliteArc, satellite_arc
+from ahnn.tracking.tracking_data import KINDS
+from ahnn.tracking.tracking_model import ANGLES, TrackingModel
+from ahnn.tracking.unknowns import Smoothness, Unknowns
+
+log = logging.getLogger(__name__)
+
+Array = NDArray[np.float64]
+STEPS, HALVINGS = 25, 8
+NEAR, FINE = 30.0, 0.03
+"""Largest step in standard deviations at which noise and smoothness are chosen, and the fit ends."""
+STEADY = 0.03
+"""Change of the noise from step to step at which the fit may end."""
+
+
+@dataclass(frozen=True, eq=False)
+class OrbitProblem:
+    """All that is known before a fit.
+
+    Attributes:
+        forces: on the satellite.
+        model: of the measurements, with them.
+        unknowns: what is estimated.
+        noise: standard deviations by station and kind, (stations, 6), km, rad and km/s; where the fit begins.
+        used: which measurements are fitted, (N,) bool.
+        at: time of the start.
+        robust: whether by Huber's loss.
+        noise_known: whether the noise stays as it is given.
+        smooth: where the choice of the smoothness begins.
+    """
+
+    forces: Forces
+    model: TrackingModel
+    unknowns: Unknowns
+    noise: Array
+    used: NDArray[np.bool_]
+    at: float
+    robust: bool = True
+    noise_known: bool = False
+    smooth: Smoothness | None = None
+
+
+class LinearisedOrbit(NamedTuple):
+    """The measurements around one point.
+
+    Attributes:
+        x: the point, (Q,).
+        arc: the path.
+        residuals: measured less predicted, (N, 6); NaN where nothing was measured.
+        by_unknowns: derivatives of the prediction, (N, 6, Q).
+        elevation: (N,) rad.
+    """
+
+    x: Array
+    arc: SatelliteArc
+    residuals: Array
+    by_unknowns: Array
+    elevation: Array
+
+
+@dataclass(frozen=True, eq=False)
+class OrbitFit:
+    """What a fit found.
+
+    Attributes:
+        problem: that was solved.
+        point: the measurements around the solution.
+        covariance: of the unknowns, (Q, Q); 0 of those that are not estimated.
+        noise: standard deviations by station and kind, (stations, 6).
+        smooth: the smoothness of learned accelerations.
+        steps: of the whole fit.
+        converged: whether the last step was below the tolerance.
+    """
+
+    problem: OrbitProblem
+    point: LinearisedOrbit
+    covariance: Array
+    noise: Array
+    smooth: Smoothness | None
+    steps: int
+    converged: bool
+
+    @property
+    def deviations(self) -> Array:
+        """Standard deviations of the unknowns, (Q,)."""
+        return np.sqrt(np.diagonal(self.covariance))
+
+    @property
+    def predicted_deviations(self) -> Array:
+        """Those of unseen measurements, of the unknowns and the noise together, (N, 6)."""
+        by = self.point.by_unknowns
+        known = np.einsum("nkq,qp,nkp->nk", by, self.covariance, by)
+        return np.sqrt(known + self.scatter[self.problem.model.data.station] ** 2)
+
+    @property
+    def scatter(self) -> Array:
+        """Root mean squares of the fitted residuals by station and kind, (stations, 6), as small as they are.
+
+        They are the noise of a single measurement; the noise of the fit is larger where neighbouring
+        measurements err alike, as angles do. Where fewer than ten were fitted those of all stations count.
+        """
+        return scatter_of(
+            self.point.residuals, self.problem.model.data.station, self.problem.used, self.noise
+        )
+
+
+def linearised(problem: OrbitProblem, x: Array) -> LinearisedOrbit:
+    """Return residuals and derivatives at a point (Q,); raises TrainingError where they are not finite."""
+    data, unknowns = problem.model.data, problem.unknowns
+    p = x[6 : 6 + unknowns.forces]
+    first, last = min(problem.at, data.times[0] - 1.0), max(problem.at, data.times[-1] + 1.0)
+    arc = satellite_arc(problem.forces, x[:6], p, problem.at, first, last)
+    predicted = problem.model(arc)
+    biases = unknowns.biases(x, (len(data.stations), len(KINDS)))
+    residuals = data.values - predicted.values - biases[data.station]
+    if bool((np.isfinite(data.values) & ~np.isfinite(residuals)).any()):
+        message = "orbit: a predicted measurement is not finite. Give a start that is nearer"
+        raise TrainingError(message)
+    residuals[:, ANGLES] = (residuals[:, ANGLES] + np.pi) % (2 * np.pi) - np.pi
+    by = np.zeros((*residuals.shape, len(x)))
+    by[:, :, : 6 + unknowns.forces] = predicted.by_state @ arc.sensitivities(predicted.bounce)
+    for place, (station, kind) in enumerate(unknowns.bias, 6 + unknowns.forces):
+        by[data.station == station, kind, place] = 1.0
+    return LinearisedOrbit(x, arc, residuals, by, predicted.elevation)
+
+
+class WhitenedRows(NamedTuple):
+    """The fitted measurements in one row each.
+
+    Attributes:
+        e: residuals in standard deviations, (M,).
+        by: their derivatives by the free unknowns, with the opposite sign, (M, F).
+        group: which noise each has, station * 6 + kind, (M,).
+        sd: its standard deviation, (M,).
+    """
+
+    e: Array
+    by: Array
+    group: NDArray[np.int64]
+    sd: Array
+
+
+def rows_of(problem: OrbitProblem, point: LinearisedOrbit, noise: Array) -> WhitenedRows:
+    """Return the measurements that are fitted, whitened."""
+    station = problem.model.data.station
+    seen = np.isfinite(point.residuals) & problem.used[:, None]
+    n, kind = np.nonzero(seen)
+    sd = noise[station[n], kind]
+    by = point.by_unknowns[n, kind][:, problem.unknowns.free]
+    return WhitenedRows(point.residuals[n, kind] / sd, by / sd[:, None], station[n] * len(KINDS) + kind, sd)
+
+
+def orbit_fit(problem: OrbitProblem) -> OrbitFit:
+    """Return the fit of a problem.
+
+    Raises:
+        TrainingError: no step goes down from a point that is no solution, or a path cannot be continued.
+    """
+    noise, smooth, free = problem.noise, problem.smooth, problem.unknowns.free
+    point, robust, steady, converged = linearised(problem, problem.unknowns.mean.copy()), False, False, False
+    covariance, steps = np.empty((0, 0)), 0
+    for steps in range(1, STEPS + 1):
+        rows = rows_of(problem, point, noise)
+        weights = huber_weights(rows.e) if robust else np.ones_like(rows.e)
+        precision = problem.unknowns.precision(smooth)[np.ix_(free, free)]
+        pull = rows.by.T @ (weights * rows.e) + precision @ (problem.unknowns.mean - point.x)[free]
+        covariance = scaled_inverse(rows.by.T @ (weights[:, None] * rows.by) + precision)
+        step = covariance @ pull
+        size = float(np.abs(step / np.sqrt(np.diagonal(covariance))).max())
+        log.info("orbit: step %d, %.3g standard deviations", steps, size)
+        if converged := size < FINE and steady:
+            break
+        point = lower(problem, point, step, noise, weights, precision)
+        if size < NEAR:
+            before, robust = (noise, smooth), problem.robust
+            noise, smooth = refined(problem, point, covariance, noise, smooth)
+            steady = smooth == before[1] and bool(np.nanmax(np.abs(noise / before[0] - 1)) < STEADY)
+    full = np.zeros((len(free), len(free)))
+    full[np.ix_(free, free)] = covariance
+    return OrbitFit(problem, point, full, noise, smooth, steps, converged)
+
+
+def refined(
+    problem: OrbitProblem, point: LinearisedOrbit, covariance: Array, noise: Array, smooth: Smoothness | None
+) -> tuple[Array, Smoothness | None]:
+    """Return noise and smoothness as the residuals around a point have them."""
+    rows = rows_of(problem, point, noise)
+    weights = huber_weights(rows.e) if problem.robust else np.ones_like(rows.e)
+    if not problem.noise_known:
+        noise = noise_deviations_of(rows, weights, covariance, noise, robust=problem.robust)
+        rows = rows_of(problem, point, noise)
+    if smooth is not None:
+        smooth = chosen_smoothness(problem.unknowns, rows, weights, point.x, smooth)
+    return noise, smooth
+
+
+def scaled_inverse(normal: Array) -> Array:
+    """Return the inverse of a positive definite matrix whose rows have different units."""
+    scale = 1 / np.sqrt(np.diagonal(normal))
+    return np.linalg.inv(normal * scale * scale[:, None]) * scale * scale[:, None]
+
+
+def lower(
+    problem: OrbitProblem, point: LinearisedOrbit, step: Array, noise: Array, weights: Array, precision: Array
+) -> LinearisedOrbit:
+    """Return the point after a step, halved until the cost goes down.
+
+    Raises:
+        TrainingError: it never does.
+    """
+    free, mean = problem.unknowns.free, problem.unknowns.mean
+
+    def cost(at: LinearisedOrbit) -> float:
+        e, off = rows_of(problem, at, noise).e, (at.x - mean)[free]
+        return float(weights @ e**2 + off @ precision @ off)
+
+    before = cost(point)
+    for halving in range(HALVINGS):
+        x = point.x.copy()
+        x[free] += step / 2**halving
+        there = linearised(problem, x)
+        if cost(there) <= before * (1 + 1e-9) + 1e-9:
+            return there
+    message = "orbit: expected a step that lowers the residuals; received none. Give a start that is nearer"
+    raise TrainingError(message)

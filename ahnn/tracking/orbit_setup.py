@@ -1,0 +1,196 @@
+"""What a user says of an orbit determination, checked: the keys of its YAML file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
+from types import NoneType
+from typing import Annotated, Any, Literal, TypeVar, get_args
+
+from ahnn.arguments import Finite, Positive, Within, check_arguments, type_hints
+from ahnn.errors import UserError
+from ahnn.tracking.accelerations.acceleration_of_time import Axes
+from ahnn.tracking.tracking_model import Corrections
+
+T = TypeVar("T")
+Vector = list[Finite]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StartChoice:
+    """Where the fit begins.
+
+    Attributes:
+        epoch: in UTC.
+        position, velocity: km and km/s.
+        frame: of their axes.
+    """
+
+    epoch: str
+    position: Vector
+    velocity: Vector
+    frame: Literal["GCRF", "EME2000"] = "GCRF"
+
+
+@dataclass(frozen=True, kw_only=True)
+class GravityChoice:
+    """The field of the Earth.
+
+    Attributes:
+        field: eigen6s (to degree 12), ggm05c (to degree 8), or an ICGEM file.
+        degree, order: to which it counts; all of it without them.
+        epoch: YYYY-MM-DD of coefficients that vary in time; that of the start without it.
+    """
+
+    field: str = "eigen6s"
+    degree: Annotated[int, Within(0)] | None = None
+    order: Annotated[int, Within(0)] | None = None
+    epoch: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceForce:
+    """Radiation pressure or drag.
+
+    Attributes:
+        area_to_mass: m^2/kg.
+        coefficient: of reflection or of drag.
+        sd: what it is known to; 0 keeps it, infinity knows nothing.
+    """
+
+    area_to_mass: Positive
+    coefficient: Finite = 1.0
+    sd: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnedChoice:
+    """An acceleration that is learned beside the known ones.
+
+    Attributes:
+        kind: a smooth function of time, or a polynomial.
+        axes: inertial, or radial, along the track and normal to the orbit.
+        pieces: of the spline.
+        degree: of the polynomial.
+        unit: in which its weights count, km/s^2.
+    """
+
+    kind: Literal["smooth", "polynomial"] = "smooth"
+    axes: Axes = "orbital"
+    pieces: Annotated[int, Within(1, 200)] = 12
+    degree: Annotated[int, Within(0, 8)] = 1
+    unit: Positive = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForcesChoice:
+    """What accelerates the satellite; see docs/tracking.md."""
+
+    gravity: GravityChoice = field(default_factory=GravityChoice)
+    sun: bool = True
+    moon: bool = True
+    solid_tides: bool = False
+    relativity: bool = False
+    radiation_pressure: SurfaceForce | None = None
+    drag: SurfaceForce | None = None
+    learned: LearnedChoice | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class KindChoice:
+    """A number for each kind of measurement: km, degrees and km/s."""
+
+    range: float | None = None
+    azimuth: float | None = None
+    elevation: float | None = None
+    range_rate: float | None = None
+    right_ascension: float | None = None
+    declination: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrbitSetup:
+    """An orbit determination.
+
+    Attributes:
+        measurements: file of them, as `read_tracking` reads it.
+        object: which satellite of the file; the only one without it.
+        start: where the fit begins.
+        orientation: bulletins B; without them the days of astropy-iers-data.
+        stations: latitude and longitude in degrees and height in m of each, or
+        sinex: files with their coordinates and eccentricities.
+        forces: on the satellite.
+        corrections: of ranges and angles.
+        noise: standard deviations, where the file states none: km, degrees and km/s.
+        noise_estimated: whether the residuals decide them, by kind.
+        biases: prior standard deviation of a bias of each station; none without a number.
+        loss: squares, or Huber's.
+        held_out: fraction of the measurements at the end that a second fit does not see.
+        compare: an orbit to compare with, CPF.
+        step: seconds between the states that are written.
+    """
+
+    measurements: str
+    start: StartChoice
+    noise: KindChoice
+    object: str | None = None
+    orientation: list[str] | None = None
+    stations: dict[str, Any] | None = None
+    sinex: list[str] | None = None
+    forces: ForcesChoice = field(default_factory=ForcesChoice)
+    corrections: Corrections = field(default_factory=Corrections)
+    noise_estimated: bool = False
+    biases: KindChoice = field(default_factory=KindChoice)
+    loss: Literal["squares", "huber"] = "squares"
+    held_out: Annotated[float, Within(0, 0.9)] = 0.0
+    compare: str | None = None
+    step: Positive = 300.0
+
+
+def setup_of(values: Mapping[str, Any]) -> OrbitSetup:
+    """Return the setup of plain values under keys.
+
+    Raises:
+        UserError: a key that is unknown or missing, or a value of another type, with its place.
+    """
+    setup = choice_of(OrbitSetup, values, "")
+    for name in ("position", "velocity"):
+        if len(given := getattr(setup.start, name)) != 3:
+            message = f"start.{name}: expected three numbers, km or km/s; received {given}"
+            raise UserError(message)
+    for section in (setup.noise, setup.biases):
+        for one in fields(section):
+            if (given := getattr(section, one.name)) is not None and not given > 0:
+                where = "noise" if section is setup.noise else "biases"
+                message = f"{where}.{one.name}: expected a standard deviation > 0; received {given}"
+                raise UserError(message)
+    forces = setup.forces
+    for name in ("radiation_pressure", "drag"):
+        one = getattr(forces, name)
+        if one is not None and (one.sd < 0 or math.isnan(one.sd)):
+            message = f"forces.{name}.sd: expected 0 (kept), a standard deviation or .inf; received {one.sd}"
+            raise UserError(message)
+    if (setup.stations is None) == (setup.sinex is None):
+        message = "stations: expected coordinates of each under `stations`, or files under `sinex`; received "
+        raise UserError(message + ("neither" if setup.sinex is None else "both"))
+    return setup
+
+
+def choice_of(kind: type[T], values: Any, who: str) -> T:
+    """Return a dataclass of plain values, those of its fields that are dataclasses from values under them.
+
+    Raises:
+        UserError: see `setup_of`.
+    """
+    if not isinstance(values, Mapping):
+        message = f"{who}: expected keys with values; received {values!r}"
+        raise UserError(message)
+    hints, made = type_hints(kind), dict(values)
+    for name, value in values.items():
+        inner = [one for one in (hints.get(name), *get_args(hints.get(name))) if isinstance(one, type)]
+        nested = next((one for one in inner if is_dataclass(one)), None)
+        if nested is not None and not (value is None and NoneType in inner):
+            made[name] = choice_of(nested, value, f"{who}.{name}".removeprefix("."))
+    check_arguments(who, kind, made)
+    return kind(**made)

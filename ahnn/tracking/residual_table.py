@@ -1,0 +1,152 @@
+"""What residuals say of each station, in numbers and in words."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ahnn.tracking.orbit_fit import OrbitFit
+from ahnn.tracking.tracking_data import KINDS
+
+Array = NDArray[np.float64]
+SHOWN: dict[str, tuple[str, float]] = {
+    "range": ("m", 1e3),
+    "azimuth": ("deg", 180 / np.pi),
+    "elevation": ("deg", 180 / np.pi),
+    "range_rate": ("mm/s", 1e6),
+    "right_ascension": ("deg", 180 / np.pi),
+    "declination": ("deg", 180 / np.pi),
+}
+"""Unit in which each kind is shown, and the factor to it from km, rad and km/s."""
+CERTAIN, WIDE, ALIKE = 3.0, 2.0, 0.7
+"""Standard errors of a finding; times the noise of a wide scatter; correlation of neighbours that is said."""
+FEWEST = 5
+
+
+class ResidualRow(NamedTuple):
+    """Residuals of one station and kind, in km, rad or km/s.
+
+    Attributes:
+        station, kind: their names.
+        number: of measurements.
+        mean, sd: of the residuals.
+        trend: per second, with its standard error.
+        correlation: of neighbours.
+        noise: of the fit.
+        bias: estimated, with its standard deviation; NaN where none is.
+    """
+
+    station: str
+    kind: str
+    number: int
+    mean: float
+    sd: float
+    trend: tuple[float, float]
+    correlation: float
+    noise: float
+    bias: tuple[float, float]
+
+
+def residual_rows(fit: OrbitFit, used: NDArray[np.bool_]) -> list[ResidualRow]:
+    """Return a row for each station and kind, of the measurements that are used."""
+    data, unknowns = fit.problem.model.data, fit.problem.unknowns
+    biases = {
+        pair: (float(fit.point.x[place]), float(fit.deviations[place]))
+        for place, pair in enumerate(unknowns.bias, 6 + unknowns.forces)
+    }
+    rows = []
+    for s, name in enumerate(data.stations):
+        for k, kind in enumerate(KINDS):
+            own = used & (data.station == s) & np.isfinite(fit.point.residuals[:, k])
+            if own.any():
+                e, t = fit.point.residuals[own, k], data.times[own]
+                numbers = float(e.mean()), float(e.std()), trend_of(t, e), correlation_of(e)
+                found = biases.get((s, k), (np.nan, np.nan))
+                rows.append(ResidualRow(name, kind, len(e), *numbers, float(fit.noise[s, k]), found))
+    return rows
+
+
+def correlation_of(e: Array) -> float:
+    """Return the correlation of neighbouring residuals; 0 for fewer than five, or equal ones."""
+    e = e - e.mean()
+    return float((e[1:] @ e[:-1]) / (e @ e)) if len(e) >= FEWEST and e @ e > 0 else 0.0
+
+
+def effective(count: int, correlation: float) -> float:
+    """Return as how many independent residuals correlated ones count (Bartlett 1946)."""
+    return max(1.0, count * (1 - max(correlation, 0.0)) / (1 + max(correlation, 0.0)))
+
+
+def trend_of(t: Array, e: Array) -> tuple[float, float]:
+    """Return the slope of residuals (T,) in time and its standard error; 0 and infinity for few."""
+    if len(e) < FEWEST or t.std() == 0:
+        return 0.0, np.inf
+    slope = float(((t - t.mean()) @ e) / ((t - t.mean()) @ (t - t.mean())))
+    rest = e - e.mean() - slope * (t - t.mean())
+    error = rest.std() / (t.std() * np.sqrt(effective(len(e), correlation_of(rest))))
+    return slope, float(error)
+
+
+def verdict(row: ResidualRow) -> str:
+    """Return in words what is wrong with the residuals of a row, or that they fit."""
+    unit, factor = SHOWN[row.kind]
+    error = row.sd / np.sqrt(effective(row.number, row.correlation))
+    found = []
+    if row.number >= FEWEST and abs(row.mean) > CERTAIN * error and abs(row.mean) > 0.1 * row.noise:
+        way = "estimate a bias" if np.isnan(row.bias[0]) else "its prior is too narrow"
+        found.append(f"a bias of {factor * row.mean:.3g} {unit} is left: {way}")
+    if abs(row.trend[0]) > CERTAIN * row.trend[1]:
+        found.append(f"drifts by {3600 * factor * row.trend[0]:+.2g} {unit} an hour")
+    if row.sd > WIDE * row.noise:
+        found.append(f"scatters {row.sd / row.noise:.1f} times its noise")
+    if row.correlation > ALIKE:
+        found.append(f"neighbours err alike ({row.correlation:.2f})")
+    return "; ".join(found) or "fits"
+
+
+def table_lines(rows: list[ResidualRow]) -> list[str]:
+    """Return the rows as lines of text, with units and verdicts."""
+    head = f"  {'station':12s}{'kind':12s}{'count':>6s}{'mean':>11s}{'sd':>11s}"
+    head += f"{'bias':>13s}{'± 1 sd':>11s}  verdict"
+    lines = [head]
+    for row in rows:
+        unit, factor = SHOWN[row.kind]
+        bias, sd = (f"{factor * one:.6g}" if np.isfinite(one) else "" for one in row.bias)
+        sd = f"{factor * row.bias[1]:.2g}" if sd else ""
+        kind = f"{row.kind}, {unit}"
+        lines.append(
+            f"  {row.station:12s}{kind:12s}{row.number:>6d}{factor * row.mean:>11.3g}{factor * row.sd:>11.3g}"
+            f"{bias:>13s}{sd:>11s}  {verdict(row)}"
+        )
+    return lines
+
+
+def pooled(fit: OrbitFit, used: NDArray[np.bool_]) -> dict[str, tuple[int, float]]:
+    """Return count and standard deviation of the residuals of all stations by kind, km, rad or km/s."""
+    found = {}
+    for k, kind in enumerate(KINDS):
+        e = fit.point.residuals[used, k]
+        e = e[np.isfinite(e)]
+        if len(e) > 1:
+            found[kind] = (len(e), float(e.std(ddof=1)))
+    return found
+
+
+def coverage(fit: OrbitFit, unseen: NDArray[np.bool_]) -> dict[str, tuple[int, float, float]]:
+    """Return count, fraction within 2 sd and root mean square of unseen measurements by kind, and all."""
+    e, sd = fit.point.residuals[unseen], fit.predicted_deviations[unseen]
+    inside = np.abs(e) <= 2 * sd
+    found = {}
+    for k, kind in enumerate(KINDS):
+        seen = np.isfinite(e[:, k])
+        if seen.any():
+            found[kind] = (
+                int(seen.sum()),
+                float(inside[seen, k].mean()),
+                float(np.sqrt(np.mean(e[seen, k] ** 2))),
+            )
+    seen = np.isfinite(e)
+    found["all"] = (int(seen.sum()), float(inside[seen].mean()), np.nan)
+    return found

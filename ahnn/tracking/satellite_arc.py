@@ -1,0 +1,147 @@
+"""The path of a satellite with its sensitivities to the start and to the parameters of the accelerations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import OdeSolution, solve_ivp
+
+from ahnn.errors import TrainingError
+from ahnn.tracking.accelerations import AccelerationTerm
+
+Array = NDArray[np.float64]
+PRECISION, FLOOR = 1e-11, 1e-10
+"""Of each step: relative, and absolute in km and km/s."""
+
+
+@dataclass(frozen=True, eq=False)
+class Forces:
+    """The accelerations of a satellite, whose parameters stand one behind the other.
+
+    Attributes:
+        terms: what accelerates it.
+        longest: the longest step in s, so that none misses a shadow or a knot of a spline.
+    """
+
+    terms: Sequence[AccelerationTerm]
+    longest: float = 900.0
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of all parameters."""
+        return tuple(name for term in self.terms for name in term.parameters)
+
+    def acceleration(self, t: float, state: Array, p: Array) -> tuple[Array, Array, Array]:
+        """Return the acceleration (3,), its derivatives by the state (3, 6) and by the parameters (3, P)."""
+        value, by_state, by_parameters, at = np.zeros(3), np.zeros((3, 6)), [], 0
+        for term in self.terms:
+            own = p[at : at + len(term.parameters)]
+            one = term(t, state[:3], state[3:], own)
+            at += len(own)
+            value += one.value
+            by_state[:, :3] += one.by_position
+            by_state[:, 3:] += one.by_velocity
+            by_parameters.append(one.by_parameters)
+        return value, by_state, np.concatenate(by_parameters, axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class SatelliteArc:
+    """A path in GCRF, km and km/s, between two times.
+
+    Attributes:
+        first, last: its ends, seconds after the epoch.
+        before, after: the path and its sensitivities on both sides of the start.
+        start: the time of the start.
+    """
+
+    first: float
+    last: float
+    start: float
+    before: OdeSolution | None
+    after: OdeSolution | None
+
+    def states(self, times: Array) -> Array:
+        """Return the states (T, 6) at times (T,)."""
+        return self._all(times)[:, 0]
+
+    def sensitivities(self, times: Array) -> Array:
+        """Return their derivatives by [start, parameters], (T, 6, 6 + P), at times (T,)."""
+        return self._all(times)[:, 1:].transpose(0, 2, 1)
+
+    def _all(self, times: Array) -> Array:
+        """Return states and derivatives, (T, 1 + 6 + P, 6)."""
+        parts = [self.before, self.after]
+        early = times < self.start if self.before is not None else np.zeros(len(times), dtype=bool)
+        early = early if self.after is not None else np.ones(len(times), dtype=bool)
+        found: list[Array | None] = [None, None]
+        for k, chosen in enumerate((early, ~early)):
+            solution = parts[k]
+            if chosen.any() and solution is not None:
+                found[k] = solution(times[chosen]).T
+        size = next(part.shape[1] for part in found if part is not None)
+        values = np.empty((len(times), size))
+        for part, chosen in zip(found, (early, ~early), strict=True):
+            if part is not None:
+                values[chosen] = part
+        return values.reshape(len(times), -1, 6)
+
+
+def satellite_arc(
+    forces: Forces, start: Array, p: Array, at: float, first: float, last: float
+) -> SatelliteArc:
+    """Return the path from a start, with its sensitivities.
+
+    The method is that of Dormand and Prince of order 8 with its interpolant of order 7 (Hairer, Nørsett &
+    Wanner, Solving Ordinary Differential Equations I, section II.10); the state alone chooses its steps,
+    since the sensitivities move with the same forces.
+
+    Args:
+        forces: on the satellite.
+        start: state (6,) in GCRF, km and km/s.
+        p: parameters of the forces, (P,).
+        at: time of the start.
+        first: where the path begins, at or before the start.
+        last: where it ends, at or after the start.
+
+    Raises:
+        TrainingError: the path cannot be continued, as of a satellite that falls into the Earth.
+    """
+    columns = 6 + len(p)
+
+    def slope(t: float, y: Array) -> Array:
+        rows = y.reshape(1 + columns, 6)
+        value, by_state, by_parameters = forces.acceleration(t, rows[0], p)
+        moved = rows[1:, :] @ by_state.T
+        moved[6:] += by_parameters.T
+        return np.concatenate((rows[:, 3:], np.vstack((value, moved))), axis=1).ravel()
+
+    begin = np.concatenate((start[None], np.eye(6), np.zeros((len(p), 6)))).ravel()
+    floor = np.full(len(begin), np.inf)
+    floor[:6] = FLOOR
+    # The solver takes the root mean square over all numbers, of which six count.
+    floor[:6] /= np.sqrt(1 + columns)
+    precision = PRECISION
+
+    def side(end: float) -> OdeSolution | None:
+        if end == at:
+            return None
+        done = solve_ivp(
+            slope,
+            (at, end),
+            begin,
+            "DOP853",
+            dense_output=True,
+            rtol=precision,
+            atol=floor,
+            max_step=forces.longest,
+        )
+        if not done.success or not np.isfinite(done.y[:6]).all():
+            message = f"orbit: the path from {at:.0f} s stops at {done.t[-1]:.0f} s: {done.message}"
+            raise TrainingError(message)
+        return done.sol
+
+    return SatelliteArc(first, last, at, side(first), side(last))

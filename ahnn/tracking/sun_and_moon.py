@@ -1,0 +1,53 @@
+"""Where Sun and Moon stand, seen from the Earth's centre, by DE421 (Folkner et al., JPL 2009)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from ahnn.data.files.frames import terrestrial
+from ahnn.data.files.optional_libraries import library
+
+Array = NDArray[np.float64]
+SUN_MU, MOON_MU = 132712440040.944, 4902.800076
+"""Gravitational parameters in km^3/s^2 (DE421)."""
+MOON_FRACTION = 1 / (1 + 81.3005690699153)
+"""Of the mass of Earth and Moon (DE421)."""
+NODES, MARGIN = 3600.0, 4 * 3600.0
+"""Seconds between positions that a spline goes through, and its reach beyond what is asked for."""
+
+
+class SunAndMoon(NamedTuple):
+    """Positions in km in the axes of GCRF.
+
+    Attributes:
+        sun: times (T,) or a time, seconds after the epoch -> (T, 3) or (3,).
+        moon: likewise.
+    """
+
+    sun: CubicSpline
+    moon: CubicSpline
+
+
+def sun_and_moon(epoch: int, first: float, last: float) -> SunAndMoon:
+    """Return the positions of Sun and Moon between two times; TDB is taken as TT (2 ms).
+
+    Args:
+        epoch: of time zero, picoseconds of UTC as in `TrackingData`.
+        first: seconds after the epoch.
+        last: likewise.
+
+    Raises:
+        UserError: jplephem or de421 is missing.
+    """
+    data = library("de421", "de421", "ephemeris", "Sun and Moon")
+    ephemeris = library("jplephem.ephem", "jplephem", "ephemeris", "Sun and Moon").Ephemeris(data)
+    times = np.arange(first - MARGIN, last + MARGIN + NODES, NODES)
+    days, fraction = terrestrial(epoch, times, "UTC")
+    moon = ephemeris.position("moon", days, fraction)
+    earth = ephemeris.position("earthmoon", days, fraction) - MOON_FRACTION * moon
+    sun = ephemeris.position("sun", days, fraction) - earth
+    return SunAndMoon(CubicSpline(times, sun.T), CubicSpline(times, moon.T))

@@ -1,0 +1,134 @@
+"""What is in tracking data before anybody determines an orbit: who saw what, when, and what stands out."""
+
+from __future__ import annotations
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ahnn.tracking.tracking_data import KINDS, Kind, TrackingData
+
+PASS = 10.0
+"""A step so many times the median separates two passes."""
+LONGEST = 1200.0
+"""Seconds beyond which every step does."""
+FASTEST = 12.0
+"""Velocity in km/s that no satellite of the Earth has."""
+STANDS_OUT = 15.0
+"""A measurement is an outlier so many times as far from its neighbours as the median one of its pass."""
+CLEARLY = 3.0
+"""And so many times as far as its neighbours disagree about where it should be."""
+FEWEST = 7
+"""Measurements of a pass from which on outliers are looked for."""
+MOST = 0.2
+"""Fraction of a pass beyond which it has no outliers but is noisy."""
+UNWRAPPED = ("azimuth", "right_ascension")
+
+
+class SeriesSurvey(NamedTuple):
+    """Measurements of one kind by one station.
+
+    Attributes:
+        station, kind: of which they are.
+        times: (n,) in seconds from the epoch of the data.
+        passes: how many segments there are between long gaps.
+        gap: the longest, in seconds.
+        outliers: places among the measurements that stand out from their neighbours.
+        impossible: places whose range changes from the one before faster than a satellite moves.
+    """
+
+    station: str
+    kind: Kind
+    times: NDArray[np.float64]
+    passes: int
+    gap: float
+    outliers: NDArray[np.int64]
+    impossible: NDArray[np.int64]
+
+
+def survey(data: TrackingData) -> list[SeriesSurvey]:
+    """Return what each station measured, station by station and kind by kind."""
+    found = []
+    for k, name in enumerate(data.stations):
+        for c, kind in enumerate(KINDS):
+            chosen = np.flatnonzero((data.station == k) & np.isfinite(data.values[:, c]))
+            if len(chosen):
+                values = data.values[chosen, c]
+                found.append(of_series(name, kind, data.times[chosen], values))
+    return found
+
+
+def of_series(
+    station: str, kind: Kind, times: NDArray[np.float64], values: NDArray[np.float64]
+) -> SeriesSurvey:
+    """Return what is in one series, (n,) times in s and values in km, km/s or rad."""
+    steps = np.diff(times)
+    limit = min(LONGEST, PASS * float(np.median(steps))) if len(steps) else LONGEST
+    bounds = [0, *(np.flatnonzero(steps > limit) + 1).tolist(), len(times)]
+    plain = np.unwrap(values) if kind in UNWRAPPED else values
+    outliers = [
+        start + standing_out(times[start:stop], plain[start:stop])
+        for start, stop in itertools.pairwise(bounds)
+    ]
+    impossible = np.zeros(0, dtype=np.int64)
+    if kind == "range":
+        impossible = np.flatnonzero(np.abs(np.diff(values)) > FASTEST * steps) + 1
+    gap = float(steps.max()) if len(steps) else 0.0
+    return SeriesSurvey(station, kind, times, len(bounds) - 1, gap, np.concatenate(outliers), impossible)
+
+
+def standing_out(times: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the places of one pass that are far from what their neighbours say, one after the other.
+
+    What they say are polynomials through six and through four of them. Where the two differ themselves, the
+    measurements are too far apart to judge. The farthest place is taken out before the others are judged,
+    since its neighbours look bad beside it.
+    """
+    kept, found = np.arange(len(times)), list[int]()
+    while len(kept) >= FEWEST:
+        errors, doubts = from_neighbours(times[kept], values[kept])
+        around = np.max([doubts[:-2], doubts[1:-1], doubts[2:]], axis=0)  # one alone may vanish by chance
+        judged = np.where(errors[1:-1] > CLEARLY * around, errors[1:-1], 0.0)
+        worst = int(np.argmax(judged)) + 1
+        if judged[worst - 1] <= STANDS_OUT * float(np.median(errors)):
+            break
+        found.append(int(kept[worst]))
+        kept = np.delete(kept, worst)
+    return np.array(sorted(found) if len(found) <= MOST * len(times) else [], dtype=np.int64)
+
+
+def from_neighbours(
+    times: NDArray[np.float64], values: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return how far values are from a polynomial through six others, and how far that is from one of four.
+
+    Both (n,), in units of the noise of the first difference where each value has one unit of noise.
+
+    Args:
+        times: (n,) not decreasing, n at least 7; where two are equal, and at both ends, the results are zero.
+        values: (n,).
+    """
+    errors, doubts = np.zeros(len(times)), np.zeros(len(times))
+    for k in range(1, len(times) - 1):
+        six, four = (interpolation(times, k, count) for count in (6, 4))
+        if six is not None and four is not None:
+            scale = np.sqrt(1 + six[1] @ six[1])
+            said = six[1] @ values[six[0]]
+            errors[k] = abs(values[k] - said) / scale
+            doubts[k] = abs(said - four[1] @ values[four[0]]) / scale
+    return errors, doubts
+
+
+def interpolation(
+    times: NDArray[np.float64], k: int, count: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64]] | None:
+    """Return the places of the nearest others around a time and their weights; None of two equal times."""
+    start = min(max(k - count // 2, 0), len(times) - count - 1)
+    others = np.delete(np.arange(start, start + count + 1), k - start)
+    apart = times[others, None] - times[others] + np.eye(count)
+    if (apart == 0).any():
+        return None
+    away = np.where(np.eye(count, dtype=bool), 1.0, times[k] - times[others])
+    return others, np.prod(away / apart, axis=1)

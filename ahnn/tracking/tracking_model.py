@@ -1,0 +1,195 @@
+"""What a station should measure of a satellite: ranges and angles with their derivatives by its state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ahnn.tracking.accelerations.relativity import LIGHT
+from ahnn.tracking.atmospheric_delay import (
+    bending,
+    bending_by_recommendation,
+    laser_delay,
+    measured_air,
+    radio_delay,
+)
+from ahnn.tracking.earth_rotation import EarthRotation
+from ahnn.tracking.light_path import LightPath, light_path
+from ahnn.tracking.satellite_arc import SatelliteArc
+from ahnn.tracking.sun_and_moon import MOON_MU, SUN_MU, SunAndMoon
+from ahnn.tracking.tracking_data import TrackingData
+from ahnn.tracking.tracking_station import EARTH_MU, TrackingStation, tidal_displacement
+
+Array = NDArray[np.float64]
+ANGLES = np.array([False, True, False, False, True, False])
+"""Which of `KINDS` turn round."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Corrections:
+    """What is taken into account between a geometric range or angle and a measured one.
+
+    Attributes:
+        troposphere: whose delay ranges have: none, of radio or of laser light.
+        refraction: what air lifts a satellite in elevation: none, that of the weather, or of ITU-R P.834.
+        solid_tides: whether the tides of the solid Earth move the stations.
+        shapiro: whether the Earth's mass delays light.
+        centre_of_mass: km from the point that reflects to the centre of mass, along the line of sight;
+            measured ranges are that much shorter.
+    """
+
+    troposphere: Literal["none", "radio", "laser"] = "none"
+    refraction: Literal["none", "profile", "p834"] = "none"
+    solid_tides: bool = False
+    shapiro: bool = False
+    centre_of_mass: float = 0.0
+
+
+class PredictedTracking(NamedTuple):
+    """What should be measured.
+
+    Attributes:
+        values: (N, 6) in the order of `KINDS`, km, rad and km/s.
+        by_state: derivatives by the satellite's state at the bounce, (N, 6, 6).
+        bounce: its time, (N,).
+        elevation: without air, (N,) rad.
+    """
+
+    values: Array
+    by_state: Array
+    bounce: Array
+    elevation: Array
+
+
+class TrackingModel:
+    """Measurements as functions of the satellite's path.
+
+    Args:
+        data: whose times, stations and weather count.
+        stations: one for each of those that the data name, in their order.
+        corrections: what is taken into account.
+        rotation: of the Earth.
+        bodies: Sun and Moon.
+    """
+
+    def __init__(
+        self,
+        data: TrackingData,
+        stations: tuple[TrackingStation, ...],
+        corrections: Corrections,
+        rotation: EarthRotation,
+        bodies: SunAndMoon,
+    ) -> None:
+        self.data, self.stations, self.corrections = data, stations, corrections
+        self._rotation, self._bodies = rotation, bodies
+
+    def site(self, station: TrackingStation, times: Array) -> Array:
+        """Return where a station is in GCRF at times (T,), (T, 3) km."""
+        turns, place = self._rotation.matrices(times), np.broadcast_to(station.position, (len(times), 3))
+        if self.corrections.solid_tides:
+            for position, mu in ((self._bodies.sun(times), SUN_MU), (self._bodies.moon(times), MOON_MU)):
+                body = np.einsum("tij,tj->ti", turns, position)
+                place = place + tidal_displacement(station.position, body, mu)
+        return np.einsum("tji,tj->ti", turns, place)
+
+    def __call__(self, arc: SatelliteArc) -> PredictedTracking:
+        """Return what should be measured of a satellite on an arc."""
+        n = len(self.data.times)
+        found = PredictedTracking(np.full((n, 6), np.nan), np.zeros((n, 6, 6)), np.empty(n), np.empty(n))
+        for k, station in enumerate(self.stations):
+            rows = self.data.station == k
+            if rows.any():
+                for target, part in zip(found, self._of_station(arc, station, rows), strict=True):
+                    target[rows] = part
+        return found
+
+    def _of_station(
+        self, arc: SatelliteArc, station: TrackingStation, rows: NDArray[np.bool_]
+    ) -> PredictedTracking:
+        path = light_path(
+            lambda t: arc.states(t)[:, :3],
+            lambda t: self.site(station, t),
+            self.data.times[rows],
+            self.data.event,
+        )
+        air = measured_air(self.data.weather[rows], station.height)
+        axes = np.einsum("ij,tjk->tik", station.axes, self._rotation.matrices(path.receive))
+        values, by_state = np.empty((len(path.bounce), 6)), np.zeros((len(path.bounce), 6, 6))
+        values[:, 1:3], by_state[:, 1:3, :3] = directions(
+            np.einsum("tij,tj->ti", axes, path.down), azimuth=True
+        )
+        by_state[:, 1:3, :3] = by_state[:, 1:3, :3] @ axes
+        values[:, 4:6], by_state[:, 4:6, :3] = directions(path.down, azimuth=False)
+        elevation = values[:, 2].copy()
+        values[:, 0], by_state[:, 0, :3] = half_round_trip(path)
+        values[:, 0] += self._delay(path, elevation, air, station, self.data.wavelength[rows])
+        values[:, 3], by_state[:, 3] = self._range_rate(arc, station, path)
+        if self.corrections.refraction == "profile":
+            values[:, 2] += bending(elevation, air)
+        elif self.corrections.refraction == "p834":
+            values[:, 2] += bending_by_recommendation(elevation, station.height)
+        return PredictedTracking(values, by_state, path.bounce, elevation)
+
+    def _delay(
+        self, path: LightPath, elevation: Array, air, station: TrackingStation, wavelength: Array
+    ) -> Array:
+        """Return what makes measured ranges longer, (T,) km."""
+        chosen, place = self.corrections, (station.latitude, station.height)
+        delay = np.full(len(elevation), -chosen.centre_of_mass)
+        if chosen.troposphere == "radio":
+            delay += radio_delay(elevation, air, *place)
+        elif chosen.troposphere == "laser":
+            delay += laser_delay(elevation, air, wavelength, *place)
+        return delay + shapiro(path) if chosen.shapiro else delay
+
+    def _range_rate(
+        self, arc: SatelliteArc, station: TrackingStation, path: LightPath
+    ) -> tuple[Array, Array]:
+        """Return the range rate at reception, (T,) km/s, and its derivatives by the state, (T, 6)."""
+        drift = (self.site(station, path.receive + 0.5) - self.site(station, path.receive - 0.5)) / 1.0
+        relative = arc.states(path.bounce)[:, 3:] - drift
+        distance = np.linalg.norm(path.down, axis=1, keepdims=True)
+        unit = path.down / distance
+        rate = (unit * relative).sum(1)
+        return rate, np.concatenate(((relative - rate[:, None] * unit) / distance, unit), axis=1)
+
+
+def half_round_trip(path: LightPath) -> tuple[Array, Array]:
+    """Return half of the way there and back, (T,), and its derivatives by the satellite's position, (T, 3).
+
+    The derivatives leave out that another position also shifts the time, 1e-5 of them.
+    """
+    up, down = (np.linalg.norm(one, axis=1) for one in (path.up, path.down))
+    return 0.5 * (up + down), 0.5 * (path.up / up[:, None] + path.down / down[:, None])
+
+
+def directions(line: Array, *, azimuth: bool) -> tuple[Array, Array]:
+    """Return two angles of lines (T, 3) to the east, the north and up, and their derivatives (T, 2, 3).
+
+    Args:
+        line: from the station to the satellite.
+        azimuth: from the second axis to the first, from 0 to 2 pi; else from the first to the second, as the
+            right ascension counts.
+    """
+    x, y, z = line.T
+    level = x**2 + y**2
+    sign = 1.0 if azimuth else -1.0
+    around = np.arctan2(x, y) if azimuth else np.arctan2(y, x)
+    square, flat = level + z**2, np.sqrt(level)
+    first = np.column_stack((sign * y / level, -sign * x / level, np.zeros_like(z)))
+    second = np.column_stack((-x * z / flat, -y * z / flat, flat)) / square[:, None]
+    return np.column_stack((around % (2 * np.pi), np.arctan2(z, flat))), np.stack((first, second), axis=1)
+
+
+def shapiro(path: LightPath) -> Array:
+    """Return the relativistic delay of light in the Earth's field as km of half the way there and back, (T,).
+
+    2 mu / c^2 ln((a + b + d) / (a + b - d)) one way, a and b the distances of its ends from the Earth's
+    centre and d from one another (IERS Conventions 2010, 11.17).
+    """
+    a, distance = np.linalg.norm(path.site, axis=1), np.linalg.norm(path.down, axis=1)
+    both = a + np.linalg.norm(path.site + path.down, axis=1)
+    return 2 * EARTH_MU / LIGHT**2 * np.log((both + distance) / (both - distance))

@@ -1,0 +1,9 @@
+"""Interacting multiple models: a Gaussian filter for each mode of a motion, mixed as modes switch."""
+
+from __future__ import annotations
+
+from ahnn_plugins.imm.interacting_models import InteractingModels
+from ahnn_plugins.imm.mixture import MixtureState
+from ahnn_plugins.imm.motion_mode import MotionMode
+
+__all__ = ["InteractingModels", "MixtureState", "MotionMode"]

@@ -1,0 +1,73 @@
+"""One mode of a motion: its process noise, and the flow of a known system where that is not the model's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, Any, final
+
+import torch
+from torch import Tensor
+
+from ahnn.arguments import Within, checked
+from ahnn.errors import UserError
+from ahnn.estimation.linalg import tria
+from ahnn.systems import System, exact_flow
+from ahnn.types import Flow
+
+Deviation = Annotated[float, Within(0)]
+
+
+@final
+@checked
+@dataclass(frozen=True)
+class MotionMode:
+    """How things move while the mode lasts.
+
+    Attributes:
+        factor: on the standard deviations of the process noise that the filter is given.
+        added: standard deviations of further noise for each component of the state, that of one unit of time;
+            it is white, and grows with the root of the time. Components behind have none. None for none.
+        beside: a system whose exact flow moves the state in place of the model.
+    """
+
+    factor: Deviation = 1.0
+    added: list[Deviation] | None = None
+    beside: System | None = None
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """Plain values that determine it."""
+        known = self.beside
+        system = None if known is None else {"is": type(known).__name__, **known.parameters()}
+        return {"factor": self.factor, "added": self.added, "beside": system}
+
+    @cached_property
+    def own_flow(self) -> Callable[[Flow], Flow]:
+        """What takes the flow of the model and returns that of the mode."""
+        if self.beside is None:
+            return lambda flow: flow
+        exact = exact_flow(self.beside)
+        return lambda _: exact
+
+    def require_size(self, size: int, who: str) -> None:
+        """Refuse states of D components that it does not fit; raises UserError."""
+        if self.added is not None and len(self.added) > size:
+            message = f"{who}.added: expected at most {size} deviations; received {len(self.added)}"
+            raise UserError(message)
+        if self.beside is not None and (own := 2 * self.beside.dof) != size:
+            message = (
+                f"{who}.beside: expected a system of {size} components, as many as are estimated; "
+                f"{self.beside.name} has {own}. It knows no force error, parameters or biases"
+            )
+            raise UserError(message)
+
+    def noise(self, chol_q: Tensor, dt: float) -> Tensor:
+        """Return the factor (B, D, D) of the process noise of a step, from that which the filter is given."""
+        chol = self.factor * chol_q
+        if self.added is None:
+            return chol
+        own = chol.new_zeros(chol.shape[-1])
+        own[: len(self.added)] = chol.new_tensor(self.added) * dt**0.5
+        return tria(torch.cat((chol.mT, torch.diag(own).expand_as(chol)), dim=1))

@@ -1,0 +1,141 @@
+"""Gauss-Hermite Kalman filter: the moments of a sigma-point filter by a product of quadrature rules.
+
+A rule of p nodes integrates polynomials up to degree 2 p - 1 in each component exactly (Ito & Xiong 2000;
+Arasaratnam, Haykin & Elliott 2007), where unscented points stop at degree three. It takes p to the power of D
+points, all of positive weight, so that factors are triangularised and nothing is subtracted. With three nodes
+and one component the points are those of the unscented filter with kappa = 2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, NamedTuple, final
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from ahnn.errors import UserError
+from ahnn.estimation.belief import Belief
+from ahnn.estimation.conditioning import conditioned, present_noise
+from ahnn.estimation.estimator import SensorModel
+from ahnn.estimation.gate import Gate
+from ahnn.estimation.gaussian import GaussianFilter
+from ahnn.estimation.kernel import measured, propagate
+from ahnn.estimation.linalg import tria
+from ahnn.estimation.results import Predicted, Updated
+from ahnn.estimation.rounding import Rounding
+from ahnn.estimation.sample_filter import image_deviations
+from ahnn.estimation.smoother import backward_law
+from ahnn.types import Flow
+
+MOST = 20_000
+"""Points of one member: 3 nodes for 9 components, 5 for 6."""
+
+
+class HermiteRule(NamedTuple):
+    """A product of Gauss-Hermite rules for N(0, I), and predictions and updates by it.
+
+    Attributes:
+        nodes: (S, D), that of the largest weight in front.
+        weights: (S, 1), positive, of sum 1.
+    """
+
+    nodes: Tensor
+    weights: Tensor
+
+    @property
+    def rounding(self) -> Rounding:
+        """Nothing is amplified: weights are positive, and covariances are never formed."""
+        return Rounding()
+
+    def points(self, belief: Belief) -> Tensor:
+        """Return the points (B, S, D) of beliefs."""
+        return belief.mean.unsqueeze(1) + self.nodes @ belief.chol.mT
+
+    def predict(
+        self, belief: Belief, flow: Flow, dt: float, chol_q: Tensor, *, smoothing: bool = False
+    ) -> Predicted:
+        """Return the moments of the images of the points, plus Q; the flow is called once."""
+        images, size = propagate(flow, self.points(belief), dt), belief.mean.shape[-1]
+        outer = images - images[:, :1]
+        shift = (self.weights * outer).sum(1)
+        mean, after = images[:, 0] + shift, self.weights.sqrt() * (outer - shift.unsqueeze(1))
+        if not smoothing:
+            return Predicted(Belief(mean, tria(torch.cat((after, chol_q.mT), dim=1))))
+        before = self.weights.sqrt() * (self.nodes @ belief.chol.mT)
+        rows = torch.cat((torch.cat((after, before), -1), pad(chol_q.mT, (0, size))), dim=1)
+        joint = tria(rows)
+        law, singular = backward_law(joint)
+        return Predicted(Belief(mean, joint[:, :size, :size]), None, False, law, singular)
+
+    def update(self, prior: Belief, y: Tensor, sensor: SensorModel, time: float) -> Updated:
+        """Return the belief given the components of y that are not NaN."""
+        images = measured(sensor.measurement, self.points(prior), time)
+        deviations, innovation = image_deviations(images, self.weights, y, sensor)
+        state = self.nodes @ prior.chol.mT
+        rows = self.weights.sqrt() * torch.cat((deviations, state), -1)
+        noise = pad(present_noise(sensor.chol_r, ~torch.isnan(y)), (0, state.shape[-1]))
+        return conditioned(prior, tria(torch.cat((rows, noise), dim=1)), innovation, y)
+
+
+@cache
+def hermite_rule(order: int, size: int, device: torch.device | None = None) -> HermiteRule:
+    """Return the product of rules of `order` nodes for states of D components.
+
+    Raises:
+        UserError: more than `MOST` points.
+    """
+    if (count := order**size) > MOST:
+        message = (
+            f"order: expected at most {MOST:,} points; received {order} nodes for each of {size} components, "
+            f"{count:.3g} points. Use fewer nodes, or plugins=ckf, which takes {2 * size}"
+        )
+        raise UserError(message)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(order)
+    one, weight = torch.from_numpy(nodes), torch.from_numpy(weights / weights.sum())
+    with torch.inference_mode(mode=False):  # it is kept, and must serve gradients too
+        places = torch.cartesian_prod(*[torch.arange(order)] * size).reshape(-1, size)
+        weighed = weight[places].prod(-1)
+        first = weighed.argsort(descending=True, stable=True)
+        return HermiteRule(one[places][first].to(device), weighed[first].unsqueeze(-1).to(device))
+
+
+@final
+@dataclass(frozen=True)
+class GaussHermiteFilter(GaussianFilter):
+    """Gauss-Hermite Kalman filter with additive noise for a batch of B members, see `GaussianFilter`.
+
+    Attributes:
+        order: nodes in each component, from 2; as many points as its power of D.
+        gate: refuses improbable measurement rows; None takes all.
+
+    Raises:
+        UserError: no whole number from 2 on.
+    """
+
+    order: int = 3
+    gate: Gate | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what is no order and no gate."""
+        super().__post_init__()
+        if not isinstance(self.order, int) or self.order < 2:
+            message = f"order: expected a whole number >= 2; received {self.order!r}"
+            raise UserError(message)
+
+    @property
+    def name(self) -> str:
+        """What its rows are called."""
+        return "ghkf"
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """Plain values that determine its estimates."""
+        return {**super().about, "order": self.order}
+
+    def kernel(self, belief: Belief) -> HermiteRule:
+        """Return the rule for states of this size."""
+        return hermite_rule(self.order, belief.mean.shape[-1], belief.mean.device)

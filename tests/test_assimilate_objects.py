@@ -1,0 +1,133 @@
+"""`python -m ahnn.assimilate objects=COLUMN`: fixes of several satellites, their states, kills, mistakes."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+from entry import call
+
+import ahnn
+
+RUN = ahnn.load("molniya_mechanical")
+COUNT, FIXES = 4, 30
+FIRST = torch.tensor([0.0, -3145.0, -6173.0, 10.0, 0.0, 0.0], dtype=torch.float64)
+STARTS = FIRST + torch.arange(COUNT, dtype=torch.float64)[:, None] * torch.tensor(
+    [9.0, 40.0, 20.0, 0.01, 0.0, 0.0]
+)
+ORBITS = RUN.rollout(STARTS, FIXES, 15.0)
+NOISE = 0.05 * torch.randn(
+    COUNT, FIXES + 1, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64
+)
+GIVEN = ["measurements=fixes.csv", "objects=sat", "measurement.sd=0.05", "start=starts.csv"]
+COMMAND = ["pretrained=molniya_mechanical", "plugins.ukf.process_noise=[1e-3,1e-5]"]
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """A folder with fixes of all satellites in turns, and their starts."""
+    fixes = ORBITS[..., :3] + NOISE
+    rows = ["time,sat,x,y,z"]
+    for k in range(1, FIXES + 1):
+        rows += [f"{15.0 * k},S{b},{','.join(map(repr, fixes[b, k].tolist()))}" for b in range(COUNT)]
+    (tmp_path / "fixes.csv").write_text("\n".join(rows) + "\n")
+    head = "id,t [s],x [km],y [km],z [km],vx [km/s],vy [km/s],vz [km/s],sd_x,sd_y,sd_z,sd_vx,sd_vy,sd_vz"
+    rows = [
+        f"S{b},0,{','.join(map(repr, STARTS[b].tolist()))},0.1,0.1,0.1,1e-4,1e-4,1e-4" for b in range(COUNT)
+    ]
+    (tmp_path / "starts.csv").write_text("\n".join([head, *rows]) + "\n")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def assimilate(*arguments):
+    """Call the command."""
+    return call("ahnn.assimilate", *COMMAND, *arguments)
+
+
+def rows_of(name):
+    """The rows of a table."""
+    with Path(name).open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.mark.usefixtures("place")
+def test_objects_are_as_in_commands_of_their_own_and_their_states_are_starts(caplog):
+    assert assimilate(*GIVEN, "output=track.csv", "states=last.csv", "every=50") == 0
+    assert "121 lines: 120 taken" in caplog.messages
+    assert "4 objects, 0 of them lost" in caplog.messages
+    rows = [row for row in rows_of("track.csv") if row["object"] == "S2"]
+    lines = Path("fixes.csv").read_text().splitlines()
+    own = ["time,x,y,z", *(line.replace(",S2,", ",") for line in lines if ",S2," in line)]
+    Path("own.csv").write_text("\n".join(own) + "\n")
+    start = [f"start={STARTS[2].tolist()}", "start_sd=[0.1,1e-4]"]
+    assert assimilate("measurements=own.csv", "measurement.sd=0.05", *start, "output=own.out") == 0
+    numbers = [name for name in rows[0] if name.startswith(("x", "y", "z", "p", "nis", "inn", "sd"))]
+    for one, other in zip(rows, rows_of("own.out"), strict=True):
+        assert [float(one[n]) for n in numbers] == pytest.approx([float(other[n]) for n in numbers], rel=1e-9)
+    last = rows_of("last.csv")
+    assert [row["id"] for row in last] == ["S0", "S1", "S2", "S3"]
+    assert float(last[2]["x [km]"]) == float(rows[-1]["x"])
+    assert float(last[2]["sd_x [km]"]) == pytest.approx(float(rows[-1]["cov_x_x"]) ** 0.5, rel=1e-12)
+    assert (
+        call("ahnn.predict", "pretrained=molniya_mechanical", "start=last.csv", "duration=60", "output=a.csv")
+        == 0
+    )
+    assert len(rows_of("a.csv")) == 2 * COUNT
+    again = [*GIVEN[:3], "start=last.csv", "output=again.csv"]
+    assert assimilate(*again) == 0
+    assert "121 lines: 116 late, 4 taken" in caplog.messages  # what was measured is before these starts
+    assert "111 more lines late, up to line 117" in caplog.messages
+
+
+@pytest.mark.usefixtures("place")
+def test_a_killed_command_goes_on_with_the_same_bytes():
+    command = [sys.executable, "-m", "ahnn.assimilate", *COMMAND, *GIVEN, "every=7"]
+    names = ["output=parts.csv", "state=parts.state", "states=parts.last.csv"]
+    assert (
+        assimilate(*GIVEN, "every=7", "output=whole.csv", "state=whole.state", "states=whole.last.csv") == 0
+    )
+    running = subprocess.Popen([*command, *names], stderr=subprocess.DEVNULL, env={**os.environ})
+    while running.poll() is None and not (
+        Path("parts.csv").exists() and Path("parts.csv").stat().st_size > 9000
+    ):
+        time.sleep(0.001)
+    running.send_signal(signal.SIGKILL)
+    running.wait()
+    assert assimilate(*GIVEN, "every=7", *names) == 0
+    for name in ("csv", "last.csv"):
+        assert Path(f"parts.{name}").read_bytes() == Path(f"whole.{name}").read_bytes()
+
+
+MISTAKES = {
+    "objects=name": "measurements: expected a header with time and name, x, y, z; received 'sat'",
+    "objects=time": "objects: expected a column beside",
+    "watch=true": "watch: expected none with objects=sat; received one",
+    "oem=a.oem": "oem: expected none with objects=sat; received one",
+    "states=out.csv": "received one path twice",
+    "states=last.txt": "output: expected a file .csv, .parquet, .oem, .xml",
+    "plugins=enkf": "process: expected a filter of Gaussian beliefs, as ukf and ekf; received enkf",
+}
+
+
+@pytest.mark.parametrize("words", MISTAKES)
+def test_a_mistake_is_one_message_and_leaves_nothing(place, capsys, words):
+    given = [text for text in GIVEN if text.partition("=")[0] != words.partition("=")[0]]
+    command = [text.replace(".ukf.", ".enkf.") if "enkf" in words else text for text in COMMAND]
+    assert call("ahnn.assimilate", *command, *given, "output=out.csv", words) == 2
+    (line,) = [text for text in capsys.readouterr().err.splitlines() if "expected" in text or "twice" in text]
+    assert MISTAKES[words] in line
+    assert sorted(path.name for path in place.iterdir()) == ["fixes.csv", "starts.csv"]
+
+
+@pytest.mark.usefixtures("place")
+def test_states_without_objects_are_refused(capsys):
+    assert assimilate(GIVEN[0], *GIVEN[2:], "states=a.csv") == 2
+    assert "states: expected objects=COLUMN beside it" in capsys.readouterr().err

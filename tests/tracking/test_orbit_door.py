@@ -1,0 +1,164 @@
+"""The command: measurements go in, tables, an orbit and words come out, or one line of what is wrong."""
+
+from __future__ import annotations
+
+import csv
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from earth import EPOCH, LAST, REAL, bodies
+from entry import call
+from simulated import STATIONS, TRUE, data
+
+from ahnn.cli.pairs import divided
+from ahnn.data.files import epochs
+from ahnn.data.files.messages import read_oem
+from ahnn.systems.gravity import eigen6s
+from ahnn.tracking.accelerations.earth_gravity import EarthGravity
+from ahnn.tracking.earth_rotation import EarthRotation
+from ahnn.tracking.formats.finals import installed_orientation
+from ahnn.tracking.satellite_arc import Forces, satellite_arc
+from ahnn.tracking.tracking_model import Corrections, TrackingModel
+
+pytest.importorskip("erfa")
+pytest.importorskip("de421")
+pytest.importorskip("astropy_iers_data")
+SETUPS = Path(__file__).parents[2] / "docs" / "orbits"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with the measurements of a known orbit and a setup."""
+    place = tmp_path_factory.mktemp("orbit")
+    rotation = EarthRotation(EPOCH, -LAST, LAST, installed_orientation())
+    arc = satellite_arc(
+        Forces([EarthGravity(eigen6s().cut(2, 0), rotation)]), TRUE, np.empty(0), 0.0, -2.0, 2e4
+    )
+    taken = data(count=60)
+    model = TrackingModel(taken, STATIONS, Corrections(), rotation, bodies())
+    rng, lines = np.random.default_rng(1), []
+    for n, values in enumerate(model(arc).values):
+        when = epochs.spelled(EPOCH + round(taken.times[n] * 1e12), utc=True)
+        station, noise = taken.stations[taken.station[n]], rng.standard_normal(3)
+        lines.append(f"{when} RANGE {station} {values[0] + 0.01 * noise[0]:.9f}")
+        angles = np.degrees(values[1:3]) + 0.01 * noise[1:]
+        lines.append(f"{when} AZ_EL {station} {angles[0]:.9f} {angles[1]:.9f}")
+    (place / "seen.aer").write_text("\n".join(lines) + "\n")
+    setup = {
+        "measurements": "seen.aer",
+        "stations": {
+            one.name: [float(np.degrees(one.latitude)), float(np.degrees(one.longitude)), 1e3 * one.height]
+            for one in STATIONS
+        },
+        "start": {
+            "epoch": "2016-02-13T16:00:00",
+            "position": [float(x) for x in TRUE[:3] + 5.0],
+            "velocity": [float(x) for x in TRUE[3:]],
+        },
+        "forces": {"gravity": {"degree": 2, "order": 0}, "sun": False, "moon": False},
+        "noise": {"range": 0.01, "azimuth": 0.01, "elevation": 0.01},
+    }
+    (place / "seen.yaml").write_text("units: {RANGE: km, AZ_EL: deg}\n")
+    (place / "setup.yaml").write_text(yaml.safe_dump(setup))
+    return place
+
+
+def test_an_orbit_is_found_and_written(folder, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert call("ahnn.orbit", str(folder / "setup.yaml"), f"out={out}", "held_out=0.2") == 0
+    said = capsys.readouterr().out
+    assert "180 measurements of 3 stations" in said
+    assert "converged" in said
+    assert re.search(r"all range: 60 with a standard deviation of (8|9|10|11)\.?\d* m", said)
+    assert "the last 24 of 120 times unseen" in said
+    (orbit,) = read_oem(out / "orbit.oem")
+    assert orbit.frame == "GCRF"
+    start = np.argmin(np.abs((orbit.start - EPOCH) / 1e12 + orbit.times))
+    known = np.sqrt(np.diagonal(np.asarray(orbit.covariances[start].matrix)))
+    assert (known[:3] < 0.05).all()
+    assert (known[:3] > 1e-5).all()
+    with (out / "residuals.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 180
+    assert {row["fitted"] for row in rows} == {"1"}
+    inside = [abs(float(row["residual"])) < 2 * float(row["sd"]) for row in rows]
+    assert 0.85 < np.mean(inside) < 1.0
+    with (out / "unknowns.csv").open() as file:
+        unknowns = {row["name"]: row for row in csv.DictReader(file)}
+    off = float(unknowns["x"]["value"]) - TRUE[0]
+    assert abs(off) < 4 * float(unknowns["x"]["sd"])
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["noise.rnage=1"], "noise: unknown key 'rnage'; did you mean 'range'?"),
+        (["noise.range=-1"], "noise.range: expected a standard deviation > 0; received -1"),
+        (["noise.azimuth=null"], "noise.azimuth: expected a standard deviation of what"),
+        (["start.epoch=yesterday"], "start.epoch: expected an epoch such as"),
+        (["start.position=[1,2]"], "start.position: expected three numbers"),
+        (["forces.gravity.field=nowhere.gfc"], "nowhere.gfc: expected a file with a gravity field"),
+        (["forces.gravity.degree=40"], "degree: expected 0 to 12 of EIGEN-6S; received 40"),
+        (["forces.drag=heavy"], "forces.drag: expected keys with values; received 'heavy'"),
+        (["stations.south=[1,2]"], "stations.south: expected [latitude, longitude, height], degrees and m"),
+        (["stations.west=[1,2,3]"], "stations.west: expected one of seen.aer"),
+        (["sinex=[a.snx]"], "stations: expected coordinates of each under `stations`, or files"),
+        (["object=other"], "object: expected one of seen.aer"),
+        (["measurements=nowhere.aer"], "nowhere.aer"),
+        (["held_out=1"], "held_out: expected float from 0 to 0.9; received 1"),
+        (["corrections.troposphere=wet"], "corrections.troposphere: expected one of none, radio, laser"),
+        (["folder=/nowhere"], "folder: expected that of the measurements; received /nowhere"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(folder, words, said, capsys):
+    assert call("ahnn.orbit", str(folder / "setup.yaml"), *words) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert "Traceback" not in error
+
+
+def test_a_command_without_a_file_says_how(capsys):
+    assert call("ahnn.orbit") == 2
+    assert "usage: python -m ahnn.orbit FILE.yaml" in capsys.readouterr().err
+    assert divided(["a=b"]) == ([], ["a=b"])
+
+
+def test_somebodys_file_is_not_replaced(folder, tmp_path, capsys):
+    (tmp_path / "residuals.csv").write_text("mine\n")
+    assert call("ahnn.orbit", str(folder / "setup.yaml"), f"out={tmp_path}") == 2
+    assert "residuals.csv" in capsys.readouterr().err
+    assert (tmp_path / "residuals.csv").read_text() == "mine\n"
+    assert [one.name for one in tmp_path.iterdir()] == ["residuals.csv"]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not REAL.is_dir(), reason="no real files beside the checkout")
+def test_w3b_is_fitted_as_well_as_by_orekit_and_its_future_is_known_to_within_what_is_said(tmp_path, capsys):
+    where = f"folder={REAL / 'w3b'}"
+    assert call("ahnn.orbit", str(SETUPS / "w3b.yaml"), where, f"out={tmp_path}") == 0
+    said = capsys.readouterr().out
+    sds = {
+        kind: float(sd) for kind, sd in re.findall(r"all (\w+): \d+ with a standard deviation of (\S+)", said)
+    }
+    assert sds["range"] <= 4.37
+    assert sds["azimuth"] <= 0.0101
+    assert sds["elevation"] <= 0.0116
+    leak, sd = map(float, re.search(r"at its start, .*?: (\S+) ± (\S+),", said).groups())
+    assert abs(leak - 8.005e-6) < 2 * sd < 1.6e-5
+    learned, plain = map(float, re.findall(r"all (\d+\.\d) % of 165", said))
+    assert 90 <= learned <= 99
+    assert plain < 80
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not REAL.is_dir(), reason="no real files beside the checkout")
+@pytest.mark.parametrize("learned", [False, True])
+def test_lageos_is_where_the_prediction_has_it(learned, capsys):
+    words = ["forces.learned.unit=1e-12", "noise_estimated=false"] if learned else []
+    assert call("ahnn.orbit", str(SETUPS / "lageos2.yaml"), f"folder={REAL / 'lageos2'}", *words) == 0
+    said = capsys.readouterr().out
+    assert float(re.search(r"all range: 95 with a standard deviation of (\S+)", said)[1]) <= 0.30
+    assert float(re.search(r"(\S+) m at most", said)[1]) <= 1.0
