@@ -1,7 +1,10 @@
-"""Problems and oracles for filters of samples: a linear system with its Kalman filter, and a spring."""
+"""Problems and oracles for filters of samples: linear, a spring, and sums over a grid."""
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
 import torch
 
 from ahnn.estimation import Setting, initial_belief, nees, perturbed_arcs
@@ -98,3 +101,32 @@ def steps_of(estimator, state, flow, rows, measurement, q, r, dt):
         state = estimator.predict(state, flow, dt, q)
         state, _ = estimator.update(state, row, measurement, r)
         yield state
+
+
+class Square:
+    names, units = ("square",), ("1",)
+
+    def __call__(self, x, t):  # noqa: ARG002
+        return x.square() / 20
+
+
+def growth(x, dt):  # noqa: ARG001
+    return 0.5 * x + 25 * x / (1 + x.square())
+
+
+def grid_filter(rows, q, r, points=2001):
+    """Means, variances and log-likelihood of one member by sums over a grid, from N(0.1, 2)."""
+    x = np.linspace(-40, 40, points)
+    step = x[1] - x[0]
+    density = np.exp(-((x - 0.1) ** 2) / 4) / math.sqrt(4 * math.pi)
+    ahead = 0.5 * x + 25 * x / (1 + x**2)
+    kernel = np.exp(-((x[:, None] - ahead[None]) ** 2) / (2 * q)) / math.sqrt(2 * math.pi * q)
+    means, variances, told = [], [], 0.0
+    for row in rows:
+        density = kernel @ density * step
+        density = density * np.exp(-((row - x**2 / 20) ** 2) / (2 * r)) / math.sqrt(2 * math.pi * r)
+        total = density.sum() * step
+        told, density = told + math.log(total), density / total
+        means.append((x * density).sum() * step)
+        variances.append((x**2 * density).sum() * step - means[-1] ** 2)
+    return np.array(means), np.array(variances), told

@@ -5,11 +5,9 @@ At 2013-01-01: the published coefficients of 2005 with their trends, without ann
 
 from __future__ import annotations
 
-import numpy as np
-
 from ahnn.systems.gravity.field import GravityField
 
-MU, RADIUS, DEGREE = 398600.4415, 6378.13646, 12
+MU, RADIUS = 398600.4415, 6378.13646
 """km^3/s^2 and km; they belong to the coefficients."""
 
 # fmt: off
@@ -109,8 +107,4 @@ ROWS: tuple[tuple[int, int, float, float], ...] = (
 
 def eigen6s() -> GravityField:
     """Return EIGEN-6S to degree and order 12, tide-free."""
-    cosines, sines = np.zeros((2, DEGREE + 1, DEGREE + 1))
-    cosines[0, 0] = 1.0
-    for n, m, c, s in ROWS:
-        cosines[n, m], sines[n, m] = c, s
-    return GravityField("EIGEN-6S", MU, RADIUS, cosines, sines, "tide_free")
+    return GravityField.of_rows("EIGEN-6S", MU, RADIUS, ROWS, "tide_free")

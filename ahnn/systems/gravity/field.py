@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -38,6 +40,18 @@ class GravityField:
     cosines: Coefficients
     sines: Coefficients
     tide: Tide
+
+    @classmethod
+    def of_rows(
+        cls, name: str, mu: float, radius: float, rows: Sequence[tuple[int, int, float, float]], tide: Tide
+    ) -> GravityField:
+        """Return the field of rows n, m, C_nm and S_nm, fully normalised; C_00 is 1 and others are 0."""
+        size = 1 + max(row[0] for row in rows)
+        cosines, sines = np.zeros((2, size, size))
+        cosines[0, 0] = 1.0
+        for n, m, c, s in rows:
+            cosines[n, m], sines[n, m] = c, s
+        return cls(name, mu, radius, cosines, sines, tide)
 
     @property
     def degree(self) -> int:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from ahnn.systems.gravity.field import GravityField
 
 MU, RADIUS = 398600.4415, 6378.1363
@@ -67,12 +65,8 @@ def ggm05c(tide: str = "zero_tide") -> GravityField:
         tide: `zero_tide`, as it is published, or `tide_free`, without the Earth's permanent deformation. Any
             other leaves it as it is published.
     """
-    cosines, sines = np.zeros((9, 9)), np.zeros((9, 9))
-    cosines[0, 0] = 1.0
-    for n, m, c, s in ROWS:
-        cosines[n, m], sines[n, m] = c, s
-    if tide == "tide_free":
-        cosines[2, 0] += PERMANENT_TIDE
-    return GravityField(
-        "GGM05C", MU, RADIUS, cosines, sines, "tide_free" if tide == "tide_free" else "zero_tide"
-    )
+    if tide != "tide_free":
+        return GravityField.of_rows("GGM05C", MU, RADIUS, ROWS, "zero_tide")
+    field = GravityField.of_rows("GGM05C", MU, RADIUS, ROWS, "tide_free")
+    field.cosines[2, 0] += PERMANENT_TIDE
+    return field

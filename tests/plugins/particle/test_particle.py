@@ -14,7 +14,10 @@ from sample_filters import (
     H,
     Linear,
     R,
+    Square,
     draw,
+    grid_filter,
+    growth,
     kalman,
     linear_problem,
     same,
@@ -43,35 +46,6 @@ def test_on_a_linear_system_it_is_the_kalman_filter_but_for_what_it_draws(option
     assert float(((result.means - means) / sd).square().mean().sqrt()) < 0.1
     assert float(((result.covariances - covariances) / scale).square().mean().sqrt()) < 0.12
     assert float((result.log_likelihood - likelihoods).abs().max()) < 0.35
-
-
-class Square:
-    names, units = ("square",), ("1",)
-
-    def __call__(self, x, t):  # noqa: ARG002
-        return x.square() / 20
-
-
-def growth(x, dt):  # noqa: ARG001
-    return 0.5 * x + 25 * x / (1 + x.square())
-
-
-def grid_filter(rows, q, r):
-    """Means, variances and log-likelihood of one member by sums over a grid, from N(0.1, 2)."""
-    x = np.linspace(-40, 40, 2001)
-    step = x[1] - x[0]
-    density = np.exp(-((x - 0.1) ** 2) / 4) / math.sqrt(4 * math.pi)
-    ahead = 0.5 * x + 25 * x / (1 + x**2)
-    kernel = np.exp(-((x[:, None] - ahead[None]) ** 2) / (2 * q)) / math.sqrt(2 * math.pi * q)
-    means, variances, told = [], [], 0.0
-    for row in rows:
-        density = kernel @ density * step
-        density = density * np.exp(-((row - x**2 / 20) ** 2) / (2 * r)) / math.sqrt(2 * math.pi * r)
-        total = density.sum() * step
-        told, density = told + math.log(total), density / total
-        means.append((x * density).sum() * step)
-        variances.append((x**2 * density).sum() * step - means[-1] ** 2)
-    return np.array(means), np.array(variances), told
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,20 @@ import math
 import numpy as np
 import pytest
 import torch
-from sample_filters import F64, P0, Linear, R, draw, kalman, linear_problem, same, steps_of
+from sample_filters import (
+    F64,
+    P0,
+    Linear,
+    R,
+    Square,
+    draw,
+    grid_filter,
+    growth,
+    kalman,
+    linear_problem,
+    same,
+    steps_of,
+)
 
 from ahnn.errors import UserError
 from ahnn.estimation import Status, initial_belief, load_state, save_state
@@ -60,39 +73,13 @@ def test_on_a_linear_system_it_is_the_kalman_filter_but_for_what_it_draws():
     assert float((result.log_likelihood - likelihoods).abs().max()) < 0.25
 
 
-class Square:
-    names, units = ("square",), ("1",)
-
-    def __call__(self, x, t):  # noqa: ARG002
-        return x.square() / 20
-
-
-def growth(x, dt):  # noqa: ARG001
-    return 0.5 * x + 25 * x / (1 + x.square())
-
-
-def grid_filter(rows, q, r):
-    """Means and variances of one member by sums over a grid, from N(0.1, 2)."""
-    x = np.linspace(-40, 40, 4001)
-    step = x[1] - x[0]
-    density = np.exp(-((x - 0.1) ** 2) / 4)
-    kernel = np.exp(-((x[:, None] - (0.5 * x + 25 * x / (1 + x**2))[None]) ** 2) / (2 * q))
-    means, variances = [], []
-    for row in rows:
-        density = (kernel @ density) * np.exp(-((row - x**2 / 20) ** 2) / (2 * r))
-        density = density / (density.sum() * step)
-        means.append((x * density).sum() * step)
-        variances.append((x**2 * density).sum() * step - means[-1] ** 2)
-    return np.array(means), np.array(variances)
-
-
 def test_both_modes_that_a_grid_filter_finds_are_kept_under_a_precise_sensor():
     q, r = 4.0, 0.05**2
     x, rows = torch.tensor([[0.5]], dtype=F64), []
     for k in range(10):
         x = growth(x, 1.0) + q**0.5 * draw(1, 1, seed=k)
         rows.append(float(Square()(x, 0)) + 0.05 * float(draw(1, seed=50 + k)))
-    means, variances = grid_filter(rows, q, r)
+    means, variances, _ = grid_filter(rows, q, r, points=4001)
     assert np.sum(variances > 16) > 2  # two modes
     pf = ParticleFilter(particles=10_000, proposal="ukf", bandwidth=0.03)
     measured = torch.tensor(rows, dtype=F64)[None, :, None]
