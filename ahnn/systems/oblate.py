@@ -16,7 +16,7 @@ from ahnn.compiled_libraries import POINTER as P
 from ahnn.cores import each, slices
 from ahnn.integrators import SymmetricComposition
 from ahnn.jacobians import differenced
-from ahnn.substeps import substeps_of_each
+from ahnn.substeps import substeps, substeps_of_each
 from ahnn.types import Flow, TimeStep
 
 
@@ -63,8 +63,10 @@ class OblateFlow:
         if not (numbers_alone(x, dt) and x.shape[1] == 6) or library() is None:
             return self.flow(x, dt)
         x, h = x.contiguous(), torch.as_tensor(dt, dtype=torch.float64).contiguous()
+        if h.numel() == 1:
+            return self._followed(x, h, substeps(h, self.longest))
         counts = substeps_of_each(h.abs().nan_to_num(), self.longest)
-        if h.numel() > 1 and bool((counts != counts[0]).any()):  # each its own, whoever is beside it
+        if bool((counts != counts[0]).any()):  # each its own, whoever is beside it
             out = torch.empty_like(x)
             for count in counts.unique():
                 out[counts == count] = self._followed(x[counts == count], h[counts == count], int(count))
