@@ -145,6 +145,7 @@ WORDS = {
     "repeated": "was counted before: not counted again",
     "ahead": "lies further ahead than a gap may be: not counted",
     "rejected": "rejected by the gate",
+    "reopened": "reopened the gate, which had refused those before it: its covariance was widened",
 }
 
 

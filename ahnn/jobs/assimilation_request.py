@@ -38,6 +38,7 @@ class AssimilationRequest:
     window: Annotated[float, Within(0)]
     lines: Count
     gap: Positive | None = None
+    gate: Annotated[float, Within(above=0, below=1)] | Literal["none"] | None = None
     watch: bool
     figures: str | None = None
     oem: str | None = None
