@@ -14,6 +14,7 @@ output=FILE         estimate and covariance after each line, CSV or JSON lines; 
 state=FILE          saved every 1000 lines (every=N); the same command goes on with it after any stop
 objects=COLUMN      whose a line is: many objects, each as if alone; start is a table of their states by id,
                     or one for all; every=N lines are taken together (100,000); Parquet in and out
+shard=2/8           of objects those of the second of eight workers, by their names
 states=FILE         of objects, at the end: their last states, a start of ahnn.predict: .csv, .parquet, .oem
 window=SECONDS      late measurements are merged by replay; lines=N are kept for that at most
 measurement=NAME    what is measured; of several sensors: +measurement@sensors.NAME=OPTION for each

@@ -14,6 +14,7 @@ from torch import Tensor
 from ahnn.arguments import check_arguments, nearest
 from ahnn.assimilation import Assimilation, Catalogue, Process, StreamSensor
 from ahnn.assimilation.assimilation_record import require_orbit
+from ahnn.assimilation.object_shard import ObjectShard
 from ahnn.assimilation.start import begin, belief_of
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.cli.build import blaming, build, build_all, plain_config
@@ -206,8 +207,11 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
         filtering = Assimilation(process, sensors, belief, time=time, controls=controls, **limits)
     else:
         names = None if of_one_state(asked.start) else found.names
-        times = time + found.times - found.times[0]
+        times, shard = time + found.times - found.times[0], ObjectShard.of(asked.shard)
+        if names is not None:
+            names, belief, times = shard.starts(names, belief, times)
         filtering = Catalogue(process, sensors, belief, names, times=times, **limits)
+        filtering.begun |= {} if asked.shard is None else {"shard": asked.shard}
     name = asked.object or (found.names[0] if isinstance(asked.start, str) else "UNKNOWN")
     return Stream(asked, run.space, filtering, clock, reference, name, control_names(run))
 
