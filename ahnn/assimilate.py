@@ -17,6 +17,7 @@ objects=COLUMN      whose a line is: many objects, each as if alone; start is a 
 shard=2/8           of objects those of the second of eight workers, by their names
 states=FILE         of objects, at the end: their last states, a start of ahnn.predict: .csv, .parquet, .oem
 window=SECONDS      late measurements are merged by replay; lines=N are kept for that at most
+lag=SECONDS         each line also has the estimate of that long before, smoothed with what came since
 measurement=NAME    what is measured; of several sensors: +measurement@sensors.NAME=OPTION for each
 measurement.bias_sd=NUMBER      its bias is estimated; bias_memory=TIME lets it wander; or of sensors.NAME
 plugins=NAME        the filter; plugins.ukf.process_noise is Q

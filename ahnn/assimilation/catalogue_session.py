@@ -31,7 +31,7 @@ NAMED = 1000
 
 
 class CatalogueSession(StreamSession):
-    """The stream of many objects; arguments as of `StreamSession`, the column that names the object, and a shard.
+    """The stream of many objects; arguments as of `StreamSession`, the column of names, and a shard.
 
     A state is saved behind each table, so that a restart takes the same tables: with them come the same bits.
     """

@@ -10,12 +10,13 @@ from typing import NamedTuple
 from ahnn.assimilation.instrument_reading import Reading
 from ahnn.assimilation.stream_controls import Held
 from ahnn.estimation import EstimatorState, Innovation
+from ahnn.estimation.process_model import StepLaw
 
 TIME = attrgetter("time")
 
 
 class KeptReading(NamedTuple):
-    """A reading that counted, what it told, state and controls behind it, and whether the gate reopened."""
+    """A reading that counted, what it told, what holds behind it, if the gate reopened, and the way back."""
 
     time: float
     reading: Reading
@@ -23,6 +24,7 @@ class KeptReading(NamedTuple):
     innovation: Innovation
     controls: Held
     opened: bool = False
+    laws: tuple[StepLaw, ...] = ()
 
 
 class ReadingWindow(NamedTuple):

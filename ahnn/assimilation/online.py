@@ -13,6 +13,7 @@ from torch import Tensor
 
 from ahnn.arguments import Count, Finite, Positive, Within, checked
 from ahnn.assimilation.cells import BadLine
+from ahnn.assimilation.fixed_lag import Smoothed, smoothed_at
 from ahnn.assimilation.instrument_reading import Reading
 from ahnn.assimilation.late_readings import KeptReading, ReadingWindow
 from ahnn.assimilation.stream_controls import StreamControls
@@ -21,7 +22,8 @@ from ahnn.assimilation.stream_sensor import StreamSensor
 from ahnn.controls import ControlTable
 from ahnn.errors import UserError
 from ahnn.estimation import Belief, EstimatorState, Innovation, Status, load_notes, load_state, save_state
-from ahnn.estimation.process_model import Process
+from ahnn.estimation.gaussian import GaussianFilter
+from ahnn.estimation.process_model import Process, StepLaw
 
 Outcome = Literal["taken", "reopened", "rejected", "predicted", "repeated", "late", "ahead"]
 """What became of a reading: it counted, it counted in a wider belief, the gate refused it, it was empty, it
@@ -38,6 +40,8 @@ class Estimate(NamedTuple):
         covariance: (D, D).
         innovation: what the reading told; None where it left the estimate as it was.
         replayed: readings that came before it and are later than it.
+        modes: probabilities of the modes of interacting models; of other filters there are none.
+        smoothed: with a lag, what is believed of that much earlier; None where nothing is.
     """
 
     outcome: Outcome
@@ -46,6 +50,8 @@ class Estimate(NamedTuple):
     covariance: Tensor
     innovation: Innovation | None
     replayed: int = 0
+    modes: tuple[float, ...] = ()
+    smoothed: Smoothed | None = None
 
 
 class Diverged(RuntimeError):
@@ -64,9 +70,11 @@ class Assimilation:
         lines: most readings that are kept for that.
         gap: a reading that lies further ahead is refused; None is 10,000 steps of the flow.
         controls: of a process model that has some, known ahead; None where readings bring them.
+        lag: estimates are also smoothed that much later, with the readings since; None smooths none.
 
     Raises:
-        UserError: a value beyond its limits, a start of several members, or controls of another model.
+        UserError: a value beyond its limits, a start of several members, controls of another model, or a lag
+            of a filter that is not Gaussian.
     """
 
     @checked
@@ -81,11 +89,15 @@ class Assimilation:
         lines: Count = 1000,
         gap: Positive | None = None,
         controls: ControlTable | None = None,
+        lag: Positive | None = None,
     ) -> None:
+        if lag is not None and not isinstance(process.estimator, GaussianFilter):
+            message = f"lag: expected a Gaussian filter, as ukf and ekf; received {process.estimator.name}"
+            raise UserError(message)
         if len(start.mean) != 1:
             message = f"start: expected a belief about one state; received {tuple(start.mean.shape)}"
             raise UserError(message)
-        self.sensors, self.span, self.lines = dict(sensors), window, lines
+        self.sensors, self.span, self.lines, self.lag = dict(sensors), window, lines, lag
         self.gap = FURTHEST * process.max_step if gap is None else gap
         self.size, self.spread = start.mean.shape[-1], start.chol
         self.controls = StreamControls.of(process.flow, controls, time)
@@ -126,9 +138,15 @@ class Assimilation:
         for one in (reading, *(entry.reading for entry in later)):
             after = self._added(after, one)
         innovation, opened = after.entries[place].innovation, after.entries[place].opened
-        self.window = after.kept(self.span, self.lines)
+        self.window = after.kept(max(self.span, self.lag or 0.0), self.lines)
         outcome = "rejected" if bool(innovation.rejected) else "predicted" if reading.is_empty else "taken"
         return self._estimate("reopened" if opened else outcome, innovation, len(later))
+
+    @property
+    def modes(self) -> tuple[float, ...]:
+        """Probabilities of the modes of interacting models; () of other filters."""
+        found: Tensor | None = getattr(self.window.state, "probabilities", None)
+        return () if found is None else tuple(found[0].tolist())
 
     @property
     def biases(self) -> dict[str, list[tuple[float, float]]]:
@@ -182,7 +200,8 @@ class Assimilation:
     @property
     def identity(self) -> str:
         """What determines the estimates besides start and readings, in 32 hexadecimal digits."""
-        return self.models.identity((self.span, self.lines, self.gap, self.process.max_step))
+        lag = () if self.lag is None else (self.lag,)
+        return self.models.identity((self.span, self.lines, self.gap, self.process.max_step, *lag))
 
     def _others(self, path: str | Path, notes: Mapping[str, str], time: float) -> str:
         """Return what a state that holds at a time was made with and is not ours; "" where all is."""
@@ -224,14 +243,16 @@ class Assimilation:
         """Return the window with a reading at its end."""
         held = window.controls
         controls = self.controls.between(held, window.time, reading.time)
-        state = self.process.advanced(window.state, window.time, reading.time, controls)
+        laws: list[StepLaw] = []
+        way_back = None if self.lag is None else laws
+        state = self.process.advanced(window.state, window.time, reading.time, controls, way_back)
         innovation, opened = Innovation.of_nothing(state.moments.mean[:, :0]), False
         if reading.values:
             state, innovation, opened = self._updated(state, reading)
         if status := int(state.status):
             raise Diverged(lost_filter(status, reading.time, reading.sensor))
         controls = self.controls.after(held, reading)
-        entry = KeptReading(reading.time, reading, state, innovation, controls, opened)
+        entry = KeptReading(reading.time, reading, state, innovation, controls, opened, tuple(laws))
         return window._replace(entries=(*window.entries, entry))
 
     def _updated(self, before: EstimatorState, reading: Reading) -> tuple[EstimatorState, Innovation, bool]:
@@ -255,8 +276,10 @@ class Assimilation:
         self, outcome: Outcome, innovation: Innovation | None = None, replayed: int = 0
     ) -> Estimate:
         mean, chol = self.window.state.moments
-        chol = chol[0, : self.size, : self.size]
-        return Estimate(outcome, self.window.time, mean[0, : self.size], chol @ chol.T, innovation, replayed)
+        chol, time = chol[0, : self.size, : self.size], self.window.time
+        smoothed = None if self.lag is None else smoothed_at(self.window, time - self.lag)
+        told = innovation, replayed, self.modes, smoothed
+        return Estimate(outcome, time, mean[0, : self.size], chol @ chol.T, *told)
 
 
 def absurd_numbers(said: list[str], deviations: Sequence[float]) -> str:

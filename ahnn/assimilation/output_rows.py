@@ -14,6 +14,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, BinaryIO, Literal
 
+from ahnn.assimilation.fixed_lag import numbers_of
 from ahnn.assimilation.online import Estimate
 from ahnn.assimilation.stream_sensor import StreamSensor
 from ahnn.data.estimate_table import COVARIANCE, DEVIATION, FIRST, INNOVATION
@@ -33,6 +34,8 @@ class Rows:
         sensors: by name.
         kind: csv or json, or of many objects parquet.
         said: units and frame, which go beside a file; None writes none.
+        modes: of interacting models, whose probabilities are columns.
+        lag: whether there are columns of what is smoothed.
     """
 
     def __init__(
@@ -41,8 +44,12 @@ class Rows:
         sensors: Mapping[str, StreamSensor],
         kind: Format,
         said: Sidecar | None = None,
+        *,
+        modes: int = 0,
+        lag: bool = False,
     ) -> None:
         self.kind: Format = kind
+        self.smooths = len(components) if lag else 0
         self.said = said
         self.lower = [(i, j) for i in range(len(components)) for j in range(i + 1)]
         measured = dict.fromkeys(name for sensor in sensors.values() for name in sensor.columns)
@@ -55,7 +62,11 @@ class Rows:
             *(f"{COVARIANCE}{components[i]}_{components[j]}" for i, j in self.lower),
             *(INNOVATION + name for name in measured),
             *(DEVIATION + name for name in measured),
+            *(f"mode_{k + 1}" for k in range(modes)),
         ]
+        if lag:
+            self.names += ["lag_time", *(f"lag_{name}" for name in components)]
+            self.names += [f"lag_{DEVIATION}{name}" for name in components]
 
     def header(self) -> str:
         """Return the first line of a table; JSON objects have none."""
@@ -73,7 +84,9 @@ class Rows:
         values: list[Any] = [line, estimate.time, sensor, estimate.outcome, estimate.replayed]
         values += [float(told.nis), int(told.measured), *mean]
         values += [covariance[i][j] for i, j in self.lower]
-        values += [*innovation, *deviation]
+        values += [*innovation, *deviation, *estimate.modes]
+        if self.smooths:
+            values += numbers_of(estimate.smoothed, self.smooths)
         if self.kind == "csv":
             return ",".join(map(_cell, values)) + "\n"
         plain = (None if isinstance(value, float) and math.isnan(value) else value for value in values)

@@ -204,7 +204,9 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
     limits = {"window": asked.window, "lines": asked.lines, "gap": asked.gap}
     process = build_process(cfg, run, case, asked.gate)
     if asked.objects is None:
-        filtering = Assimilation(process, sensors, belief, time=time, controls=controls, **limits)
+        filtering = Assimilation(
+            process, sensors, belief, time=time, controls=controls, lag=asked.lag, **limits
+        )
     else:
         names = None if of_one_state(asked.start) else found.names
         times, shard = time + found.times - found.times[0], ObjectShard.of(asked.shard)

@@ -15,7 +15,11 @@ from ahnn.estimation.belief import Belief
 from ahnn.estimation.covariances import Covariance, Factor, covariance_factor
 from ahnn.estimation.estimator import Estimator, RecursiveEstimator, S
 from ahnn.estimation.gate import Gate
+from ahnn.estimation.gaussian import GaussianFilter
 from ahnn.estimation.member_steps import MemberFlow, member_rows, put_rows
+from ahnn.estimation.results import Backward
+from ahnn.estimation.state import FilterState
+from ahnn.estimation.step_noise import process_factor
 from ahnn.measurements import Measurement
 from ahnn.substeps import substeps, substeps_of_each
 from ahnn.types import Flow
@@ -24,6 +28,14 @@ from ahnn.types import Flow
 def same(value: Any) -> Any:
     """Return what is given."""
     return value
+
+
+class StepLaw(NamedTuple):
+    """What leads back over one step: means (B, D) before it and as predicted, and the law of the smoother."""
+
+    before: Tensor
+    predicted: Tensor
+    backward: Backward
 
 
 class Process(NamedTuple):
@@ -53,7 +65,14 @@ class Process(NamedTuple):
         estimator = cast("Estimator[Any]", self.estimator).gated(gate)
         return self._replace(estimator=estimator, about={**self.about, **estimator.about})
 
-    def advanced(self, state: S, since: float, time: float, controls: ControlTable | None = None) -> S:
+    def advanced(
+        self,
+        state: S,
+        since: float,
+        time: float,
+        controls: ControlTable | None = None,
+        laws: list[StepLaw] | None = None,
+    ) -> S:
         """Return the state of the time `since` at a later one.
 
         Args:
@@ -61,6 +80,7 @@ class Process(NamedTuple):
             since: its time.
             time: the later one.
             controls: of a flow that has some, from `since` on; no step crosses a jump of them.
+            laws: to which those of the steps are added, of a Gaussian filter; None asks for none.
         """
         if not time > since:
             return state
@@ -72,9 +92,22 @@ class Process(NamedTuple):
             count = substeps(end - begin, self.max_step)
             length = (end - begin) / count
             for _ in range(count):
-                state = self.estimator.predict(state, flow, length, self.noise(length))
+                if laws is None:
+                    state = self.estimator.predict(state, flow, length, self.noise(length))
+                else:
+                    state = self._with_law(state, flow, length, laws)
             state = state._replace(time=torch.tensor(end, dtype=torch.float64))
         return state
+
+    def _with_law(self, state: S, flow: Flow, length: float, laws: list[StepLaw]) -> S:
+        """Return the state after a step, whose law is added to others."""
+        before, filtering = cast(FilterState, state), cast("GaussianFilter", self.estimator)
+        chol_q = process_factor(self.noise(length), before.belief)(length)
+        given = before, flow, length, before.time + length, chol_q
+        after, law = filtering.predicted(*given, smoothing=True)
+        assert law is not None
+        laws.append(StepLaw(before.belief.mean, after.belief.mean, law))
+        return cast(S, after)
 
     def members_advanced(self, state: S, since: Tensor, times: Tensor) -> S:
         """Return the state of B members, each from a time of its own to a later one: `advanced` of each.

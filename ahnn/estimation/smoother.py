@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ahnn.estimation.belief import Belief, Status
+from ahnn.estimation.belief import Belief, Status, choose
 from ahnn.estimation.linalg import tria
 from ahnn.estimation.results import Backward, FilterResult, SmootherResult
 
@@ -96,12 +96,22 @@ def smoother(result: FilterResult) -> SmootherResult:
 
 def _step_back(result: FilterResult, kernels: Backward, before: Belief, after: Belief, k: int) -> Belief:
     """Return the smoothed belief before step k, from the filtered one and the smoothed one after it."""
-    gain = kernels.gain[:, k]
-    correction = gain @ (after.mean - result.predicted_means[:, k]).unsqueeze(-1)
-    chol = tria(torch.cat((kernels.chol[:, k].mT, (gain @ after.chol).mT), dim=1))
+    law = Backward(kernels.gain[:, k], kernels.chol[:, k])
+    found = stepped_back(before.mean, result.predicted_means[:, k], law, after)
     # The step at which a member failed says nothing about the time before it.
     holds = (result.status == Status.OK) | (k < result.failed_step)
-    return Belief(
-        torch.where(holds[:, None], before.mean + correction.squeeze(-1), before.mean),
-        torch.where(holds[:, None, None], chol, before.chol),
-    )
+    return choose(holds, found, before)
+
+
+def stepped_back(before: Tensor, predicted: Tensor, law: Backward, after: Belief) -> Belief:
+    """Return the smoothed belief before a step.
+
+    Args:
+        before: (B, D) filtered mean before the step.
+        predicted: (B, D) mean after it, as it was predicted.
+        law: of the step, (B, D, D).
+        after: smoothed belief after it.
+    """
+    correction = law.gain @ (after.mean - predicted).unsqueeze(-1)
+    chol = tria(torch.cat((law.chol.mT, (law.gain @ after.chol).mT), dim=1))
+    return Belief(before + correction.squeeze(-1), chol)

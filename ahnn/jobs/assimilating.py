@@ -42,7 +42,8 @@ def assimilate(stream: Stream) -> None:
     with closing(Lines(opened(options.measurements, state))) as lines:
         kind = options.format or ("json" if Path(options.output).suffix in (".json", ".jsonl") else "csv")
         beside = described(space, stream.reference)
-        rows = Rows(space.components, filtering.sensors, kind, beside)
+        more = {"modes": len(filtering.modes), "lag": options.lag is not None}
+        rows = Rows(space.components, filtering.sensors, kind, beside, **more)
         given = options.output, state, options.every or EVERY, stream.clock, stream.controls
         session = Session(filtering, lines, rows, *given)
         view = View(space) if options.watch else None

@@ -39,6 +39,7 @@ class AssimilationRequest:
     window: Annotated[float, Within(0)]
     lines: Count
     gap: Positive | None = None
+    lag: Positive | None = None
     gate: Annotated[float, Within(above=0, below=1)] | Literal["none"] | None = None
     watch: bool
     figures: str | None = None
@@ -100,7 +101,7 @@ def require_together(options: AssimilationRequest) -> None:
                 message = f"{key}: expected objects=COLUMN beside it; received {key}={value} alone"
                 raise UserError(message)
         return
-    one = {key: getattr(options, key) for key in ("figures", "oem", "object", "controls")}
+    one = {key: getattr(options, key) for key in ("figures", "oem", "object", "controls", "lag")}
     one["watch"] = options.watch or None
     if given := [key for key, value in one.items() if value is not None]:
         message = f"{given[0]}: expected none with objects={options.objects}; received one. Leave it out"

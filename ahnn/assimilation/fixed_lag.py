@@ -1,0 +1,49 @@
+"""Fixed-lag smoothing: what is believed of an earlier time, given the readings that came since.
+
+The estimate of the newest reading is taken back through the steps of the filter, by the laws of the
+Rauch-Tung-Striebel smoother: it is that smoother of all readings so far, at one of their times.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from typing import NamedTuple
+
+from torch import Tensor
+
+from ahnn.assimilation.late_readings import TIME, ReadingWindow
+from ahnn.estimation import Belief
+from ahnn.estimation.smoother import stepped_back
+
+
+class Smoothed(NamedTuple):
+    """A time, and the belief about the state of that time, of one member."""
+
+    time: float
+    belief: Belief
+
+
+def smoothed_at(window: ReadingWindow, time: float) -> Smoothed | None:
+    """Return the smoothed belief after the last reading that is not later than a time.
+
+    None where that lies before all that is kept, or before a reading that reopened the gate: no law leads
+    back from a belief that was widened.
+    """
+    first = bisect_right(window.entries, time, key=TIME)
+    later = window.entries[first:]
+    if (first == 0 and window.since > time) or any(entry.opened for entry in later):
+        return None
+    belief = window.state.moments
+    for entry in reversed(later):
+        for law in reversed(entry.laws):
+            belief = stepped_back(law.before, law.predicted, law.backward, belief)
+    return Smoothed(window.before(time).time, belief)
+
+
+def numbers_of(found: Smoothed | None, size: int) -> list[float]:
+    """Return the time, the first components of the mean, and their standard deviations; NaN of nothing."""
+    if found is None:
+        return [float("nan")] * (1 + 2 * size)
+    mean, chol = found.belief
+    deviations: Tensor = chol[0, :size].norm(dim=-1)
+    return [found.time, *mean[0, :size].tolist(), *deviations.tolist()]
