@@ -130,9 +130,27 @@ def test_what_does_not_filter_online_is_refused(capsys):
 
 
 @pytest.mark.usefixtures("place")
-def test_a_filter_that_diverges_ends_with_code_3(capsys):
-    assert assimilate(*FIXES, "plugins.ukf.gate=0.99", "time=-20000") == 3
-    assert "DIVERGED" in capsys.readouterr().err
+def test_a_gate_is_on_by_default_and_opens_again_for_a_filter_that_is_lost(capsys, caplog):
+    caplog.set_level("INFO", "ahnn")
+    lost, ten = "start=[200,-3145,-6173,10,0,0]", ["rejected"] * 9 + ["reopened"]
+    options = {
+        "": ["rejected"] * 4 + ["reopened"],
+        "plugins.ukf.patience=10": ten,
+        "gate=0.99": ["rejected"] * 4 + ["reopened"],
+        "gate=none": ["taken"] * 5,
+    }
+    for option, outcomes in options.items():
+        assert assimilate(*FIXES, lost, *([option] if option else []), "output=track.csv") == 0
+        with Path("track.csv").open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        Path("track.csv").unlink()
+        assert [row["outcome"] for row in rows[: len(outcomes)]] == outcomes
+        ends = [float(rows[-1][name]) - ORBIT[40, k] for k, name in enumerate(("x", "y", "z"))]
+        assert (max(map(abs, ends)) < 0.2) == (option != "gate=none")
+    assert "reopened the gate, which had refused those before it: its covariance was widened" in caplog.text
+    assert "opened again 1 times after too many in a row" in caplog.text
+    assert assimilate(*FIXES, "gate=2", "output=track.csv") == 2
+    assert "gate: expected" in capsys.readouterr().err
 
 
 def test_a_run_folder_that_names_a_callable_is_refused(place, capsys):
@@ -199,7 +217,7 @@ def test_beyond_the_training_data_the_novelty_widens_what_is_known():
     for name, more in (("plain.csv", []), ("wide.csv", ["plugins.ukf.novelty=500"])):
         assert call("ahnn.assimilate", *options, *more, f"output={name}") == 0
         *_, last = csv.DictReader(Path(name).read_text().splitlines())
-        known.append(float(last["cov_px_px"]))
+        known.append(float(last["cov_vx_vx"]))
     assert known[1] > 10 * known[0]
 
 

@@ -65,7 +65,7 @@ def test_where_nothing_is_measured_the_estimate_is_the_prediction(words, spring)
     exact = ["start_sd=[1e-6,1e-6]", "plugins.ukf.process_noise=[1e-8,1e-8]"]
     assert call(*words, *exact, "measurements=blind.csv") == 0
     told = ahnn.load(spring).predict([0.1, 0.0], TIMES, controls=torch.tensor(PUSHES, **DOUBLE)[:, None])
-    found = torch.tensor([[float(row["q"]), float(row["p"])] for row in rows()], **DOUBLE)
+    found = torch.tensor([[float(row["q"]), float(row["vq"])] for row in rows()], **DOUBLE)
     close(found, told.states[0], 1e-9)
 
 

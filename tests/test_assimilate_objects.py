@@ -69,7 +69,7 @@ def test_objects_are_as_in_commands_of_their_own_and_their_states_are_starts(cap
     Path("own.csv").write_text("\n".join(own) + "\n")
     start = [f"start={STARTS[2].tolist()}", "start_sd=[0.1,1e-4]"]
     assert assimilate("measurements=own.csv", "measurement.sd=0.05", *start, "output=own.out") == 0
-    numbers = [name for name in rows[0] if name.startswith(("x", "y", "z", "p", "nis", "inn", "sd"))]
+    numbers = [name for name in rows[0] if name.startswith(("x", "y", "z", "v", "nis", "inn", "sd"))]
     for one, other in zip(rows, rows_of("own.out"), strict=True):
         assert [float(one[n]) for n in numbers] == pytest.approx([float(other[n]) for n in numbers], rel=1e-9)
     last = rows_of("last.csv")
@@ -133,7 +133,8 @@ def test_states_without_objects_are_refused(capsys):
     assert "states: expected objects=COLUMN beside it" in capsys.readouterr().err
 
 
-def test_shards_are_together_what_one_worker_does_bit_for_bit(place, caplog, capsys):
+@pytest.mark.usefixtures("place")
+def test_shards_are_together_what_one_worker_does_bit_for_bit(caplog, capsys):
     caplog.set_level("INFO", "ahnn")
     lines = Path("fixes.csv").read_text().splitlines(keepends=True)
     lines[5] = "never,S1,1,2,3\n"
@@ -158,7 +159,8 @@ def test_shards_are_together_what_one_worker_does_bit_for_bit(place, caplog, cap
     assert "start: expected the 3 objects of part-2.state; received others" in capsys.readouterr().err
 
 
-def test_what_is_no_shard_is_refused(place, capsys):
+@pytest.mark.usefixtures("place")
+def test_what_is_no_shard_is_refused(capsys):
     for wrong in ("0/2", "3/2", "1/2/3", "a/b"):
         assert assimilate(*GIVEN, f"shard={wrong}") == 2
         assert "shard: expected NUMBER/WORKERS, such as 2/8" in capsys.readouterr().err

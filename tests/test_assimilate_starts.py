@@ -152,14 +152,14 @@ def test_the_output_of_a_filter_is_a_start_of_all_commands():
     assert call("ahnn.predict", MODEL[0], "start=out.csv", *step) == 0
     begin = rows("next.csv")[0]
     assert begin["epoch"] == "2024-03-01T12:07:30.000"
-    for name, column in (("x", "x [km]"), ("pz", "vz [km/s]")):
+    for name, column in (("x", "x [km]"), ("vz", "vz [km/s]")):
         assert float(begin[column]) == float(last[name])
         assert float(begin[f"sd_{column}"]) ** 2 == pytest.approx(float(last[f"cov_{name}_{name}"]), rel=1e-9)
     Path("later.csv").write_text(f"time\n{dated(450)}\n")
     later = ["measurements=later.csv", "start=out.csv"]
     assert assimilate(*later, "output=again.jsonl") == 0
     again = json.loads(Path("again.jsonl").read_text())
-    assert again["cov_px_z"] == pytest.approx(float(last["cov_px_z"]), rel=1e-9)
+    assert again["cov_vx_z"] == pytest.approx(float(last["cov_vx_z"]), rel=1e-9)
     assert again["time"] == 0.0 or again["time"] == float(last["time"])
     assert call("ahnn.predict", MODEL[0], "start=again.jsonl", *step) == 0
     states = Files("track", "out.csv", mass=1.0).read().states

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ahnn.data.estimate_table import COVARIANCE, DEVIATION, FIRST, INNOVATION, rows_of
+from ahnn.data.estimate_table import COVARIANCE, DEVIATION, FIRST, INNOVATION, rows_of, track_names
 from ahnn.data.files import Covariance, Ephemeris, write_oem
 from ahnn.data.reference import Reference
 from ahnn.errors import UserError
@@ -44,7 +44,7 @@ class AssimilationRecord(NamedTuple):
     deviation: Array
 
 
-def read_record(path: Path, components: tuple[str, ...], most: int = MOST) -> AssimilationRecord:
+def read_record(path: Path, space: Space, most: int = MOST) -> AssimilationRecord:
     """Return at most so many rows of an output, the last one among them, in constant memory.
 
     Raises:
@@ -60,7 +60,7 @@ def read_record(path: Path, components: tuple[str, ...], most: int = MOST) -> As
         message = f"output: expected estimates; received none in {path}"
         raise UserError(message)
     kept[float(row["time"])] = row
-    rows = [kept[time] for time in sorted(kept)]
+    rows, components, scales = [kept[time] for time in sorted(kept)], track_names(space), space.scales.numpy()
     size, measured = (
         len(components),
         tuple(n.removeprefix(INNOVATION) for n in row if n.startswith(INNOVATION)),
@@ -77,7 +77,8 @@ def read_record(path: Path, components: tuple[str, ...], most: int = MOST) -> As
     time, nis, dof = columns(["time", "nis", "dof"]).T
     outcome = np.array([row[FIRST[3]] for row in rows])
     told = [columns([prefix + name for name in measured]) for prefix in (INNOVATION, DEVIATION)]
-    return AssimilationRecord(time, columns([*components]), covariance, outcome, nis, dof, measured, *told)
+    mean, covariance = scales * columns([*components]), covariance * scales * scales[:, None]
+    return AssimilationRecord(time, mean, covariance, outcome, nis, dof, measured, *told)
 
 
 def _number(cell: Any) -> float:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from torch import Tensor
 
 from ahnn.assimilation.decimal_rows import decimal_rows
 from ahnn.assimilation.output_rows import Format, Rows
@@ -29,8 +30,10 @@ class CatalogueRows(Rows):
         sensors: Mapping[str, StreamSensor],
         kind: Format,
         said: Sidecar | None = None,
+        *,
+        scales: Tensor | None = None,
     ) -> None:
-        super().__init__(components, sensors, kind, said)
+        super().__init__(components, sensors, kind, said, scales=scales)
         self.names.insert(1, OBJECT)
         self.sensors = [*sensors, ""]  # -1 is none
 
@@ -87,7 +90,8 @@ class CatalogueRows(Rows):
     def _numbers(self, found: CatalogueEstimates, chosen: Any) -> Array:
         """Return means, lower triangles of covariances, innovations and their deviations, (K, C)."""
         rows, columns = zip(*self.lower, strict=True)
-        triangles = found.covariances.numpy()[chosen][:, list(rows), list(columns)]
-        others = (part.numpy()[chosen] for part in (found.means, found.residuals, found.deviations))
-        means, residuals, deviations = others
+        covariances = found.covariances / self.scales.outer(self.scales)
+        triangles = covariances.numpy()[chosen][:, list(rows), list(columns)]
+        parts = found.means / self.scales, found.residuals, found.deviations
+        means, residuals, deviations = (part.numpy()[chosen] for part in parts)
         return np.concatenate((means, triangles, residuals, deviations), axis=1)

@@ -40,10 +40,11 @@ def smoothed_at(window: ReadingWindow, time: float) -> Smoothed | None:
     return Smoothed(window.before(time).time, belief)
 
 
-def numbers_of(found: Smoothed | None, size: int) -> list[float]:
-    """Return the time, the first components of the mean, and their standard deviations; NaN of nothing."""
+def numbers_of(found: Smoothed | None, scales: Tensor) -> list[float]:
+    """Return the time, the first components of the mean over scales, and their deviations; or NaN."""
+    size = len(scales)
     if found is None:
         return [float("nan")] * (1 + 2 * size)
     mean, chol = found.belief
     deviations: Tensor = chol[0, :size].norm(dim=-1)
-    return [found.time, *mean[0, :size].tolist(), *deviations.tolist()]
+    return [found.time, *(mean[0, :size] / scales).tolist(), *(deviations / scales).tolist()]

@@ -14,6 +14,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, BinaryIO, Literal
 
+import torch
+from torch import Tensor
+
 from ahnn.assimilation.fixed_lag import numbers_of
 from ahnn.assimilation.online import Estimate
 from ahnn.assimilation.stream_sensor import StreamSensor
@@ -30,10 +33,11 @@ class Rows:
     """Estimates as rows under the same names.
 
     Args:
-        components: of the state.
+        components: names of those of the state.
         sensors: by name.
         kind: csv or json, or of many objects parquet.
         said: units and frame, which go beside a file; None writes none.
+        scales: (D,) by which components are divided where they are written; None by nothing.
         modes: of interacting models, whose probabilities are columns.
         lag: whether there are columns of what is smoothed.
     """
@@ -45,11 +49,13 @@ class Rows:
         kind: Format,
         said: Sidecar | None = None,
         *,
+        scales: Tensor | None = None,
         modes: int = 0,
         lag: bool = False,
     ) -> None:
         self.kind: Format = kind
         self.smooths = len(components) if lag else 0
+        self.scales = torch.ones(len(components), dtype=torch.float64) if scales is None else scales
         self.said = said
         self.lower = [(i, j) for i in range(len(components)) for j in range(i + 1)]
         measured = dict.fromkeys(name for sensor in sensors.values() for name in sensor.columns)
@@ -74,7 +80,8 @@ class Rows:
 
     def row(self, line: int, sensor: str, estimate: Estimate) -> str:
         """Return the line of an estimate."""
-        mean, covariance, told = estimate.mean.tolist(), estimate.covariance.tolist(), estimate.innovation
+        mean, told = (estimate.mean / self.scales).tolist(), estimate.innovation
+        covariance = (estimate.covariance / self.scales.outer(self.scales)).tolist()
         innovation, deviation = [math.nan] * self.width, [math.nan] * self.width
         assert told is not None
         places = self.places.get(sensor, ())
@@ -86,7 +93,7 @@ class Rows:
         values += [covariance[i][j] for i, j in self.lower]
         values += [*innovation, *deviation, *estimate.modes]
         if self.smooths:
-            values += numbers_of(estimate.smoothed, self.smooths)
+            values += numbers_of(estimate.smoothed, self.scales)
         if self.kind == "csv":
             return ",".join(map(_cell, values)) + "\n"
         plain = (None if isinstance(value, float) and math.isnan(value) else value for value in values)

@@ -16,6 +16,7 @@ from ahnn.data.files import sidecar
 from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.reference import Reference
 from ahnn.errors import UserError
+from ahnn.labels import of_coordinates
 from ahnn.types import Space
 
 COVARIANCE, INNOVATION, DEVIATION = "cov_", "innovation_", "sd_"
@@ -55,12 +56,14 @@ def last_estimate(path: Path, space: Space) -> Last:
     Raises:
         UserError: there is none, or it is of another space.
     """
-    names, row = space.components, {}
+    names, scales, row = track_names(space), space.scales, {}
     lower = [(i, j) for i in range(len(names)) for j in range(i + 1)]
     covariance = torch.zeros(len(names), len(names), dtype=torch.float64)
     try:
         for row in rows_of(path):  # noqa: B007 - the last one counts
             pass
+        if names[-1] not in row:  # before 0.3 velocities were written as momenta
+            names, scales = space.components, torch.ones_like(scales)
         time, mean = float(row["time"]), [float(row[name]) for name in names]
         for i, j in lower:
             covariance[i, j] = covariance[j, i] = float(row[f"{COVARIANCE}{names[i]}_{names[j]}"])
@@ -71,15 +74,33 @@ def last_estimate(path: Path, space: Space) -> Last:
     said = sidecar.Sidecar()
     if (aside := sidecar.beside(path)).is_file():
         said = sidecar.parse(decoded(content_of(aside), aside), str(aside))
+    units = units_of(space) if names == track_names(space) else momentum_units(space)
     for name, unit in said.units.items():
-        if name in (units := units_of(space)) and unit != units[name]:
+        if name in units and unit != units[name]:
             message = f"start {path}: expected {name} in {units[name]}, that of the model; received {unit}"
             raise UserError(message)
-    return Last(time, torch.tensor(mean, dtype=torch.float64), covariance, Reference.of(said.frame))
+    state, covariance = scales * torch.tensor(mean, dtype=torch.float64), covariance * scales.outer(scales)
+    return Last(time, state, covariance, Reference.of(said.frame))
+
+
+def track_names(space: Space) -> tuple[str, ...]:
+    """Return the names of components in a track: velocities, and momenta only where they are none."""
+    names = space.components
+    return (*names[: space.dof], *(f"v{q}" for q in names[: space.dof])) if space.mechanical else names
 
 
 def units_of(space: Space) -> dict[str, str]:
-    """Return the units of time and components as a sidecar has them."""
+    """Return the units of time and of what a track has as a sidecar has them."""
+    names, units = track_names(space), momentum_units(space)
+    if not space.mechanical:
+        return units
+    found = [of_coordinates(space, angle=angle).units for angle in space.angular]
+    parts = [*(one.position for one in found), *(one.velocity for one in found)]
+    return {"time": space.units.time, **dict(zip(names, parts, strict=True))}
+
+
+def momentum_units(space: Space) -> dict[str, str]:
+    """Return the units of time and components, momenta among them."""
     names, units = space.components, space.units
     momentum = {"1": "1", "rad": f"kg m^2/{units.time}"}.get(units.position, f"kg {units.velocity}")
     parts = [units.position] * space.dof + [momentum] * space.dof
@@ -88,6 +109,7 @@ def units_of(space: Space) -> dict[str, str]:
 
 def described(space: Space, reference: Reference) -> sidecar.Sidecar:
     """Return the sidecar of an output: with it a reader of data takes the estimates as states."""
-    names, dof = list(space.components), space.dof
-    columns = {"time": "time", "positions": names[:dof], "momenta": names[dof:]}
+    names, dof = list(track_names(space)), space.dof
+    rates = "velocities" if space.mechanical else "momenta"
+    columns = {"time": "time", "positions": names[:dof], rates: names[dof:]}
     return sidecar.Sidecar(units_of(space), columns, str(reference))

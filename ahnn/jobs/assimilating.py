@@ -14,7 +14,7 @@ from ahnn.assimilation.output_rows import Rows
 from ahnn.assimilation.session import Session
 from ahnn.assimilation.stream_figures import figures_of
 from ahnn.assimilation.view import View, said
-from ahnn.data.estimate_table import described
+from ahnn.data.estimate_table import described, track_names
 from ahnn.evaluation.sinks.figure_files import FORMATS, drawn
 from ahnn.files import write_atomically
 from ahnn.jobs.assimilating_objects import assimilate_objects
@@ -42,8 +42,8 @@ def assimilate(stream: Stream) -> None:
     with closing(Lines(opened(options.measurements, state))) as lines:
         kind = options.format or ("json" if Path(options.output).suffix in (".json", ".jsonl") else "csv")
         beside = described(space, stream.reference)
-        more = {"modes": len(filtering.modes), "lag": options.lag is not None}
-        rows = Rows(space.components, filtering.sensors, kind, beside, **more)
+        more = {"modes": len(filtering.modes), "lag": options.lag is not None, "scales": space.scales}
+        rows = Rows(track_names(space), filtering.sensors, kind, beside, **more)
         given = options.output, state, options.every or EVERY, stream.clock, stream.controls
         session = Session(filtering, lines, rows, *given)
         view = View(space) if options.watch else None
@@ -69,7 +69,7 @@ def _pictures(stream: Stream) -> None:
     options, space = stream.asked, stream.space
     if not (options.figures or options.oem):
         return
-    record = read_record(Path(options.output), space.components)
+    record = read_record(Path(options.output), space)
     if options.figures:
         for name, figure in figures_of(record, space).items():
             for suffix in FORMATS:

@@ -17,7 +17,7 @@ from ahnn.assimilation.object_shard import ObjectShard
 from ahnn.assimilation.output_rows import Format
 from ahnn.assimilation.parquet_stream import ParquetRows
 from ahnn.assimilation.view import said
-from ahnn.data.estimate_table import described
+from ahnn.data.estimate_table import described, track_names
 from ahnn.data.starts import Starts
 from ahnn.jobs.assimilation_request import AssimilationRequest, Stream, opened
 from ahnn.prediction import output
@@ -43,7 +43,8 @@ def assimilate_objects(stream: Stream, catalogue: Catalogue) -> None:
     if options.states:
         output.require_output(Path(options.states), _last(stream, catalogue), space)
     with closing(_lines(options.measurements, state)) as lines:
-        rows = CatalogueRows(space.components, catalogue.sensors, _kind(options), beside)
+        names = track_names(space)
+        rows = CatalogueRows(names, catalogue.sensors, _kind(options), beside, scales=space.scales)
         every = options.every or TOGETHER
         given = options.output, state, every, stream.clock
         shard = ObjectShard.of(options.shard)

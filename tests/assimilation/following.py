@@ -17,7 +17,7 @@ from ahnn.measurements import Position, State
 from ahnn.types import Space, Units
 from ahnn_plugins.ukf import UnscentedKalmanFilter, online_process
 
-SPACE = Space("cart", ("q", "p"), Units("s", "m", "m/s", "J"))
+SPACE = Space("cart", ("q", "p"), Units("s", "m", "m/s", "J"), mechanical=False)
 MEAN, P0, Q, SD, STEP = [1.0, 0.3], np.diag([0.5, 0.2]), np.diag([1e-3, 4e-3]), 0.1, 0.5
 SENSORS = {
     "ruler": StreamSensor.of(Position(1, "m"), SD, SPACE),

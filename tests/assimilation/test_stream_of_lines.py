@@ -225,9 +225,9 @@ ABOUT = Reference.of("EME2000, EARTH, UTC, from 2024-03-01T00:00:00")
 
 def test_an_output_becomes_pictures_and_an_ephemeris(tmp_path):
     session(TEXT, tmp_path / "out.csv").run()
-    record = read_record(tmp_path / "out.csv", SPACE.components)
+    record = read_record(tmp_path / "out.csv", SPACE)
     assert (len(record.time), record.measured) == (40, ("q", "p"))
-    assert len(read_record(tmp_path / "out.csv", SPACE.components, most=10).time) in (10, 11)
+    assert len(read_record(tmp_path / "out.csv", SPACE, most=10).time) in (10, 11)
     assert {*figures_of(record, SPACE)} == {"innovations", "consistency", "deviations"}
     with pytest.raises(UserError, match="oem: expected an orbit"):
         write_ephemeris(tmp_path / "no.oem", record, SPACE, "X", ABOUT)
