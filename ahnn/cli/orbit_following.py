@@ -74,9 +74,9 @@ def filter_of(overrides: list[str]) -> tuple[Estimator[Any], tuple[float, float]
     noise = filters[0].process_noise
     if noise == "fitted":  # the default; known forces leave nothing to fit
         noise = (0.0, 0.0)
-    if not isinstance(noise, tuple):
+    if not isinstance(noise, tuple | list):
         message = (
             "process_noise: expected [POSITION,VELOCITY], km and km/s that a minute adds; received another"
         )
         raise UserError(message)
-    return filters[0].estimator, noise
+    return filters[0].estimator, (noise[0], noise[1])

@@ -1,13 +1,14 @@
 """A station as a measurement model of filters: what it should measure of a state at the time of a reading.
 
 Light meets the satellite up to a second before or after the time that a reading is tagged with. Over that
-time the state moves by the Earth's attraction as of a point, to second order: to a few micrometres.
+time the state moves by the Earth's attraction as of a point, to second order: to a few micrometres, and to
+0.1 mm/s in range rates.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -61,6 +62,12 @@ class StationMeasurement(Differing):
         self.station, self.biases = model.stations[station], biases
         self._model, self._rows = model, np.flatnonzero(model.data.station == station)
         self._kinds = [KINDS.index(kind) for kind in kinds]
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """What tells one station from another, as plain values; forces and corrections say the rest."""
+        place = [float(one) for one in self.station.position]
+        return {"station": self.station.name, "position": place, "kinds": self.names, "biases": self.biases}
 
     def __call__(self, x: Tensor, t: Time) -> Tensor:
         """Return the measurements (..., M) of the states x (..., D) at time t."""
