@@ -103,12 +103,12 @@ def forecast(
     there = later.expand_as(states[:, steps.ends])
     true = None if truth is None else at(truth, met, part.times)
     there = there if true is None else there & true.isfinite()
-    causes = forecast_columns(dynamics, states, steps, here, early, spread)
+    causes = forecast_columns(dynamics, states, steps, here, early, spread, part.whitening)
     variances = Variances.of(causes, here.of_state, there, spread.shape[1])
     standard = variances.states.sqrt()
     of_true = None if true is None else shares(((states[:, steps.ends] - true) / standard)[there])
     ahead, total = later & ~part.values.isnan(), 1 + variances.values
-    off, width = (here.residuals / total.sqrt())[ahead], total[ahead]
+    off, width = (part.residuals(states[:, steps.ends]) / total.sqrt())[ahead], total[ahead]
     counted = torch.ones_like(off, dtype=torch.bool) if robust == "none" else ~(off.abs() > OUTLYING)
     return Forecast(
         coverage=shares(off[counted]),
