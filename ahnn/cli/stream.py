@@ -19,6 +19,7 @@ from ahnn.assimilation.start import begin, belief_of
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.cli.build import blaming, build, build_all, plain_config
 from ahnn.cli.compose import composed
+from ahnn.cli.orbit_following import read_following
 from ahnn.cli.parts import build_sensor, build_source
 from ahnn.cli.reevaluation import GROUPS, KEYS, NODES, OWN, Request, run_config
 from ahnn.cli.unused_keys import refuse, unread_online
@@ -51,6 +52,8 @@ def read_stream(arguments: list[str], usage: str) -> Stream:
     Raises:
         UserError: no such run, places where something else is, or options that do not go together.
     """
+    if any(text.startswith("orbit=") for text in arguments):
+        return read_following(arguments, usage)
     options, nodes, request = asked(arguments, usage)
     run = load(request.source, request.ckpt)
     cfg = run_config(run.folder, with_filter(request, run))

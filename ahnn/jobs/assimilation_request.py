@@ -16,6 +16,7 @@ from ahnn.assimilation.stream_figures import NAMES
 from ahnn.data.reference import Reference
 from ahnn.errors import UserError
 from ahnn.evaluation.sinks.figure_files import FORMATS
+from ahnn.jobs.followed_measurements import FollowedMeasurements
 from ahnn.manifest import require_own
 from ahnn.types import Space
 
@@ -25,6 +26,9 @@ class AssimilationRequest:
     """The keys of conf/assimilate.yaml."""
 
     measurements: str
+    orbit: str | None = None
+    folder: str | None = None
+    fitted: Positive | None = None
     output: str
     format: Literal["csv", "json"] | None = None
     state: str | None = None
@@ -63,6 +67,7 @@ class Stream(NamedTuple):
         reference: of the estimates.
         name: of what is followed.
         controls: names of those that forces of the model take.
+        followed: measurements of an orbit determination, in place of lines elsewhere.
     """
 
     asked: AssimilationRequest
@@ -72,6 +77,7 @@ class Stream(NamedTuple):
     reference: Reference
     name: str
     controls: tuple[str, ...] = ()
+    followed: FollowedMeasurements | None = None
 
 
 def require_places(options: AssimilationRequest) -> None:
