@@ -58,9 +58,10 @@ class ObjectShard(NamedTuple):
         """Return the readings of its objects; lines that are none are told by one worker each."""
         if self.workers == 1:
             return parsed
-        objects, *columns = parsed.table
+        objects, times, sensors, values, deviations = parsed.table
         own = np.flatnonzero(self.holds(objects))
-        table = ReadingTable([objects[k] for k in own], *(column[own] for column in columns))
+        columns = times[own], sensors[own], values[own], deviations[own]
+        table = ReadingTable([objects[k] for k in own], *columns)
         bad = {line: why for line, why in parsed.bad.items() if line % self.workers == self.number - 1}
         return ParsedLines([parsed.lines[k] for k in own], table, bad)
 

@@ -9,15 +9,27 @@ from ahnn.arguments import check_arguments, nearest
 from ahnn.cli.build import build_all, plain_config
 from ahnn.cli.compose import composed
 from ahnn.cli.orbit_file import read_orbit
+from ahnn.cli.stream_gate import AskedGate, with_gate
 from ahnn.cli.unused_keys import refuse, unread_online
 from ahnn.errors import UserError
-from ahnn.estimation import Estimator
+from ahnn.estimation import RecursiveEstimator
 from ahnn.evaluation import EvaluationPlugin
 from ahnn.evaluation.estimators import EstimatorEvaluation
 from ahnn.jobs.assimilation_request import AssimilationRequest, Stream, require_places
 from ahnn.jobs.orbit_stream import OrbitFollowing, orbit_stream
 
-FOREIGN = ("objects", "states", "controls", "sensors", "epoch", "frame", "center", "time_system", "time")
+FOREIGN = (
+    "objects",
+    "shard",
+    "states",
+    "controls",
+    "sensors",
+    "epoch",
+    "frame",
+    "center",
+    "time_system",
+    "time",
+)
 """Keys of a stream that an orbit determination says itself, or has no use for."""
 DEFAULT = "plugins=ukf"
 
@@ -51,12 +63,12 @@ def read_following(arguments: list[str], usage: str) -> Stream:
     check_arguments("", AssimilationRequest, options)
     asked = AssimilationRequest(**options)
     require_places(asked)
-    estimator, noise = filter_of(filters)
+    estimator, noise = filter_of(filters, asked.gate)
     place = None if other is None else Path(other).expanduser().resolve()
     return orbit_stream(asked, OrbitFollowing(orbit.setup, orbit.folder, estimator, noise, place))
 
 
-def filter_of(overrides: list[str]) -> tuple[Estimator[Any], tuple[float, float]]:
+def filter_of(overrides: list[str], gate: AskedGate) -> tuple[RecursiveEstimator[Any], tuple[float, float]]:
     """Return the estimator that a command line names, and the process noise of a minute.
 
     Raises:
@@ -79,4 +91,4 @@ def filter_of(overrides: list[str]) -> tuple[Estimator[Any], tuple[float, float]
             "process_noise: expected [POSITION,VELOCITY], km and km/s that a minute adds; received another"
         )
         raise UserError(message)
-    return filters[0].estimator, (noise[0], noise[1])
+    return with_gate(filters[0].estimator, filters[0], gate), (noise[0], noise[1])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from functools import cache
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from omegaconf import DictConfig, ListConfig, OmegaConf
@@ -22,13 +22,13 @@ from ahnn.cli.compose import composed
 from ahnn.cli.orbit_following import read_following
 from ahnn.cli.parts import build_sensor, build_source
 from ahnn.cli.reevaluation import GROUPS, KEYS, NODES, OWN, Request, run_config
+from ahnn.cli.stream_gate import AskedGate, with_gate
 from ahnn.cli.unused_keys import refuse, unread_online
 from ahnn.data import SplitData
 from ahnn.data.files.epochs import spelled
 from ahnn.data.reference import Reference
 from ahnn.data.starts import of_one_state, starts
 from ahnn.errors import UserError
-from ahnn.estimation import Gate
 from ahnn.evaluation import Case, EvaluationPlugin
 from ahnn.evaluation.make_case import make_case
 from ahnn.jobs.assimilation_request import AssimilationRequest, Stream, require_places
@@ -40,8 +40,6 @@ from ahnn.systems import System
 
 BIAS = re.compile(r"^(?=sensors\.[^.=]+\.bias_(sd|memory)=)")
 """Keys of a sensor that options of the group measurement do not set."""
-GATE = 0.999999
-"""What a stream takes where nobody says otherwise: of a million good measurements one is refused."""
 FILTER, OF_MEASUREMENTS = "plugins=ukf", "plugins=ukf_parameter_error"
 """What filters where a run names no plugin; the second where the training kept what it is told least."""
 
@@ -133,9 +131,7 @@ def _numbers(given: Any) -> Any:
     return OmegaConf.to_container(given) if isinstance(given, ListConfig | DictConfig) else given
 
 
-def build_process(
-    cfg: DictConfig, run: Run, case: Callable[[], Case], gate: float | Literal["none"] | None
-) -> Process:
+def build_process(cfg: DictConfig, run: Run, case: Callable[[], Case], gate: AskedGate) -> Process:
     """Build the online process of the one plugin that has one, with a gate that opens again.
 
     Raises:
@@ -151,15 +147,7 @@ def build_process(
     with blaming(f"plugins.{name}"):
         novelty = None if run.domain is None else run.novelty
         process = plugin.online(run.dynamics, run.dt, run.space, case, novelty, run.uncertainty)
-    if not hasattr(process.estimator, "gated"):
-        if gate is not None:
-            message = f"gate: expected null, as plugins={name} has no gate of its own; received {gate}"
-            raise UserError(message)
-        return process
-    patience = getattr(plugin, "patience", Gate().patience)
-    own = getattr(process.estimator, "gate", None) or Gate(GATE, patience)
-    chosen = None if gate == "none" else own if gate is None else Gate(gate, patience)
-    return process.gated(chosen and chosen._replace(reopens=True))
+    return process.with_estimator(with_gate(process.estimator, plugin, gate))
 
 
 def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictConfig, run: Run) -> Stream:

@@ -13,8 +13,7 @@ from ahnn.controls import ControlTable
 from ahnn.dynamics.flow_at_time import steered
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.covariances import Covariance, Factor, covariance_factor
-from ahnn.estimation.estimator import Estimator, RecursiveEstimator, S
-from ahnn.estimation.gate import Gate
+from ahnn.estimation.estimator import RecursiveEstimator, S
 from ahnn.estimation.gaussian import GaussianFilter
 from ahnn.estimation.member_steps import MemberFlow, member_rows, put_rows
 from ahnn.estimation.results import Backward
@@ -60,10 +59,10 @@ class Process(NamedTuple):
     seen: Callable[[Measurement], Measurement] = same
     about: dict[str, Any] = {}  # noqa: RUF012 - never written to
 
-    def gated(self, gate: Gate | None) -> Process:
-        """Return the same with another gate of its estimator, which must have one; None takes all."""
-        estimator = cast("Estimator[Any]", self.estimator).gated(gate)
-        return self._replace(estimator=estimator, about={**self.about, **estimator.about})
+    def with_estimator(self, estimator: RecursiveEstimator[Any]) -> Process:
+        """Return the same with another estimator, such as with another gate."""
+        about = getattr(estimator, "about", {})
+        return self._replace(estimator=estimator, about={**self.about, **about})
 
     def advanced(
         self,

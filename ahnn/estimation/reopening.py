@@ -61,9 +61,9 @@ def reopened(
         ratio = told.nis / told.measured
         far = ratio > USUAL  # not who failed, whose NIS is NaN
         if tried == TRIES or not bool(far.any()):
-            break
+            return after, told, after.alive & ~told.rejected & ~far & (told.measured > 0)
         factor = torch.where(far, factor * ratio, factor).clamp(max=WIDEST)
-    return after, told, after.alive & ~told.rejected & ~far & (told.measured > 0)
+    raise AssertionError
 
 
 def widened(estimator: MemberFilter[Any], state: Kept, spread: Tensor, factor: Tensor) -> Kept:

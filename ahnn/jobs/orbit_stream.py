@@ -90,6 +90,7 @@ def orbit_stream(asked: AssimilationRequest, orbit: OrbitFollowing) -> Stream:
         start,
         time=belief.time,
         window=asked.window,
+        lag=asked.lag,
         lines=asked.lines,
         gap=asked.gap,
     )

@@ -1,0 +1,36 @@
+"""The gate of a stream: one is on by default, and it opens again."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, cast
+
+from ahnn.errors import UserError
+from ahnn.estimation import Estimator, Gate, RecursiveEstimator
+
+GATE = 0.999999
+"""What a stream takes where nobody says otherwise: of a million good measurements one is refused."""
+AskedGate = float | Literal["none"] | None
+
+
+def with_gate(
+    estimator: RecursiveEstimator[Any], plugin: object, asked: AskedGate
+) -> RecursiveEstimator[Any]:
+    """Return an estimator with a gate that opens again; one that has none of its own comes back as it is.
+
+    Args:
+        estimator: of the plugin, with a gate where that is configured.
+        plugin: which says after how many refusals the gate opens.
+        asked: of the stream; None takes that of the estimator, or the default.
+
+    Raises:
+        UserError: a gate for an estimator that takes none.
+    """
+    if not hasattr(estimator, "gated"):
+        if asked is not None:
+            message = f"gate: expected null, as {type(estimator).__name__} takes no gate; received {asked}"
+            raise UserError(message)
+        return estimator
+    patience = getattr(plugin, "patience", Gate().patience)
+    own = getattr(estimator, "gate", None) or Gate(GATE, patience)
+    chosen = None if asked == "none" else own if asked is None else Gate(asked, patience)
+    return cast("Estimator[Any]", estimator).gated(chosen and chosen._replace(reopens=True))
