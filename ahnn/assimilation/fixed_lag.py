@@ -16,14 +16,14 @@ from ahnn.estimation import Belief
 from ahnn.estimation.smoother import stepped_back
 
 
-class Smoothed(NamedTuple):
+class LaggedEstimate(NamedTuple):
     """A time, and the belief about the state of that time, of one member."""
 
     time: float
     belief: Belief
 
 
-def smoothed_at(window: ReadingWindow, time: float) -> Smoothed | None:
+def smoothed_at(window: ReadingWindow, time: float) -> LaggedEstimate | None:
     """Return the smoothed belief after the last reading that is not later than a time.
 
     None where that lies before all that is kept, or before a reading that reopened the gate: no law leads
@@ -37,10 +37,10 @@ def smoothed_at(window: ReadingWindow, time: float) -> Smoothed | None:
     for entry in reversed(later):
         for law in reversed(entry.laws):
             belief = stepped_back(law.before, law.predicted, law.backward, belief)
-    return Smoothed(window.before(time).time, belief)
+    return LaggedEstimate(window.before(time).time, belief)
 
 
-def numbers_of(found: Smoothed | None, scales: Tensor) -> list[float]:
+def numbers_of(found: LaggedEstimate | None, scales: Tensor) -> list[float]:
     """Return the time, the first components of the mean over scales, and their deviations; or NaN."""
     size = len(scales)
     if found is None:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from ahnn.arguments import Count, Finite, Positive, Within, checked
 from ahnn.assimilation.cells import BadLine
-from ahnn.assimilation.fixed_lag import Smoothed, smoothed_at
+from ahnn.assimilation.fixed_lag import LaggedEstimate, smoothed_at
 from ahnn.assimilation.instrument_reading import Reading
 from ahnn.assimilation.late_readings import KeptReading, ReadingWindow
 from ahnn.assimilation.stream_controls import StreamControls
@@ -51,7 +51,7 @@ class Estimate(NamedTuple):
     innovation: Innovation | None
     replayed: int = 0
     modes: tuple[float, ...] = ()
-    smoothed: Smoothed | None = None
+    smoothed: LaggedEstimate | None = None
 
 
 class Diverged(RuntimeError):
