@@ -2,10 +2,10 @@
 
     python benchmarks/bench_noise_models.py [--draws 5] [--kinds bias,colour,size] [--run DIR]
 
-Angles of a pendulum, 100 swings of 10 s, every 0.1 s, with a standard deviation of 0.01 rad. The epochs are those
-of one training on white noise (`--run`, made where it is missing); the last steps, which lead to the optimum, are
-taken on measurements of each draw, once as stated and once with the noise model. Errors are those of rollouts of
-64 unseen swings from their true start.
+Angles of a pendulum, 100 swings of 10 s, every 0.1 s, with a standard deviation of 0.01 rad. The epochs are
+those of one training on white noise (`--run`, made where it is missing); the last steps, which lead to the
+optimum, are taken on measurements of each draw, once as stated and once with the noise model. Errors are those
+of rollouts of 64 unseen swings from their true start.
 """
 
 from __future__ import annotations
@@ -97,15 +97,15 @@ def main() -> None:
                 units = train.instrument.measurement
                 said = [] if estimate is None else estimate.sentences(units.names, units.units)
                 if estimate is not None:
-                    unseen = held_out._replace(instrument=estimate.applied(held_out.instrument))
+                    unseen = held_out._replace(instrument=estimate.applied(held_out.instrument, unknown))
                     said.append(remedy(learned, unseen, "none") or "nothing else found")
                 else:
                     said += [remedy(learned, held_out, "none"), invisible(learned, held_out)]
                 which = "estimated" if unknown.anything else "as stated"
                 chi, wide = found.about["chi_square"], known.inflation
                 print(
-                    f"{kind} {draw} {which}: error over band {ratio:.2f}, z rms {z:.2f}, 2 sigma {100 * held:.0f} %, "
-                    f"chi-square {chi:.3f}, inflation {wide:.2f} | {'; '.join(filter(None, said))}",
+                    f"{kind} {draw} {which}: error over band {ratio:.2f}, z rms {z:.2f}, "
+                    f"2 sigma {100 * held:.0f} %, chi-square {chi:.3f}, inflation {wide:.2f} | {'; '.join(filter(None, said))}",
                     flush=True,
                 )
 
