@@ -4,8 +4,8 @@
 
 Angles of a pendulum, 100 swings of 10 s, every 0.1 s, with a standard deviation of 0.01 rad. The epochs are
 those of one training on white noise (`--run`, made where it is missing); the last steps, which lead to the
-optimum, are taken on measurements of each draw, once as stated and once with the noise model. Errors are those
-of rollouts of 64 unseen swings from their true start.
+optimum, are taken on measurements of each draw, once as stated and once with the noise model. Errors are
+those of rollouts of 32 unseen swings from their true start.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from ahnn.data.segments import whole
 from ahnn.data.sensor import Sensor
 from ahnn.evaluation.residual_diagnosis import invisible, remedy
 from ahnn.loading import made, weights_path
-from ahnn.measurements import Observations, Segment, UnknownNoise
+from ahnn.measurements import NoiseEstimate, Observations, Segment, UnknownNoise
 from ahnn.rollouts import rollout
 from ahnn.systems import Pendulum
 from ahnn.training.estimated_noise import conclude_with_noise
 from ahnn.uncertainty import rollout_covariances
 
-SD, EVERY, TRAIN, VALIDATION, UNSEEN = 0.01, 4, 100, 20, 64
+SD, EVERY, TRAIN, VALIDATION, UNSEEN = 0.01, 4, 100, 20, 32
 SYSTEM = Pendulum(name="pendulum", dt=0.025, steps=400)
 EPOCHS = ["experiment=pendulum_angles", "data.trajectories=250", "trainer.max_epochs=3", "plugins=none"]
 ASKED = {
@@ -58,7 +58,9 @@ def measured(kind: str, seed: int) -> tuple[Segment, Segment]:
     exact = generate(SYSTEM, TRAIN + VALIDATION, seed)
     values, times = exact.states[:, ::EVERY, :1], exact.times[:, ::EVERY]
     values = values + SD * noise(kind, tuple(values.shape), torch.Generator().manual_seed(seed))
-    instrument = Sensor(SYSTEM.space, measured="position", noise=SD, every=EVERY).instrument(SYSTEM.dt)
+    instrument = Sensor(SYSTEM.space, measured="position", noise=SD, every=EVERY, stride=2).instrument(
+        SYSTEM.dt
+    )
     parts = (slice(0, TRAIN), slice(TRAIN, None))
     train, held_out = (whole(Observations(values[part], times[part]), instrument) for part in parts)
     return train, held_out
@@ -85,8 +87,8 @@ def main() -> None:
     if not asked.run.exists():
         subprocess.run([sys.executable, "-m", "ahnn.train", *EPOCHS, f"run={asked.run}"], check=True)
     truth = generate(SYSTEM, UNSEEN, 4711).states
-    for kind in asked.kinds.split(","):
-        for draw in range(asked.draws):
+    for draw in range(asked.draws):
+        for kind in asked.kinds.split(","):
             train, held_out = measured(kind, 1000 + draw)
             for unknown in (UnknownNoise(), ASKED[kind]):
                 dynamics = made(read_weights(weights_path(asked.run)), asked.run).dynamics
@@ -94,20 +96,23 @@ def main() -> None:
                 assert found is not None
                 learned, known = found.taken(dynamics)
                 ratio, z, held = scored(learned, known.spread, truth)
-                units = train.instrument.measurement
-                said = [] if estimate is None else estimate.sentences(units.names, units.units)
-                if estimate is not None:
-                    unseen = held_out._replace(instrument=estimate.applied(held_out.instrument, unknown))
-                    said.append(remedy(learned, unseen, "none") or "nothing else found")
-                else:
-                    said += [remedy(learned, held_out, "none"), invisible(learned, held_out)]
                 which = "estimated" if unknown.anything else "as stated"
-                chi, wide = found.about["chi_square"], known.inflation
                 print(
                     f"{kind} {draw} {which}: error over band {ratio:.2f}, z rms {z:.2f}, "
-                    f"2 sigma {100 * held:.0f} %, chi-square {chi:.3f}, inflation {wide:.2f} | {'; '.join(filter(None, said))}",
+                    f"2 sigma {100 * held:.0f} %, chi-square {found.about['chi_square']:.3f}, "
+                    f"inflation {known.inflation:.2f} | {said(learned, held_out, estimate, unknown)}",
                     flush=True,
                 )
+
+
+def said(learned: Any, unseen: Segment, estimate: NoiseEstimate | None, unknown: UnknownNoise) -> str:
+    """Return what a training would say of the noise."""
+    seen, found = unseen.instrument, list[str]()
+    if estimate is not None:
+        found = estimate.sentences(seen.measurement.names, seen.measurement.units)
+        unseen = unseen._replace(instrument=estimate.applied(seen, unknown))
+    found += [remedy(learned, unseen, "none"), invisible(learned, unseen, estimate)]
+    return "; ".join(filter(None, found))
 
 
 if __name__ == "__main__":

@@ -175,6 +175,16 @@ def test_a_model_of_recorded_positions_filters_as_well_as_its_covariance_says(tm
             ["data.noise=[1,2]", "recipe=measurements"],
             "data.noise: expected a standard deviation > 0 for each of q1 [m]",
         ),
+        (
+            ["data.noise=0.01", "data.correlation=estimate", "loss.robust=student", "recipe=measurements"]
+            + ["model=ahnn", "hamiltonian=mechanical"],
+            "data.correlation: expected loss.robust=none with it; received loss.robust=student",
+        ),
+        (
+            ["data.noise=0.01", "data.bias_sd=-1", "recipe=measurements", "hamiltonian=mechanical"],
+            "data.bias_sd: expected standard deviations of biases",
+        ),
+        (["data.noise=estimates"], "data.noise: expected"),
         (["system.cut=1"], "system.cut: expected int >= 2 or None; received 1"),
         (["system.path=null"], "system.path: expected"),
         (["system.path=none.csv"], "system.path: expected a file; received none.csv: No such file"),
