@@ -159,6 +159,9 @@ def test_a_model_of_recorded_positions_filters_as_well_as_its_covariance_says(tm
     assert float(off @ torch.linalg.solve(covariances[0], off)) < 13.8  # 0.999 of chi-square, two degrees
 
 
+HUBER = ("loss.robust=huber", "recipe=measurements", "hamiltonian=mechanical")
+
+
 @pytest.mark.parametrize(
     ("overrides", "expected"),
     [
@@ -176,9 +179,8 @@ def test_a_model_of_recorded_positions_filters_as_well_as_its_covariance_says(tm
             "data.noise: expected a standard deviation > 0 for each of q1 [m]",
         ),
         (
-            ["data.noise=0.01", "data.correlation=estimate", "loss.robust=student", "recipe=measurements"]
-            + ["model=ahnn", "hamiltonian=mechanical"],
-            "data.correlation: expected loss.robust=none with it; received loss.robust=student",
+            ["data.noise=0.01", "data.correlation=estimate", *HUBER],
+            "data.correlation: expected loss.robust=none with it; received loss.robust=huber",
         ),
         (
             ["data.noise=0.01", "data.bias_sd=-1", "recipe=measurements", "hamiltonian=mechanical"],

@@ -146,12 +146,12 @@ def test_noise_to_estimate_begins_at_what_differences_show(tmp_path):
     few.splits._measured["train"] = few.measured("train")._replace(
         values=few.measured("train").values[:, :8], times=few.measured("train").times[:, :8]
     )
-    with pytest.raises(UserError, match="data.noise: expected samples so dense"):
+    with pytest.raises(UserError, match=r"data\.noise: expected samples so dense"):
         few.splits.instrument()
 
 
 def test_noise_of_simulated_measurements_is_no_unknown():
-    with pytest.raises(UserError, match="data.noise: expected standard deviations of what is simulated"):
+    with pytest.raises(UserError, match=r"data\.noise: expected standard deviations of what is"):
         Sensor(SPRING.space, measured="position", noise="estimate")
 
 
