@@ -7,7 +7,7 @@ members of `Measurement`: one class, and one YAML file that names it.
 from __future__ import annotations
 
 from ahnn.measurements.angles import continuous, nearest, periods, residual, wrap
-from ahnn.measurements.base import Locating, Measurement, Sighted, Time, observe
+from ahnn.measurements.base import Locating, Measurement, Sighted, Sloped, Time, observe
 from ahnn.measurements.biases import Biases
 from ahnn.measurements.gnss import GnssRange
 from ahnn.measurements.ground_station import GroundStation
@@ -33,6 +33,7 @@ __all__ = [
     "Segment",
     "Several",
     "Sighted",
+    "Sloped",
     "State",
     "Time",
     "UnknownNoise",
