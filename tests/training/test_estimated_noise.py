@@ -150,6 +150,16 @@ def test_colour_widens_what_is_known_of_the_parameters():
     assert (found.covariance.diagonal() > 1.5 * plain.covariance.diagonal()).all()
 
 
+def test_errors_of_the_dynamics_are_not_taken_for_noise(caplog):
+    train, other = (batch_of(seed, rows=10) for seed in (11, 12))
+    wrong, unknown = Swing(3.0, 0.0), UnknownNoise(sizes=True, correlation=True)
+    _, noise = conclude_with_noise(wrong, train, other, 0, "none", unknown)
+    assert noise is not None
+    assert noise.deviations == pytest.approx([SD])
+    assert noise.fractions == [0.0]
+    assert "the noise is not estimated: residuals are" in caplog.text
+
+
 def test_noise_that_was_said_to_be_larger_makes_bands_as_wide_as_it_is():
     small, others = (batch_of(seed, rows=rows, scale=1 / 3) for seed, rows in ((9, 40), (10, 10)))
     wide = conclude(Swing(), small, others, 0)
