@@ -139,6 +139,7 @@ def test_a_start_that_is_no_bias_keeps_the_prior():
     close(problem.shared.matrix, torch.tensor([[0.02**-2]], **DOUBLE), 1e-6)
 
 
+@pytest.mark.slow
 def test_colour_widens_what_is_known_of_the_parameters():
     train, other = (batch_of(seed, rows=rows, colour=0.4) for seed, rows in ((7, 40), (8, 10)))
     plain = conclude(Swing(), train, other, 0)
