@@ -108,7 +108,7 @@ def test_wrong_standard_deviations_are_named_before_a_training_and_below_its_tab
     (row,) = ahnn.load(tmp_path / "run").results.rows
     about, _, rest = row.note.partition(" times too large for q")
     assert 4 < float(about.rsplit("data.noise is about ", 1)[1]) < 14
-    assert rest.splitlines()[0] == "1"  # q1
+    assert rest.startswith("1 (data.noise=estimate finds it)")  # q1
 
 
 @pytest.mark.slow
@@ -159,6 +159,9 @@ def test_a_model_of_recorded_positions_filters_as_well_as_its_covariance_says(tm
     assert float(off @ torch.linalg.solve(covariances[0], off)) < 13.8  # 0.999 of chi-square, two degrees
 
 
+HUBER = ("loss.robust=huber", "recipe=measurements", "hamiltonian=mechanical")
+
+
 @pytest.mark.parametrize(
     ("overrides", "expected"),
     [
@@ -175,6 +178,15 @@ def test_a_model_of_recorded_positions_filters_as_well_as_its_covariance_says(tm
             ["data.noise=[1,2]", "recipe=measurements"],
             "data.noise: expected a standard deviation > 0 for each of q1 [m]",
         ),
+        (
+            ["data.noise=0.01", "data.correlation=estimate", *HUBER],
+            "data.correlation: expected loss.robust=none with it; received loss.robust=huber",
+        ),
+        (
+            ["data.noise=0.01", "data.bias_sd=-1", "recipe=measurements", "hamiltonian=mechanical"],
+            "data.bias_sd: expected standard deviations of biases",
+        ),
+        (["data.noise=estimates"], "data.noise: expected"),
         (["system.cut=1"], "system.cut: expected int >= 2 or None; received 1"),
         (["system.path=null"], "system.path: expected"),
         (["system.path=none.csv"], "system.path: expected a file; received none.csv: No such file"),

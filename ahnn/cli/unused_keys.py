@@ -87,10 +87,14 @@ def unread_of_training(cfg: DictConfig, prepared: Prepared, *, several: bool) ->
     rolled = OmegaConf.select(cfg, "callbacks.rollout.count") != 0
     clipped = bool(cfg.trainer.get("gradient_clip_val"))
     derived = staged or cfg.loss.derivative > 0
+    measured = "windows of the loss take noise as it is: a recipe with loss.stages estimates it"
     yield from unless(
         ("weights", cfg.ckpt is None or cfg.weights is None, "ckpt resumes a training from its own weights"),
         ("seed", not several, "seeds says which ones"),
         ("scheduler", automatic or not cfg.scheduler, "second-order steps have no learning rate"),
+        ("data.bias_sd", staged or cfg.data.get("bias_sd") is None, measured),
+        ("data.correlation", staged or cfg.data.get("correlation") is None, measured),
+        ("data.noise", staged or cfg.data.get("noise") != "estimate", measured),
         ("optimizer.tolerance", not staged, "steps on measurements hold no part of a batch back"),
         ("loss.order", derived, "with loss.derivative=0 no derivatives are formed"),
         ("callbacks.rollout", not staged, "measurements have no true start to roll out from"),

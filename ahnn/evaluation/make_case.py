@@ -13,7 +13,6 @@ from ahnn.data import SplitData
 from ahnn.data.recorded_sensor import Recorded
 from ahnn.data.segments import whole
 from ahnn.dynamics import Dynamics, HasEnergy
-from ahnn.errors import UserError
 from ahnn.evaluation.case import Case, perturbations
 from ahnn.evaluation.goodness_of_fit import fit_to
 from ahnn.measurements import Instrument, NoiseEstimate, Segment
@@ -102,18 +101,7 @@ def measured_test(data: SplitData, noise: NoiseEstimate | None) -> Segment | Non
 
 
 def instrument_of(data: SplitData, noise: NoiseEstimate | None) -> Instrument:
-    """Return what measured, with the noise that a training found.
-
-    Raises:
-        UserError: the noise is that of another number of columns.
-    """
+    """Return what measured, with the noise that a training found; raises as `NoiseEstimate.applied`."""
+    assert data.sensor is not None
     found = data.instrument()
-    if noise is None:
-        return found
-    if len(noise.deviations) != len(found.deviations):
-        message = (
-            f"noise: expected an estimate of {len(found.deviations)} numbers beside the weights; received "
-            f"{len(noise.deviations)}"
-        )
-        raise UserError(message)
-    return noise.applied(found)
+    return found if noise is None else noise.applied(found, data.sensor.unknown)

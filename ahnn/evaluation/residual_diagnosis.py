@@ -81,7 +81,7 @@ def verdicts(found: ResidualTests, names: tuple[str, ...], interval: float, robu
             *larger,
             f"{share} of what is left follows from the state: the model misses a part of the motion",
         ]
-    said = _sizes(found.scale, names)
+    said = [f"{size} (data.noise=estimate finds it)" for size in _sizes(found.scale, names)]
     if bool(coloured.any()):
         said.append(_colour(found, names, coloured, interval))
     said += _biases(found, names, coloured)
@@ -102,9 +102,7 @@ def _sizes(scales: Tensor, names: tuple[str, ...]) -> list[str]:
         for name, scale in zip(names, scales.tolist(), strict=True)
         if scale > 0 and not 1 / OFF < scale < OFF
     ]
-    return (
-        [f"data.noise is about {', '.join(off)}; data.noise=estimate reads it off residuals"] if off else []
-    )
+    return [f"data.noise is about {', '.join(off)}"] if off else []
 
 
 def _colour(found: ResidualTests, names: tuple[str, ...], coloured: Tensor, interval: float) -> str:

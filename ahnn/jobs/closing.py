@@ -37,18 +37,15 @@ def conclude_on_measurements(prepared: Prepared) -> float:
     after = f" after at most {steps} last steps" if steps else ""
     log.info("what all measurements leave open%s: prior and covariance of the weights", after)
     train = data.whole("train")
-    unknown = None if data.sensor is None else data.sensor.unknown
-    found, noise = conclude_with_noise(
-        dynamics, train, data.whole("val"), steps, robust, unknown or UnknownNoise()
-    )
+    unknown = UnknownNoise() if data.sensor is None else data.sensor.unknown
+    found, noise = conclude_with_noise(dynamics, train, data.whole("val"), steps, robust, unknown)
     if found is not None:
         learned, _ = found.taken(dynamics)
         batch, about = next(iter(data.val_dataloader())), dict[str, Any]()
         if noise is not None:
             about["noise"] = noise.about()
-            train, batch = (
-                part._replace(instrument=noise.applied(part.instrument)) for part in (train, batch)
-            )
+            seen = noise.applied(train.instrument, unknown)
+            train, batch = (part._replace(instrument=seen) for part in (train, batch))
         about["val_loss"] = float(Shooting(None, robust).validation(learned, batch)["loss"])
         if len(states := fitted_states(dynamics, train, robust)) > 1:
             about["domain"] = find_domain(dynamics, states).about()

@@ -6,6 +6,7 @@ import logging
 from typing import Any
 
 from ahnn.data.datamodule import WindowDataModule
+from ahnn.errors import UserError
 from ahnn.jobs.prepared import Prepared
 from ahnn.memory import require_memory
 from ahnn.models import AbstractModel
@@ -25,6 +26,12 @@ def check_together(prepared: Prepared) -> None:
     """
     data, model, trainer = prepared.data, prepared.model, prepared.trainer
     require_learnable(model, data)
+    if data.sensor is not None and data.sensor.unknown.correlation and prepared.robust != "none":
+        message = (
+            "data.correlation: expected loss.robust=none with it; received "
+            f"loss.robust={prepared.robust}. Leave one of them out"
+        )
+        raise UserError(message)
     if data.source.space.controls and model.dynamics.clock < 2:
         what = "the controls %s of the data push nothing in this model: forces=controls takes them"
         log.warning(what, ", ".join(data.source.space.controls))

@@ -1,10 +1,10 @@
 """First-order coloured noise beside white noise: what whitens it, at whatever times measurements come.
 
-The noise of a component, in its standard deviations, is w + c: white noise of variance 1 - f, and a process
-of variance f with the correlation exp(-t / memory) (first-order Gauss-Markov; Tapley, Schutz & Born 2004, section
-4.9), which filters have as the states of `ahnn.estimation.sensor_error`. A scalar Kalman filter of c in each
-row makes white residuals of coloured ones: innovations over their standard deviations. Its gains depend on
-times alone, so that whitening is a linear map, lower triangular in time.
+The noise of a component, in its standard deviations, is w + c: white noise of variance 1 - f, and first-order
+Gauss-Markov noise of variance f, which correlates by exp(-t / memory) (Tapley, Schutz & Born 2004, section
+4.9). Filters have c as states of their own (`ahnn.estimation.sensor_error`). A scalar Kalman filter of c in
+each row makes white residuals of coloured ones: innovations over their standard deviations. Its gains depend
+on times alone, so that whitening is a linear map, lower triangular in time.
 """
 
 from __future__ import annotations

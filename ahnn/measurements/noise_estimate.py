@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from ahnn.arguments import Finite, NonNegative, Positive
+from ahnn.errors import UserError
 from ahnn.measurements.coloured_noise import Colour
 from ahnn.measurements.segment import Instrument
 
@@ -58,17 +59,27 @@ class NoiseEstimate:
     bias_sd: list[NonNegative]
     prior_sd: list[NonNegative]
 
-    def applied(self, instrument: Instrument) -> Instrument:
-        """Return the instrument with this noise, nothing of it unknown any more."""
-        deviations, *more = (
-            torch.tensor(part, dtype=torch.float64) if part else None
+    def applied(self, instrument: Instrument, unknown: UnknownNoise) -> Instrument:
+        """Return the instrument with what was unknown of its noise, nothing of it unknown any more.
+
+        Raises:
+            UserError: the estimate is of another number of columns.
+        """
+        size = len(instrument.deviations)
+        if any(values and len(values) != size for values in asdict(self).values()):
+            message = f"noise: expected estimates of {size} numbers beside the weights; received {self}"
+            raise UserError(message)
+        deviations, fractions, memories, bias = (
+            torch.tensor(part, dtype=torch.float64)
             for part in (self.deviations, self.fractions, self.memories, self.bias)
         )
-        assert deviations is not None
-        fractions, memories, bias = more
-        colour = None if fractions is None or memories is None else Colour(fractions, memories)
-        colour = colour if colour is not None and bool((colour.fractions > 0).any()) else None
-        return instrument._replace(deviations=deviations, colour=colour, bias=bias, bias_sd=None)
+        coloured = unknown.correlation and bool((fractions > 0).any())
+        return instrument._replace(
+            deviations=deviations if unknown.sizes else instrument.deviations,
+            colour=Colour(fractions, memories) if coloured else None,
+            bias=bias if unknown.bias_sd is not None and len(bias) else None,
+            bias_sd=None,
+        )
 
     def about(self) -> dict[str, Any]:
         """Return plain values."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+
 import torch
 from torch import Tensor
 
@@ -17,12 +19,16 @@ from ahnn.training.maximum_posterior import whole_problem
 from ahnn.training.noise_likelihood import FoundNoise, Residuals, most_likely
 from ahnn.uncertainty import Uncertainty
 
+log = logging.getLogger("ahnn")
+
 ROUNDS = 3
 """Fits, at most."""
 SETTLED = 0.05
 """Change of a standard deviation, a fraction or a memory that is not worth another fit, relative."""
 PATHS, SAMPLES = 100, 400
 """Trajectories, and measurements of each, that noise is estimated from, at most."""
+NO_NOISE = 10.0
+"""Times the standard deviations of before beyond which residuals are errors of the dynamics, and no noise."""
 FAR = 6.0
 """Robust standard deviations beyond which a robust training leaves residuals out."""
 
@@ -53,10 +59,25 @@ def conclude_with_noise(
         if unknown.sizes or unknown.correlation:
             train = train._replace(instrument=instrument._replace(deviations=stated, colour=None))
             noise = estimated(found.taken(dynamics)[0], train, robust, found.about["determined"], unknown)
+            if not is_noise(noise, found.about["chi_square"]):
+                noise = begin
+                break
             instrument = instrument._replace(deviations=stated * noise.scales, colour=noise.colour)
         if alike(before, noise):
             break
     return found, None if found is None else written(found, noise, stated, unknown)
+
+
+def is_noise(noise: FoundNoise, chi_square: float) -> bool:
+    """Return whether what a fit left can be noise; if not it says so."""
+    times = max(float(noise.scales.max()), chi_square**0.5)
+    if times > NO_NOISE:
+        log.warning(
+            "the noise is not estimated: residuals are %.2g times as large as it was expected to be, rather "
+            "errors of the dynamics. Train longer, or say what data.noise is",
+            times,
+        )
+    return times <= NO_NOISE
 
 
 def biases_of(found: Uncertainty) -> Tensor | None:

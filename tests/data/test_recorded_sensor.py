@@ -12,8 +12,10 @@ from helpers import MOLNIYA, SPRING, defaults
 from ahnn.cli.parts import SENSOR, SIMULATION
 from ahnn.data import Files, Simulated
 from ahnn.data.datamodule import WindowDataModule
+from ahnn.data.generate import generate
 from ahnn.data.recorded_sensor import Recorded
 from ahnn.data.sensor import Sensor
+from ahnn.errors import UserError
 from ahnn.types import Trajectories
 
 UNITS = {"mass_spring": "[m],[m/s]", "molniya": "[km],[km/s]"}
@@ -128,3 +130,37 @@ def test_a_step_takes_no_more_stretches_than_hold_all_that_was_measured(tmp_path
     sizes = [(len(segments), size) for segments, size in map(data._stage, range(3))]
     assert [size for _, size in sizes] == [round(measured / 5), round(measured / 20), 50]
     assert sizes[0][0] > sizes[0][1]
+
+
+def test_noise_to_estimate_begins_at_what_differences_show(tmp_path):
+    system = dataclasses.replace(SPRING, steps=200)
+    simulated = Simulated(system, trajectories=10, seed=0, cache=str(tmp_path))
+    drawn = module(simulated, Sensor(simulated.space, measured="position", noise=0.01))
+    parts = [drawn.trajectories(split) for split in ("train", "val", "test")]
+    whole = type(parts[0])(*(torch.cat(both) for both in zip(*(p[:2] for p in parts), strict=True)))
+    source = Files("mine", written(tmp_path / "data.csv", simulated.space, whole))
+    read = module(source, Recorded(source.space, measured="position", noise="estimate"))
+    assert float(read.instrument.deviations) == pytest.approx(0.01, rel=0.1)
+    assert read.remark() is None
+    few = module(source, Recorded(source.space, measured="position", noise="estimate"))
+    few.splits._measured["train"] = few.measured("train")._replace(
+        values=few.measured("train").values[:, :8], times=few.measured("train").times[:, :8]
+    )
+    with pytest.raises(UserError, match=r"data\.noise: expected samples so dense"):
+        few.splits.instrument()
+
+
+def test_noise_of_simulated_measurements_is_no_unknown():
+    with pytest.raises(UserError, match=r"data\.noise: expected standard deviations of what is"):
+        Sensor(SPRING.space, measured="position", noise="estimate")
+
+
+def test_a_simulated_bias_is_the_same_in_all_parts():
+    system = dataclasses.replace(SPRING, steps=50)
+    about = {"measured": "position", "noise": 1e-6, "seed": 4}
+    biased, plain = Sensor(system.space, **about, bias_sd=0.5), Sensor(system.space, **about)
+    truth = generate(system, 4, 0)
+    off = [biased.measure(truth, part).values - plain.measure(truth, part).values for part in (0, 2)]
+    assert float(off[0].std()) < 1e-12
+    assert torch.allclose(off[0], off[1], atol=1e-12)
+    assert 1e-3 < float(off[0].abs().mean()) < 2.5

@@ -27,7 +27,7 @@ def test_noise_that_is_off_is_named(factor):
     said = remedy(Spring(SPRING), stated(measured(), factor), "none")
     head, _, tail = said.partition(" times too ")
     found = float(head.removeprefix("data.noise is about "))
-    assert tail == ("small for q1" if factor < 1 else "large for q1")
+    assert tail == f"{'small' if factor < 1 else 'large'} for q1 (data.noise=estimate finds it)"
     assert found == pytest.approx(max(factor, 1 / factor), rel=0.1)
 
 
@@ -38,7 +38,9 @@ def test_noise_within_a_factor_of_a_quarter_is_not_spoken_of(factor):
 
 def test_of_several_numbers_the_one_that_is_off_is_named():
     batch = measured(kind="state")
-    assert remedy(Spring(SPRING), stated(batch, 1.0, 0.1), "none").endswith("times too small for p1")
+    assert remedy(Spring(SPRING), stated(batch, 1.0, 0.1), "none").endswith(
+        "times too small for p1 (data.noise=estimate finds it)"
+    )
 
 
 @pytest.mark.parametrize("factor", [1.0, 0.1])
