@@ -83,5 +83,5 @@ def units_of(parameters: Iterable[Tensor]) -> Tensor | None:
     every = [*parameters]
     if not any(hasattr(parameter, "unit") for parameter in every):
         return None
-    units = [getattr(parameter, "unit", torch.ones_like(parameter)) for parameter in every]
+    units = [getattr(parameter, "unit", torch.ones_like(parameter)).to(parameter) for parameter in every]
     return torch.cat([unit.detach().flatten() for unit in units])
