@@ -89,6 +89,7 @@ def scaled_truth(structure, system, x, seed, inputs="cartesian"):
 
 @pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.parametrize("structure", ["generic", "separable", "mechanical"])
+@pytest.mark.sampled(4)
 def test_the_exact_energy_in_any_of_100_scalings_gives_the_true_flow(structure, name):
     system = SYSTEMS[name]
     start = random_states(system, 4, seed=8)
