@@ -18,10 +18,9 @@ from torch import Tensor, nn
 from ahnn.dynamics.inputs import Angles, Cartesian, InputMap
 from ahnn.dynamics.layered import Network
 from ahnn.dynamics.networks import Perceptron
+from ahnn.dynamics.scaling import UNEVEN
 from ahnn.statistics import Statistics
 
-UNEVEN = 100.0
-"""Ratio of energies from which coordinates have units of their own."""
 ROUNDING = 1e-12
 """Ratio at which a motion is taken for rounding, which needs none."""
 
@@ -84,5 +83,5 @@ def units_of(parameters: Iterable[Tensor]) -> Tensor | None:
     every = [*parameters]
     if not any(hasattr(parameter, "unit") for parameter in every):
         return None
-    units = [getattr(parameter, "unit", torch.ones_like(parameter)) for parameter in every]
+    units = [getattr(parameter, "unit", torch.ones_like(parameter)).to(parameter) for parameter in every]
     return torch.cat([unit.detach().flatten() for unit in units])

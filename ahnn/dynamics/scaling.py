@@ -18,8 +18,8 @@ from ahnn.errors import UserError
 Kind = Literal["minmax", "block", "none"]
 
 
-UNEVEN = 1e3
-"""Ratio of the ranges of two components that one scale for both leaves unseen."""
+UNEVEN = 30.0
+"""Ratio of ranges, or of energies, from which coordinates have scales of their own."""
 ROUNDING = 1e-9
 """Ratio at which a component is taken to be constant but for rounding."""
 
@@ -30,8 +30,8 @@ class Affine(nn.Module):
 
     Args:
         kind: `minmax` maps each component to [-1, 1] (the paper); `block` shares one scale among the
-            positions and one among the momenta, but for those that vary a thousand times less than others,
-            and would not be seen; `none` is the identity.
+            positions and one among the momenta, but for those that vary `UNEVEN` times less than others,
+            which would hardly be seen; `none` is the identity.
         size: number of components.
     """
 

@@ -12,7 +12,15 @@ from torch import Tensor
 from ahnn.rollouts import rollout
 from ahnn.systems import NBody
 from ahnn.systems.truth import exact_flow
-from ahnn.tasks.definition import Draw, FieldTask, Predict, energy_error, numbers, states
+from ahnn.tasks.definition import (
+    Draw,
+    FieldTask,
+    Predict,
+    energy_error,
+    flow_through_encounters,
+    numbers,
+    states,
+)
 from ahnn.types import Trajectories
 
 SOURCE = "greydanus/hamiltonian-nn, Apache 2.0; Greydanus, Dzamba & Yosinski 2019, arXiv:1906.01563"
@@ -41,7 +49,8 @@ def draw(
     begin = two if bodies == 2 else three
     system = NBody(name=f"{bodies}_bodies", bodies=bodies, dt=duration / (samples - 1), steps=samples - 1)
     with torch.no_grad():
-        exact = rollout(exact_flow(system), begin(orbits, numbers(k)), system.dt, samples)
+        flow = exact_flow(system) if bodies == 2 else flow_through_encounters(system)
+        exact = rollout(flow, begin(orbits, numbers(k)), system.dt, samples)
     count, long = tested
     starts = begin(count, numbers(k, 1))
 

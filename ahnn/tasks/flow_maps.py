@@ -17,7 +17,7 @@ from torch import Tensor
 from ahnn.rollouts import rollout
 from ahnn.systems import ChainPendulum, NBody, Pendulum, System
 from ahnn.systems.truth import exact_flow
-from ahnn.tasks.definition import Draw, FieldTask, Predict, numbers, states
+from ahnn.tasks.definition import Draw, FieldTask, Predict, flow_through_encounters, numbers, states
 from ahnn.types import Trajectories
 
 SOURCE = "AELITTEN/GHNN, MIT; Horn et al. 2025, J. Comput. Phys. 521, 113536"
@@ -66,7 +66,7 @@ def draw(k: int, *, sampling: Sampling) -> Draw:
     system, runs = sampling.system, sampling.runs
     starts = sampling.begin(runs, k)
     tests = starts[round(runs * (1 - SPLIT[2])) :]
-    flow = exact_flow(system)
+    flow = flow_through_encounters(system) if system is THREE else exact_flow(system)
     with torch.no_grad():
         exact = rollout(flow, starts, system.dt, system.steps + 1)
         truth = rollout(flow, tests, system.dt, sampling.tested + 1)

@@ -171,9 +171,11 @@ def gradient_norm(blocks: Sequence[Block]) -> float:
 
 def metric(block: Block) -> Tensor:
     """Return D, shape (K,): the diagonal of J^T J plus a thousandth of its mean in the units."""
-    squares = 1.0 if block.units is None else block.units.square()
-    diagonal = block.matrix.diagonal() * squares
-    return (diagonal + 1e-3 * diagonal.mean()) / squares
+    diagonal = block.matrix.diagonal()
+    if block.units is None:
+        return diagonal + 1e-3 * diagonal.mean()
+    squares = block.units.square()
+    return diagonal + 1e-3 * (diagonal * squares).mean() / squares
 
 
 def damped_step(blocks: Sequence[Block], damping: float, theta: Tensor) -> Tensor | None:

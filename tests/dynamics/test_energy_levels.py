@@ -37,7 +37,7 @@ def fitted(inputs, ratio, times=1):
 
 def test_levels_are_the_largest_energies_of_those_that_are_alike():
     found = levels(torch.tensor([0.5, 50.0, 1.0, 0.4, 1e-3, 0.0], **DOUBLE))
-    assert found.tolist() == [1.0, 1.0, 1.0, 0.008, 2e-5, 1.0]
+    assert found.tolist() == [0.02, 1.0, 0.02, 0.02, 2e-5, 1.0]
 
 
 @pytest.mark.parametrize("inputs", ["cartesian", "angles"])
@@ -56,11 +56,11 @@ def test_a_light_coordinate_feels_heavy_ones_and_hardly_moves_them():
     x = (torch.rand(6, generator=generator(2), **DOUBLE) - 0.5) * statistics(RATIO).maximum
     bent = torch.autograd.functional.jacobian(made, x) / statistics(RATIO).maximum.unsqueeze(1)
     assert float(bent[3:, 1].abs()[[0, 2]].max()) < 10 * RATIO
-    assert 1e-3 < float(bent[4, [0, 2]].abs().max())
+    assert float(bent[4, [0, 2]].abs().max()) > 1e-3
 
 
 def test_even_coordinates_leave_weights_as_they_are_and_a_second_fit_changes_nothing():
-    even = fitted("cartesian", 0.011)
+    even = fitted("cartesian", 0.04)
     torch.manual_seed(0)
     options = {"mass": 1.0, "mu": None, "inputs": "cartesian", "scaling": "block", "network": NETWORK}
     fresh = make_hamiltonian("generic", 3, **options).double()

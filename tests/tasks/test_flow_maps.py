@@ -11,6 +11,7 @@ from helpers import close
 from ahnn.rollouts import rollout
 from ahnn.systems.truth import exact_flow
 from ahnn.tasks import TASKS, flow_maps
+from ahnn.tasks.definition import flow_through_encounters
 from ahnn.tasks.flow_maps import DOUBLE, PENDULUM, Sampling, first_quarter, hanging
 
 
@@ -59,6 +60,14 @@ def test_an_error_counts_angles_to_a_full_turn(system):
     size = 2 * system.dof
     assert draw.score(turned(0.5)) == pytest.approx(0.5 / size, rel=1e-9)
     assert draw.score(turned(-5.0)) == pytest.approx((2 * math.pi - 5.0) / size, rel=1e-9)
+
+
+def test_the_truth_of_bodies_that_meet_closely_conserves_their_energy():
+    """One run in a hundred or so gains 100 times its energy in the substeps of a run without encounters."""
+    start = flow_maps.bodies(400, 0)
+    states = rollout(flow_through_encounters(flow_maps.THREE), start, flow_maps.THREE.dt, 11)
+    energy = flow_maps.THREE.energy(states)
+    assert float((energy - energy[:, :1]).abs().max()) < 1e-3 * float(energy.abs().max())
 
 
 def test_hanging_pendulums_are_at_rest_at_most_so_far_out():
