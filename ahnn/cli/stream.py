@@ -33,8 +33,10 @@ from ahnn.jobs.assimilation_request import AssimilationRequest, Stream, require_
 from ahnn.jobs.control_times import control_names, known_controls
 from ahnn.loading import load
 from ahnn.measurements import reading
+from ahnn.measurements.station_file import BiasedStation, read_stations
 from ahnn.runs import Run
 from ahnn.systems import System
+from ahnn.types import Space
 
 BIAS = re.compile(r"^(?=sensors\.[^.=]+\.bias_(sd|memory)=)")
 """Keys of a sensor that options of the group measurement do not set."""
@@ -124,6 +126,20 @@ def build_sensors(
     return made
 
 
+def stations_of_file(file: str, space: Space, clock: StreamClock) -> dict[str, StreamSensor]:
+    """Return the stations of a file as sensors, on an Earth that turns from the epoch of time zero on.
+
+    Raises:
+        UserError: no such file, or a station that measures nothing.
+    """
+    angle, found = 0.0 if clock.zero is None else clock.earth_angle(), {}
+    for name, entry in read_stations(file).items():
+        model = BiasedStation(entry, angle, space.mass)
+        sd = model.bias_sd if any(model.bias_sd) else None
+        found[name] = StreamSensor.of(model, model.deviations, space, bias_sd=sd)
+    return found
+
+
 def _numbers(given: Any) -> Any:
     """Return what a node holds, lists as those of Python."""
     return OmegaConf.to_container(given) if isinstance(given, ListConfig | DictConfig) else given
@@ -160,8 +176,12 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
     clock, time, reference = begin(found, ours, asked.time, run.space.units.time)
     if asked.oem:
         require_orbit(run.space, reference)
-    require_angles(nodes or {"measurement": cfg.measurement}, clock)
-    sensors = build_sensors(nodes, cfg, run, lambda: source().truth)
+    if asked.stations is None:
+        require_angles(nodes or {"measurement": cfg.measurement}, clock)
+    if asked.stations is None:
+        sensors = build_sensors(nodes, cfg, run, lambda: source().truth)
+    else:
+        sensors = stations_of_file(asked.stations, run.space, clock)
     deviations = None
     if (
         found.covariances is None

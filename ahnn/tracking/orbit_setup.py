@@ -118,7 +118,8 @@ class OrbitSetup:
         object: which satellite of the file; the only one without it.
         start: where the fit begins.
         orientation: bulletins B; without them the days of astropy-iers-data.
-        stations: latitude and longitude in degrees and height in m of each, or
+        stations: of each [latitude, longitude, height], degrees and m, or all that
+            `ahnn.measurements.station_file` has; or a file of them; or
         sinex: files with their coordinates and eccentricities.
         forces: on the satellite.
         corrections: of ranges and angles.
@@ -133,10 +134,10 @@ class OrbitSetup:
 
     measurements: str
     start: StartChoice
-    noise: KindChoice
+    noise: KindChoice = field(default_factory=KindChoice)
     object: str | None = None
     orientation: list[str] | None = None
-    stations: dict[str, Any] | None = None
+    stations: dict[str, Any] | str | None = None
     sinex: list[str] | None = None
     forces: ForcesChoice = field(default_factory=ForcesChoice)
     corrections: Corrections = field(default_factory=Corrections)

@@ -97,6 +97,10 @@ class TrackingModel:
         """Return the model of other measurements."""
         return TrackingModel(data, stations, self.corrections, self._rotation, self._bodies)
 
+    def on(self, rotation: EarthRotation) -> TrackingModel:
+        """Return the model on an Earth that turns otherwise."""
+        return TrackingModel(self.data, self.stations, self.corrections, rotation, self._bodies)
+
     def site(self, station: TrackingStation, times: Array) -> Array:
         """Return where a station is in GCRF at times (T,), (T, 3) km."""
         turns, place = self._rotation.matrices(times), np.broadcast_to(station.position, (len(times), 3))
