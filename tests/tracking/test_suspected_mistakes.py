@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -78,4 +79,6 @@ def test_utc_for_ut1_is_named_by_the_bulletins():
     other = days._replace(ut1_utc=0.0 * days.ut1_utc)
     assert orientation_mistake(days, days, rotation()) == []
     (said,) = orientation_mistake(other, days, rotation())
-    assert said.startswith("orientation: UT1 - UTC is given as 0.0000 s, and the IERS has 0.0200 s: UTC")
+    assert re.match(
+        r"orientation: UT1 - UTC is given as 0.0000 s, and the IERS has 0.0\d+ s: UTC given", said
+    )
