@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import fields
 from pathlib import Path
 from typing import NamedTuple
@@ -20,14 +21,17 @@ from ahnn.tracking.formats.bulletin_b import read_bulletins
 from ahnn.tracking.formats.finals import installed_orientation
 from ahnn.tracking.formats.sinex import read_sinex
 from ahnn.tracking.formats.tracking_files import read_tracking
+from ahnn.tracking.initial_orbit import initial_orbit
 from ahnn.tracking.orbit_fit import OrbitProblem
 from ahnn.tracking.orbit_forces import prepared_forces
-from ahnn.tracking.orbit_setup import KindChoice, OrbitSetup
+from ahnn.tracking.orbit_setup import KindChoice, OrbitSetup, StartChoice
 from ahnn.tracking.sun_and_moon import sun_and_moon
 from ahnn.tracking.tracking_data import KINDS, TrackingData
 from ahnn.tracking.tracking_model import TrackingModel
 from ahnn.tracking.tracking_station import TrackingStation, cartesian_station, geodetic_station
 from ahnn.tracking.unknowns import START, SmoothBlock, Smoothness, Unknowns
+
+log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 TURNING = np.array([kind not in ("range", "range_rate") for kind in KINDS])
@@ -64,27 +68,25 @@ def prepared_orbit(setup: OrbitSetup, folder: Path, data: TrackingData | None = 
         UserError: what is wrong with a file, or with a station.
     """
     data = measured(setup, folder) if data is None else data
-    at = (start_moment(setup) - data.epoch) / epochs.SECOND
+    given = setup.start
+    at = data.times[0] if given is None else (start_moment(given) - data.epoch) / epochs.SECOND
     first, last = min(at, data.times[0]) - MARGIN, max(at, data.times[-1]) + MARGIN
     rows = read_bulletins([folder / name for name in setup.orientation]) if setup.orientation else None
     rotation = EarthRotation(data.epoch, first, last, rows or installed_orientation())
     bodies = sun_and_moon(data.epoch, first, last)
-    forces = prepared_forces(
-        setup.forces,
-        setup.start.epoch[:10],
-        rotation,
-        bodies,
-        min(at, data.times[0]),
-        max(at, data.times[-1]),
-    )
     entries = entries_of(setup, folder, data)
-    model = TrackingModel(
-        data, stations_of(setup, folder, data, entries), setup.corrections, rotation, bodies
-    )
+    stations = stations_of(setup, folder, data, entries)
+    model = TrackingModel(data, stations, setup.corrections, rotation, bodies)
     noise = noise_of(setup, data, entries)
     require_light(setup, data)
-    turn = rotations(terrestrial(data.epoch, np.array([at]), "UTC"), setup.start.frame, "GCRF")[0]
-    start = np.concatenate((turn @ np.array(setup.start.position), turn @ np.array(setup.start.velocity)))
+    if given is None:
+        start, at = initial_orbit(model)
+        log.info("start: an initial orbit of directions, at %s", moment_of(data, at))
+    else:
+        turn = rotations(terrestrial(data.epoch, np.array([at]), "UTC"), given.frame, "GCRF")[0]
+        start = np.concatenate((turn @ np.array(given.position), turn @ np.array(given.velocity)))
+    ends = min(at, data.times[0]), max(at, data.times[-1])
+    forces = prepared_forces(setup.forces, moment_of(data, at)[:10], rotation, bodies, *ends)
     bias, bias_mean, bias_sd = biases_of(setup.biases, data, entries)
     names = (
         *START,
@@ -119,12 +121,17 @@ def prepared_orbit(setup: OrbitSetup, folder: Path, data: TrackingData | None = 
     return PreparedOrbit(problem, rotation, learned)
 
 
-def start_moment(setup: OrbitSetup) -> int:
-    """Return the epoch of the start in picoseconds; raises UserError for what is none."""
+def moment_of(data: TrackingData, time: float) -> str:
+    """Return the epoch of a time of some measurements."""
+    return epochs.spelled(data.epoch + round(time * epochs.SECOND), utc=True)
+
+
+def start_moment(start: StartChoice) -> int:
+    """Return the epoch of a start in picoseconds; raises UserError for what is none."""
     try:
-        return epochs.instant(setup.start.epoch, utc=True)
+        return epochs.instant(start.epoch, utc=True)
     except ValueError as error:
-        message = f"start.epoch: expected {error}; received {setup.start.epoch!r}"
+        message = f"start.epoch: expected {error}; received {start.epoch!r}"
         raise UserError(message) from error
 
 

@@ -103,7 +103,7 @@ def verdict(row: ResidualRow) -> str:
         way = "estimate a bias" if not row.bias[1] > 0 else "its prior is too narrow"
         found.append(f"a bias of {factor * row.mean:.3g} {unit} is left: {way}")
     whole = row.mean + np.nan_to_num(row.bias[0])
-    if row.given and abs(row.given) > CERTAIN * error and abs(whole / row.given + 1) < OPPOSITE:
+    if row.given and abs(row.given) > error and abs(whole / row.given + 1) < OPPOSITE:
         found.insert(0, f"its bias is {factor * row.given:.3g} {unit} with the other sign")
     if abs(row.trend[0]) > CERTAIN * row.trend[1]:
         found.append(f"drifts by {3600 * factor * row.trend[0]:+.2g} {unit} an hour")

@@ -110,6 +110,10 @@ class TrackingModel:
                 place = place + tidal_displacement(station.position, body, mu)
         return np.einsum("tji,tj->ti", turns, place)
 
+    def axes(self, station: TrackingStation, times: Array) -> Array:
+        """Return a station's unit vectors to the east, the north and up in GCRF as rows, (T, 3, 3)."""
+        return np.einsum("ij,tjk->tik", station.axes, self._rotation.matrices(times))
+
     def __call__(self, arc: Path) -> PredictedTracking:
         """Return what should be measured of a satellite on an arc."""
         n = len(self.data.times)
@@ -129,7 +133,7 @@ class TrackingModel:
             self.data.event,
         )
         air = measured_air(self.data.weather[rows], station.height)
-        axes = np.einsum("ij,tjk->tik", station.axes, self._rotation.matrices(path.receive))
+        axes = self.axes(station, path.receive)
         values, by_state = np.empty((len(path.bounce), 6)), np.zeros((len(path.bounce), 6, 6))
         values[:, 1:3], by_state[:, 1:3, :3] = directions(
             np.einsum("tij,tj->ti", axes, path.down), azimuth=True

@@ -81,7 +81,7 @@ def test_a_setup_is_checked_with_the_place_of_what_is_wrong():
     }
     assert isinstance(setup_of(plain), OrbitSetup)
     for change, words in (
-        ({"start": None}, "start: expected keys with values; received None"),
+        ({"start": "here"}, "start: expected keys with values; received 'here'"),
         ({"noise": {"range": float("nan")}}, "noise.range: expected a standard deviation > 0; received nan"),
         ({"forces": {"drag": {"area_to_mass": 0.0}}}, "forces.drag.area_to_mass: expected float > 0"),
         ({"forces": {"drag": {"area_to_mass": 1.0, "sd": -1.0}}}, "forces.drag.sd: expected 0 "),
