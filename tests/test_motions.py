@@ -141,6 +141,7 @@ TRIED = [pytest.param(name, marks=pytest.mark.slow if name == "particle" else ()
 
 
 @pytest.mark.parametrize("name", TRIED)
+@pytest.mark.sampled(3)
 def test_filters_follow_a_force_that_depends_on_time(name):
     """Exact dynamics: errors are those that the filter believes; a flow that stands still in time is off."""
     system = ForcedOscillator(name="f", dt=0.05, steps=200)
@@ -165,6 +166,7 @@ def test_filters_follow_a_force_that_depends_on_time(name):
 
 
 @pytest.mark.parametrize("name", TRIED)
+@pytest.mark.sampled(2)
 def test_filters_follow_controls_that_are_known(name):
     """Each member has controls of its own, and those of another lead it astray."""
     system = PushedSpring(name="p", dt=0.05, steps=200)

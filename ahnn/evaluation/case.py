@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from ahnn.integrators import Integrator
-from ahnn.measurements import Segment
+from ahnn.measurements import NoiseEstimate, Segment
 from ahnn.metrics import Scores, score
 from ahnn.shooting.robust import RobustName
 from ahnn.systems import System
@@ -54,6 +54,7 @@ class Case:
         novelty: distance (...) of states (..., D) from the training data, where it is known.
         fitted: (B, D) starts from which the model meets the measurements of the test trajectories best, where
             nothing else is known of these: then `test` holds measurements, NaN in what is not measured.
+        noise: of the measurements, where the training estimated any.
         remark: what the reader must know of the test trajectories; "" where they are those of the training.
     """
 
@@ -76,6 +77,7 @@ class Case:
     uncertainty: Uncertainty | None = None
     novelty: Callable[[Tensor], Tensor] | None = None
     fitted: Tensor | None = None
+    noise: NoiseEstimate | None = None
     remark: str = ""
 
     def starts(self) -> dict[Start, Tensor]:

@@ -40,10 +40,11 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
     add_constants(case, findings)
     if case.measured is not None:
         flow = cast(Any, case.flow)
+        add_noise(case, case.measured, findings)
         explained = explain(flow, case.measured, case.robust)
         findings.tell(explained.sentence())
         findings.tell("" if explained.consistent else remedy(flow, case.measured, case.robust))
-        findings.tell(invisible(flow, case.measured))
+        findings.tell(invisible(flow, case.measured, case.noise))
         findings.numbers["measurements"] = explained.numbers()
     if figures:
         findings.figures |= open_loop_figures(case, findings.arrays)
@@ -94,6 +95,15 @@ def add_constants(case: Case, findings: Findings) -> None:
     if isinstance(flow, nn.Module) and (found := learned_constants(cast(Any, flow), spread)):
         findings.tell(f"learned: {', '.join(map(str, found))}")
         findings.numbers["constants"] = {one.name: one.numbers() for one in found}
+
+
+def add_noise(case: Case, measured: Segment, findings: Findings) -> None:
+    """Add the noise of the measurements that the training estimated."""
+    if case.noise is not None:
+        seen = measured.instrument.measurement
+        for sentence in case.noise.sentences(seen.names, seen.units):
+            findings.tell(sentence)
+        findings.numbers["noise"] = case.noise.about()
 
 
 def add_band(case: Case, uncertainty: Uncertainty, findings: Findings, *, figures: bool) -> None:

@@ -34,6 +34,7 @@ class AssimilationRequest:
     state: str | None = None
     every: Count | None = None
     objects: str | None = None
+    shard: str | None = None
     states: str | None = None
     start: str | list[float] | None = None
     start_sd: list[Positive] | None = None
@@ -43,6 +44,7 @@ class AssimilationRequest:
     window: Annotated[float, Within(0)]
     lines: Count
     gap: Positive | None = None
+    gate: Annotated[float, Within(above=0, below=1)] | Literal["none"] | None = None
     watch: bool
     figures: str | None = None
     oem: str | None = None
@@ -100,9 +102,10 @@ def require_places(options: AssimilationRequest) -> None:
 def require_together(options: AssimilationRequest) -> None:
     """Refuse options of one object beside those of many; raises UserError."""
     if options.objects is None:
-        if options.states is not None:
-            message = f"states: expected objects=COLUMN beside it; received states={options.states} alone"
-            raise UserError(message)
+        for key in ("states", "shard"):
+            if (value := getattr(options, key)) is not None:
+                message = f"{key}: expected objects=COLUMN beside it; received {key}={value} alone"
+                raise UserError(message)
         return
     one = {key: getattr(options, key) for key in ("figures", "oem", "object", "controls")}
     one["watch"] = options.watch or None

@@ -12,6 +12,7 @@ from ahnn.measurements.biases import Biases
 from ahnn.measurements.gnss import GnssRange
 from ahnn.measurements.ground_station import GroundStation
 from ahnn.measurements.noise import noise_deviations
+from ahnn.measurements.noise_estimate import NoiseEstimate, UnknownNoise
 from ahnn.measurements.observations import Observations
 from ahnn.measurements.readings import Position, State, reading
 from ahnn.measurements.schedule import Schedule, every, schedule
@@ -26,6 +27,7 @@ __all__ = [
     "Instrument",
     "Locating",
     "Measurement",
+    "NoiseEstimate",
     "Observations",
     "Position",
     "Schedule",
@@ -36,6 +38,7 @@ __all__ = [
     "State",
     "StationsOfFile",
     "Time",
+    "UnknownNoise",
     "continuous",
     "every",
     "nearest",
