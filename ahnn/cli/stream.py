@@ -57,13 +57,28 @@ def read_stream(arguments: list[str], usage: str) -> Stream:
     if any(text.startswith("orbit=") for text in arguments):
         return read_following(arguments, usage)
     options, nodes, request = asked(arguments, usage)
+    require_own_keys(options, nodes)
     run = load(request.source, request.ckpt)
     cfg = run_config(run.folder, with_filter(request, run))
     known = run.uncertainty is not None
-    refuse(unread_online(cfg.plugins, covariance=known, named=bool(nodes)), request.overrides)
+    named = bool(nodes) or options.stations is not None
+    refuse(unread_online(cfg.plugins, covariance=known, named=named), request.overrides)
     torch.set_num_threads(cfg.threads)
     require_places(options)
     return build_assimilation(options, nodes, cfg, run)
+
+
+def require_own_keys(options: AssimilationRequest, nodes: DictConfig) -> None:
+    """Refuse keys of an orbit determination beside a run, and sensors said twice; raises UserError."""
+    given = {"folder": options.folder, "fitted": options.fitted}
+    given["start"] = options.start if options.start == "fit" else None
+    for key, value in given.items():
+        if value is not None:
+            message = f"{key}: expected orbit=FILE.yaml beside {key}={value}; received a run"
+            raise UserError(message)
+    if options.stations is not None and nodes:
+        message = f"stations: expected no sensors beside it; received {', '.join(map(str, nodes))}"
+        raise UserError(message)
 
 
 def asked(arguments: list[str], usage: str) -> tuple[AssimilationRequest, DictConfig, Request]:
