@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from earth import REAL
 from simulated import TRUE, problem
 
+from ahnn.contents import read_plain
 from ahnn.errors import UserError
 from ahnn.tracking.initial_orbit import gauss, gibbs, herrick_gibbs, initial_orbit, triple
 from ahnn.tracking.orbit_fit import orbit_fit
+from ahnn.tracking.orbit_problem import prepared_orbit
+from ahnn.tracking.orbit_setup import setup_of
+from ahnn.tracking.satellite_arc import satellite_arc
 from ahnn.tracking.tracking_station import EARTH_MU
 
 AXIS, ECCENTRICITY = 26560.0, 0.3
@@ -94,3 +100,17 @@ def test_ranges_alone_give_no_orbit():
     with pytest.raises(UserError, match="start: expected position and velocity, or a station that has"):
         initial_orbit(made.model)
     assert triple(np.ones((5, 3))) is None
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not REAL.is_dir(), reason="no real files beside the checkout")
+def test_w3b_begins_within_tens_of_kilometres_of_its_published_start():
+    values = read_plain(Path(__file__).parents[2] / "docs" / "orbits" / "w3b.yaml")
+    values["forces"] = {"gravity": {"degree": 2, "order": 0}}
+    setup, folder = setup_of(values), REAL / "w3b"
+    given, found = (prepared_orbit(one, folder).problem for one in (setup, replace(setup, start=None)))
+    start = given.unknowns.mean[:6]
+    arc = satellite_arc(given.forces, start, np.empty(0), given.at, given.at - 1, found.at + 1)
+    off = found.unknowns.mean[:6] - arc.states(np.array([found.at]))[0]
+    assert np.linalg.norm(off[:3]) < 100
+    assert np.linalg.norm(off[3:]) < 0.1
