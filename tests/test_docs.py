@@ -209,7 +209,7 @@ def shape(line):
 
 @pytest.fixture(scope="module")
 def places(tmp_path_factory):
-    """A folder for each section, with scripts, the tutorial's own system, and the run of the README's first command."""
+    """A folder for each section: scripts, the tutorial's own system, and the README's first run."""
     made, shown = {}, FENCE.findall(TUTORIAL.read_text())
     system = next(text for _, text in shown if "class Quartic" in text)
     yaml = next(text for kind, text in shown if kind == "yaml")

@@ -55,6 +55,11 @@ class Band(NamedTuple):
             f"({quantity(space, 'velocity')[0]}) of the noise bound"
         )
 
+    def verdict(self) -> str:
+        """Return whether the bands are right, for the verdict; "" where too few directions tell."""
+        told = self.test.verdict
+        return f"bands: {told} (errors are {self.test.scatter:.2g} of them)" if "few" not in told else ""
+
     def numbers(self) -> dict[str, Any]:
         """Return plain values for metrics.json."""
         found = {name: list(getattr(self, name)) for name in ("coverage", "expected", "bound", "efficiency")}

@@ -155,6 +155,8 @@ class Findings:
 
     Attributes:
         notes: findings without a row of their own, which go to the first one of the evaluation.
+        faults: findings that ask for a remedy, for the verdict.
+        highlights: further findings for the verdict.
     """
 
     rows: list[Row] = field(default_factory=list)
@@ -162,11 +164,15 @@ class Findings:
     arrays: dict[str, Tensor] = field(default_factory=dict)
     figures: dict[str, Figure] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)
+    highlights: list[str] = field(default_factory=list)
 
-    def tell(self, finding: str) -> None:
-        """Add a finding to the note of the first row; "" adds nothing."""
+    def tell(self, finding: str, also: list[str] | None = None) -> None:
+        """Add a finding to the note of the first row, and to `faults` or `highlights`; "" adds nothing."""
         row = self.rows[0]
         self.rows[0] = row._replace(note="\n".join(part for part in (row.note, finding) if part))
+        if also is not None and finding:
+            also.append(finding)
 
 
 @runtime_checkable

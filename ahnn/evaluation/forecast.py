@@ -66,6 +66,13 @@ class Forecast(NamedTuple):
         text += f"; {in_percent(self.outliers)} left out as outliers" if self.outliers else ""
         return text + (f"; first halves not fitted: {self.lost}" if self.lost else "")
 
+    def verdict(self) -> str:
+        """Return the coverage of the bands, for the verdict."""
+        return (
+            f"bands: {100 * self.coverage[1]:.3g} % of unseen measurements lie within 2 standard deviations "
+            f"of their forecast ({100 * NORMAL[1]:.3g} % if the bands are right)"
+        )
+
     def numbers(self) -> dict[str, Any]:
         """Return plain values for metrics.json."""
         return {"sigmas": list(SIGMAS), "of_normal_errors": list(NORMAL), **self._asdict()}
