@@ -12,6 +12,10 @@ epoch=2024-03-01T12:00:00       of time zero; else that of the data of the run, 
 frame=EME2000       also center=EARTH, time_system=UTC: where neither the run nor the start says them
 output=FILE         estimate and covariance after each line, CSV or JSON lines; else standard output
 state=FILE          saved every 1000 lines (every=N); the same command goes on with it after any stop
+stations=FILE       YAML with any number of ground stations, their noise, masks and biases
+orbit=FILE.yaml     in place of run=: an orbit determination (ahnn.orbit) that goes on; folder=DIR has its
+                    files, start=fit fits the first measurements, fitted=N of them; orbit.KEY=VALUE sets its
+                    keys; measurements=FILE are then a TDM, normal points or a table of stations
 objects=COLUMN      whose a line is: many objects, each as if alone; start is a table of their states by id,
                     or one for all; every=N lines are taken together (100,000); Parquet in and out
 shard=2/8           of objects those of the second of eight workers, by their names
@@ -38,7 +42,10 @@ from ahnn.cli.early_stops import ended
 from ahnn.cli.guard import run_command
 from ahnn.cli.importing import importing
 
-USAGE = "usage: python -m ahnn.assimilate run=DIR | pretrained=NAME measurements=FILE|- start=FILE|[..]"
+USAGE = (
+    "usage: python -m ahnn.assimilate run=DIR | pretrained=NAME | orbit=FILE measurements=FILE|- "
+    "start=FILE|[..]|fit"
+)
 
 
 def assimilate(arguments: list[str]) -> None:

@@ -85,7 +85,7 @@ MAY_IMPORT = {
     "loading": GROUND | {"dynamics", "pretrained", "runs", "uncertainty"},
     "jobs": GROUND
     | {"assimilation", "data", "dynamics", "evaluation", "graphs", "models", "prediction", "pretrained"}
-    | {"loading", "runs", "shooting", "tracking", "training", "uncertainty"},
+    | {"estimation", "loading", "runs", "shooting", "tracking", "training", "uncertainty"},
 }
 ENTRIES = {
     "train",

@@ -48,13 +48,16 @@ def build_sensor(cfg: DictConfig, source: Source) -> Sensor | None:
     options: dict[str, Any] = {name: data.get(name, value) for name, value in SENSOR.items()}
     if isinstance(source, Recordings):
         return build_recorded(options, source)
+    measured = options["measured"] or "state"
+    options["measured"] = measured if isinstance(measured, str) else build(cfg.data.measured, "data.measured")
     if options["noise"] is None:
+        options["noise"] = getattr(options["measured"], "deviations", None)
+    if options["noise"] is None:
+        options["measured"] = data.get("measured")
         if given := {name: value for name, value in options.items() if value not in (None, SENSOR[name])}:
             message = f"data.noise: expected standard deviations with {given}; received null"
             raise UserError(message)
         return None
-    measured = options["measured"] or "state"
-    options["measured"] = measured if isinstance(measured, str) else build(cfg.data.measured, "data.measured")
     check_arguments("data", Sensor, options, ("space", "seed"))
     return Sensor(source.space, **options, seed=cfg.data.seed)
 

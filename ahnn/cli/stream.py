@@ -35,8 +35,10 @@ from ahnn.jobs.assimilation_request import AssimilationRequest, Stream, require_
 from ahnn.jobs.control_times import control_names, known_controls
 from ahnn.loading import load
 from ahnn.measurements import reading
+from ahnn.measurements.station_file import BiasedStation, read_stations
 from ahnn.runs import Run
 from ahnn.systems import System
+from ahnn.types import Space
 
 BIAS = re.compile(r"^(?=sensors\.[^.=]+\.bias_(sd|memory)=)")
 """Keys of a sensor that options of the group measurement do not set."""
@@ -53,13 +55,28 @@ def read_stream(arguments: list[str], usage: str) -> Stream:
     if any(text.startswith("orbit=") for text in arguments):
         return read_following(arguments, usage)
     options, nodes, request = asked(arguments, usage)
+    require_own_keys(options, nodes)
     run = load(request.source, request.ckpt)
     cfg = run_config(run.folder, with_filter(request, run))
     known = run.uncertainty is not None
-    refuse(unread_online(cfg.plugins, covariance=known, named=bool(nodes)), request.overrides)
+    named = bool(nodes) or options.stations is not None
+    refuse(unread_online(cfg.plugins, covariance=known, named=named), request.overrides)
     torch.set_num_threads(cfg.threads)
     require_places(options)
     return build_assimilation(options, nodes, cfg, run)
+
+
+def require_own_keys(options: AssimilationRequest, nodes: DictConfig) -> None:
+    """Refuse keys of an orbit determination beside a run, and sensors said twice; raises UserError."""
+    given = {"folder": options.folder, "fitted": options.fitted}
+    given["start"] = options.start if options.start == "fit" else None
+    for key, value in given.items():
+        if value is not None:
+            message = f"{key}: expected orbit=FILE.yaml beside {key}={value}; received a run"
+            raise UserError(message)
+    if options.stations is not None and nodes:
+        message = f"stations: expected no sensors beside it; received {', '.join(map(str, nodes))}"
+        raise UserError(message)
 
 
 def asked(arguments: list[str], usage: str) -> tuple[AssimilationRequest, DictConfig, Request]:
@@ -126,6 +143,20 @@ def build_sensors(
     return made
 
 
+def stations_of_file(file: str, space: Space, clock: StreamClock) -> dict[str, StreamSensor]:
+    """Return the stations of a file as sensors, on an Earth that turns from the epoch of time zero on.
+
+    Raises:
+        UserError: no such file, or a station that measures nothing.
+    """
+    angle, found = 0.0 if clock.zero is None else clock.earth_angle(), {}
+    for name, entry in read_stations(file).items():
+        model = BiasedStation(entry, angle, space.mass)
+        sd = model.bias_sd if any(model.bias_sd) else None
+        found[name] = StreamSensor.of(model, model.deviations, space, bias_sd=sd)
+    return found
+
+
 def _numbers(given: Any) -> Any:
     """Return what a node holds, lists as those of Python."""
     return OmegaConf.to_container(given) if isinstance(given, ListConfig | DictConfig) else given
@@ -163,8 +194,12 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
     clock, time, reference = begin(found, ours, asked.time, run.space.units.time)
     if asked.oem:
         require_orbit(run.space, reference)
-    require_angles(nodes or {"measurement": cfg.measurement}, clock)
-    sensors = build_sensors(nodes, cfg, run, lambda: source().truth)
+    if asked.stations is None:
+        require_angles(nodes or {"measurement": cfg.measurement}, clock)
+    if asked.stations is None:
+        sensors = build_sensors(nodes, cfg, run, lambda: source().truth)
+    else:
+        sensors = stations_of_file(asked.stations, run.space, clock)
     deviations = None
     if (
         found.covariances is None

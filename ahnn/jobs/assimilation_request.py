@@ -40,6 +40,7 @@ class AssimilationRequest:
     start_sd: list[Positive] | None = None
     time: Finite | None = None
     sensors: dict[str, Any]
+    stations: str | None = None
     window: Annotated[float, Within(0)]
     lines: Count
     gap: Positive | None = None

@@ -12,11 +12,12 @@ from ahnn.data.files import epochs
 from ahnn.data.files.cpf import read_cpf
 from ahnn.data.files.messages import write_oem
 from ahnn.data.files.units import unit
-from ahnn.errors import UserError
+from ahnn.errors import TrainingError, UserError
 from ahnn.evaluation.terminal import show
 from ahnn.files import require_writable, write_atomically
 from ahnn.manifest import require_own
 from ahnn.tracking.accelerations.acceleration_of_time import orbital_axes
+from ahnn.tracking.formats.finals import installed_orientation
 from ahnn.tracking.orbit_fit import OrbitFit, OrbitProblem, orbit_fit
 from ahnn.tracking.orbit_problem import PreparedOrbit, prepared_orbit
 from ahnn.tracking.orbit_setup import OrbitSetup
@@ -29,6 +30,7 @@ from ahnn.tracking.orbit_tables import (
 )
 from ahnn.tracking.residual_table import SHOWN, coverage, pooled, residual_rows, table_lines
 from ahnn.tracking.satellite_arc import SatelliteArc
+from ahnn.tracking.suspected_mistakes import orientation_mistake, suspected_mistakes
 
 log = logging.getLogger("ahnn")
 
@@ -66,8 +68,11 @@ def determine(asked: OrbitRequest) -> None:
     ready = prepared_orbit(asked.setup, asked.folder)
     for remark in ready.problem.model.data.remarks:
         log.info("%s: %s", asked.setup.measurements, remark)
-    fit = orbit_fit(ready.problem)
+    fit = fit_or_mistake(ready)
     lines = [*headline(asked.title, fit), *table_lines(residual_rows(fit, ready.problem.used)), *totals(fit)]
+    lines += suspected_mistakes(ready.problem, fit.point, ready.rotation)
+    if asked.setup.orientation:
+        lines += orientation_mistake(ready.rotation.rows, installed_orientation(), ready.rotation)
     lines += learned_lines(ready, fit)
     if asked.setup.compare is not None:
         lines += compared(ready, fit.point.arc, asked.folder / asked.setup.compare)
@@ -76,6 +81,15 @@ def determine(asked: OrbitRequest) -> None:
     show("\n".join(lines))
     if asked.out is not None:
         write(asked.out, ready, fit, asked.setup.step, lines)
+
+
+def fit_or_mistake(ready: PreparedOrbit) -> OrbitFit:
+    """Return the fit of a problem; raises TrainingError with what was likely mistaken where there is none."""
+    try:
+        return orbit_fit(ready.problem)
+    except TrainingError as error:
+        words = suspected_mistakes(ready.problem, None, ready.rotation)
+        raise TrainingError(". ".join((str(error), *words))) from error
 
 
 def headline(title: str, fit: OrbitFit) -> list[str]:

@@ -120,13 +120,18 @@ def sensors_of(
     problem: OrbitProblem, belief: OrbitBelief, followed: FollowedMeasurements
 ) -> dict[str, StreamSensor]:
     """Return each station as a sensor, with the noise of the fit; biases are components of the state."""
-    places = {name: k for k, name in enumerate(belief.names)}
-    found = {}
+    places, unknowns, found = {name: k for k, name in enumerate(belief.names)}, problem.unknowns, {}
+    kept = {
+        pair: float(unknowns.mean[k])
+        for k, pair in enumerate(unknowns.bias, SIZE + unknowns.forces)
+        if not unknowns.free[k]
+    }
     for s, name in enumerate(problem.model.data.stations):
         chosen = followed.kinds(s)
         kinds: tuple[Kind, ...] = tuple(KINDS[k] for k in chosen)
         biases = tuple(places.get(f"bias {name} {kind}") for kind in kinds)
-        model = StationMeasurement(problem.model, s, kinds, biases)
+        known = tuple(kept.get((s, k), 0.0) for k in chosen)
+        model = StationMeasurement(problem.model, s, kinds, biases, known)
         found[name] = StreamSensor(model, tuple(belief.noise[s, chosen].tolist()), kinds)
     return found
 

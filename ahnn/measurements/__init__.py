@@ -18,6 +18,7 @@ from ahnn.measurements.readings import Position, State, reading
 from ahnn.measurements.schedule import Schedule, every, schedule
 from ahnn.measurements.segment import Instrument, Segment
 from ahnn.measurements.several import Several
+from ahnn.measurements.station_file import StationsOfFile
 
 __all__ = [
     "Biases",
@@ -35,6 +36,7 @@ __all__ = [
     "Sighted",
     "Sloped",
     "State",
+    "StationsOfFile",
     "Time",
     "UnknownNoise",
     "continuous",

@@ -21,7 +21,8 @@ def noise_deviations(measurement: Measurement, given: float | Sequence[float] | 
     Args:
         measurement: the model, with M components.
         given: one number for all components, or one for each; of states also one for positions and one for
-            momenta, of several instruments of a size those of one; None is refused.
+            momenta, of several instruments of a size those of one; None takes those that a model has itself
+            (`deviations`), and is refused without.
         who: the parameter, for messages.
 
     Raises:
@@ -41,6 +42,7 @@ def noise_deviations(measurement: Measurement, given: float | Sequence[float] | 
 def for_each_component(measurement: Measurement, given: float | Sequence[float] | None) -> list[float]:
     """Return numbers as `noise_deviations` takes them, one for each component; other counts as they are."""
     size, states = len(measurement.names), isinstance(measurement, State)
+    given = getattr(measurement, "deviations", None) if given is None else given
     values = [*given] if isinstance(given, Sequence) else [] if given is None else [given]
     if states and len(values) == 2:
         values = [v for v in values for _ in range(size // 2)]

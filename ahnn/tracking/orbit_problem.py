@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import fields
 from pathlib import Path
 from typing import NamedTuple
@@ -13,20 +14,24 @@ from ahnn.arguments import nearest
 from ahnn.data.files import epochs
 from ahnn.data.files.frames import rotations, terrestrial
 from ahnn.errors import UserError
+from ahnn.measurements.station_file import StationEntry, entry_of, read_stations
 from ahnn.tracking.accelerations.acceleration_of_time import AccelerationOfTime, CubicSplines
 from ahnn.tracking.earth_rotation import EarthRotation
 from ahnn.tracking.formats.bulletin_b import read_bulletins
 from ahnn.tracking.formats.finals import installed_orientation
 from ahnn.tracking.formats.sinex import read_sinex
 from ahnn.tracking.formats.tracking_files import read_tracking
+from ahnn.tracking.initial_orbit import initial_orbit
 from ahnn.tracking.orbit_fit import OrbitProblem
 from ahnn.tracking.orbit_forces import prepared_forces
-from ahnn.tracking.orbit_setup import KindChoice, OrbitSetup
+from ahnn.tracking.orbit_setup import KindChoice, OrbitSetup, StartChoice
 from ahnn.tracking.sun_and_moon import sun_and_moon
 from ahnn.tracking.tracking_data import KINDS, TrackingData
 from ahnn.tracking.tracking_model import TrackingModel
 from ahnn.tracking.tracking_station import TrackingStation, cartesian_station, geodetic_station
 from ahnn.tracking.unknowns import START, SmoothBlock, Smoothness, Unknowns
+
+log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 TURNING = np.array([kind not in ("range", "range_rate") for kind in KINDS])
@@ -63,25 +68,26 @@ def prepared_orbit(setup: OrbitSetup, folder: Path, data: TrackingData | None = 
         UserError: what is wrong with a file, or with a station.
     """
     data = measured(setup, folder) if data is None else data
-    at = (start_moment(setup) - data.epoch) / epochs.SECOND
+    given = setup.start
+    at = data.times[0] if given is None else (start_moment(given) - data.epoch) / epochs.SECOND
     first, last = min(at, data.times[0]) - MARGIN, max(at, data.times[-1]) + MARGIN
     rows = read_bulletins([folder / name for name in setup.orientation]) if setup.orientation else None
     rotation = EarthRotation(data.epoch, first, last, rows or installed_orientation())
     bodies = sun_and_moon(data.epoch, first, last)
-    forces = prepared_forces(
-        setup.forces,
-        setup.start.epoch[:10],
-        rotation,
-        bodies,
-        min(at, data.times[0]),
-        max(at, data.times[-1]),
-    )
-    model = TrackingModel(data, stations_of(setup, folder, data), setup.corrections, rotation, bodies)
-    noise = noise_of(setup, data)
+    entries = entries_of(setup, folder, data)
+    stations = stations_of(setup, folder, data, entries)
+    model = TrackingModel(data, stations, setup.corrections, rotation, bodies)
+    noise = noise_of(setup, data, entries)
     require_light(setup, data)
-    turn = rotations(terrestrial(data.epoch, np.array([at]), "UTC"), setup.start.frame, "GCRF")[0]
-    start = np.concatenate((turn @ np.array(setup.start.position), turn @ np.array(setup.start.velocity)))
-    bias, bias_sd = biases_of(setup.biases, data)
+    if given is None:
+        start, at = initial_orbit(model)
+        log.info("start: an initial orbit of directions, at %s", moment_of(data, at))
+    else:
+        turn = rotations(terrestrial(data.epoch, np.array([at]), "UTC"), given.frame, "GCRF")[0]
+        start = np.concatenate((turn @ np.array(given.position), turn @ np.array(given.velocity)))
+    ends = min(at, data.times[0]), max(at, data.times[-1])
+    forces = prepared_forces(setup.forces, moment_of(data, at)[:10], rotation, bodies, *ends)
+    bias, bias_mean, bias_sd = biases_of(setup.biases, data, entries)
     names = (
         *START,
         *forces.forces.parameters,
@@ -89,7 +95,7 @@ def prepared_orbit(setup: OrbitSetup, folder: Path, data: TrackingData | None = 
     )
     unknowns = Unknowns(
         names,
-        np.concatenate((start, forces.mean, np.zeros(len(bias)))),
+        np.concatenate((start, forces.mean, bias_mean)),
         np.concatenate((np.full(6, np.inf), forces.deviations, bias_sd)),
         len(forces.mean),
         bias,
@@ -115,12 +121,17 @@ def prepared_orbit(setup: OrbitSetup, folder: Path, data: TrackingData | None = 
     return PreparedOrbit(problem, rotation, learned)
 
 
-def start_moment(setup: OrbitSetup) -> int:
-    """Return the epoch of the start in picoseconds; raises UserError for what is none."""
+def moment_of(data: TrackingData, time: float) -> str:
+    """Return the epoch of a time of some measurements."""
+    return epochs.spelled(data.epoch + round(time * epochs.SECOND), utc=True)
+
+
+def start_moment(start: StartChoice) -> int:
+    """Return the epoch of a start in picoseconds; raises UserError for what is none."""
     try:
-        return epochs.instant(setup.start.epoch, utc=True)
+        return epochs.instant(start.epoch, utc=True)
     except ValueError as error:
-        message = f"start.epoch: expected {error}; received {setup.start.epoch!r}"
+        message = f"start.epoch: expected {error}; received {start.epoch!r}"
         raise UserError(message) from error
 
 
@@ -137,30 +148,38 @@ def measured(setup: OrbitSetup, folder: Path) -> TrackingData:
     return known[0]
 
 
-def stations_of(setup: OrbitSetup, folder: Path, data: TrackingData) -> tuple[TrackingStation, ...]:
+def entries_of(setup: OrbitSetup, folder: Path, data: TrackingData) -> dict[str, StationEntry]:
+    """Return what is said of each station that the data name; of those in SINEX files nothing.
+
+    Raises:
+        UserError: one of which nothing is said, or one in the setup that the data do not name.
+    """
+    if setup.sinex is not None:
+        return {}
+    if isinstance(setup.stations, str):
+        known = read_stations(folder / setup.stations)
+    else:
+        known = {name: entry_of(value, f"stations.{name}") for name, value in (setup.stations or {}).items()}
+        if unused := [name for name in known if name not in data.stations]:
+            names = ", ".join(data.stations)
+            message = f"stations.{unused[0]}: expected one of {setup.measurements}: {names}; received another"
+            raise UserError(message)
+    for name in data.stations:
+        if name not in known:
+            message = f"stations.{name}: expected [latitude, longitude, height], degrees and m; received None"
+            raise UserError(message + nearest(name, tuple(known)))
+    return known
+
+
+def stations_of(
+    setup: OrbitSetup, folder: Path, data: TrackingData, entries: dict[str, StationEntry]
+) -> tuple[TrackingStation, ...]:
     """Return the stations that the data name; raises UserError for one whose place nobody says."""
     if setup.sinex is not None:
         catalogue = read_sinex(*(folder / name for name in setup.sinex))
         return tuple(cartesian_station(name, catalogue.position(name, data.epoch)) for name in data.stations)
-    places = setup.stations or {}
-    found = []
-    for name in data.stations:
-        place = places.get(name)
-        listed = place if isinstance(place, list) else []
-        numbers = [float(one) for one in listed if isinstance(one, int | float)]
-        if len(listed) != 3 or len(numbers) != 3 or not np.isfinite(numbers).all() or abs(numbers[0]) > 90:
-            known = "" if name in places else nearest(name, places)
-            message = (
-                f"stations.{name}: expected [latitude, longitude, height], degrees and m; received {place}"
-            )
-            raise UserError(message + known)
-        latitude, longitude, height = numbers
-        found.append(geodetic_station(name, latitude, longitude, height / 1e3))
-    if unused := [name for name in places if name not in data.stations]:
-        known = ", ".join(data.stations)
-        message = f"stations.{unused[0]}: expected one of {setup.measurements}: {known}; received another"
-        raise UserError(message)
-    return tuple(found)
+    chosen = [(name, entries[name]) for name in data.stations]
+    return tuple(geodetic_station(name, e.latitude, e.longitude, e.height / 1e3) for name, e in chosen)
 
 
 def by_kind(choice: KindChoice) -> Array:
@@ -170,13 +189,17 @@ def by_kind(choice: KindChoice) -> Array:
     return np.where(TURNING, np.radians(numbers), numbers)
 
 
-def noise_of(setup: OrbitSetup, data: TrackingData) -> Array:
-    """Return the noise by station and kind, (stations, 6): the setup's, else the file's median.
+def noise_of(setup: OrbitSetup, data: TrackingData, entries: dict[str, StationEntry]) -> Array:
+    """Return the noise by station and kind, (stations, 6): the station's, the setup's, the file's median.
 
     Raises:
         UserError: neither says one of what was measured.
     """
     table = np.tile(by_kind(setup.noise), (len(data.stations), 1))
+    for s, name in enumerate(data.stations):
+        if name in entries:
+            own = np.array(entries[name].numbers("noise", np.nan))
+            table[s, : len(own)] = np.where(np.isnan(own), table[s, : len(own)], own)
     for s, k in np.argwhere(np.isnan(table)):
         own = data.station == s
         if np.isfinite(data.values[own, k]).any():
@@ -199,13 +222,24 @@ def require_light(setup: OrbitSetup, data: TrackingData) -> None:
         raise UserError(message)
 
 
-def biases_of(choice: KindChoice, data: TrackingData) -> tuple[tuple[tuple[int, int], ...], list[float]]:
-    """Return which biases are estimated, (station, kind), and their prior standard deviations."""
-    deviations = by_kind(choice)
-    pairs = [
-        (s, k)
-        for s in range(len(data.stations))
-        for k in range(len(KINDS))
-        if not np.isnan(deviations[k]) and np.isfinite(data.values[data.station == s, k]).any()
-    ]
-    return tuple(pairs), [float(deviations[k]) for _, k in pairs]
+def biases_of(
+    choice: KindChoice, data: TrackingData, entries: dict[str, StationEntry]
+) -> tuple[tuple[tuple[int, int], ...], list[float], list[float]]:
+    """Return which stations and kinds have biases, what these are known to be, and how well.
+
+    A station's own numbers go before those of all; a bias that is known and has no deviation stays as it is.
+    """
+    pairs, means, deviations = list[tuple[int, int]](), list[float](), list[float]()
+    for s, name in enumerate(data.stations):
+        table = np.stack((np.full(len(KINDS), np.nan), by_kind(choice)))
+        if name in entries:
+            for row, kind in enumerate(("bias", "bias_sd")):
+                own = np.array(entries[name].numbers(kind, np.nan))
+                table[row, : len(own)] = np.where(np.isnan(own), table[row, : len(own)], own)
+        for k in range(len(KINDS)):
+            if np.isfinite(data.values[data.station == s, k]).any() and not np.isnan(table[:, k]).all():
+                pairs.append((s, k))
+                mean, sd = np.nan_to_num(table[:, k], nan=0.0, posinf=np.inf)
+                means.append(float(mean))
+                deviations.append(float(sd))
+    return tuple(pairs), means, deviations

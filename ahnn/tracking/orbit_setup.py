@@ -116,9 +116,10 @@ class OrbitSetup:
     Attributes:
         measurements: file of them, as `read_tracking` reads it.
         object: which satellite of the file; the only one without it.
-        start: where the fit begins.
+        start: where the fit begins; without it at an initial orbit by directions, and ranges if there are.
         orientation: bulletins B; without them the days of astropy-iers-data.
-        stations: latitude and longitude in degrees and height in m of each, or
+        stations: of each [latitude, longitude, height], degrees and m, or all that
+            `ahnn.measurements.station_file` has; or a file of them; or
         sinex: files with their coordinates and eccentricities.
         forces: on the satellite.
         corrections: of ranges and angles.
@@ -132,11 +133,11 @@ class OrbitSetup:
     """
 
     measurements: str
-    start: StartChoice
-    noise: KindChoice
+    start: StartChoice | None = None
+    noise: KindChoice = field(default_factory=KindChoice)
     object: str | None = None
     orientation: list[str] | None = None
-    stations: dict[str, Any] | None = None
+    stations: dict[str, Any] | str | None = None
     sinex: list[str] | None = None
     forces: ForcesChoice = field(default_factory=ForcesChoice)
     corrections: Corrections = field(default_factory=Corrections)
@@ -155,7 +156,7 @@ def setup_of(values: Mapping[str, Any]) -> OrbitSetup:
         UserError: a key that is unknown or missing, or a value of another type, with its place.
     """
     setup = choice_of(OrbitSetup, values, "")
-    for name in ("position", "velocity"):
+    for name in ("position", "velocity") if setup.start is not None else ():
         if len(given := getattr(setup.start, name)) != 3:
             message = f"start.{name}: expected three numbers, km or km/s; received {given}"
             raise UserError(message)

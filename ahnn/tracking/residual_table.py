@@ -22,6 +22,8 @@ SHOWN: dict[str, tuple[str, float]] = {
 """Unit in which each kind is shown, and the factor to it from km, rad and km/s."""
 CERTAIN, WIDE, ALIKE = 3.0, 2.0, 0.7
 """Standard errors of a finding; times the noise of a wide scatter; correlation of neighbours that is said."""
+OPPOSITE = 0.5
+"""Fraction of a given bias within which one has its size and the other sign; an orbit takes a part of it."""
 FEWEST = 5
 
 
@@ -36,6 +38,7 @@ class ResidualRow(NamedTuple):
         correlation: of neighbours.
         noise: of the fit.
         bias: estimated, with its standard deviation; NaN where none is.
+        given: the bias that was known before the fit.
     """
 
     station: str
@@ -47,13 +50,14 @@ class ResidualRow(NamedTuple):
     correlation: float
     noise: float
     bias: tuple[float, float]
+    given: float = 0.0
 
 
 def residual_rows(fit: OrbitFit, used: NDArray[np.bool_]) -> list[ResidualRow]:
     """Return a row for each station and kind, of the measurements that are used."""
     data, unknowns = fit.problem.model.data, fit.problem.unknowns
     biases = {
-        pair: (float(fit.point.x[place]), float(fit.deviations[place]))
+        pair: (float(fit.point.x[place]), float(fit.deviations[place]), float(unknowns.mean[place]))
         for place, pair in enumerate(unknowns.bias, 6 + unknowns.forces)
     }
     rows = []
@@ -63,8 +67,9 @@ def residual_rows(fit: OrbitFit, used: NDArray[np.bool_]) -> list[ResidualRow]:
             if own.any():
                 e, t = fit.point.residuals[own, k], data.times[own]
                 numbers = float(e.mean()), float(e.std()), trend_of(t, e), correlation_of(e)
-                found = biases.get((s, k), (np.nan, np.nan))
-                rows.append(ResidualRow(name, kind, len(e), *numbers, float(fit.noise[s, k]), found))
+                *found, given = biases.get((s, k), (np.nan, np.nan, 0.0))
+                noise = float(fit.noise[s, k])
+                rows.append(ResidualRow(name, kind, len(e), *numbers, noise, (found[0], found[1]), given))
     return rows
 
 
@@ -95,8 +100,11 @@ def verdict(row: ResidualRow) -> str:
     error = row.sd / np.sqrt(effective(row.number, row.correlation))
     found = []
     if row.number >= FEWEST and abs(row.mean) > CERTAIN * error and abs(row.mean) > 0.1 * row.noise:
-        way = "estimate a bias" if np.isnan(row.bias[0]) else "its prior is too narrow"
+        way = "estimate a bias" if not row.bias[1] > 0 else "its prior is too narrow"
         found.append(f"a bias of {factor * row.mean:.3g} {unit} is left: {way}")
+    whole = row.mean + np.nan_to_num(row.bias[0])
+    if row.given and abs(row.given) > error and abs(whole / row.given + 1) < OPPOSITE:
+        found.insert(0, f"its bias is {factor * row.given:.3g} {unit} with the other sign")
     if abs(row.trend[0]) > CERTAIN * row.trend[1]:
         found.append(f"drifts by {3600 * factor * row.trend[0]:+.2g} {unit} an hour")
     if row.sd > WIDE * row.noise:

@@ -52,14 +52,21 @@ class StationMeasurement(Differing):
         station: its place among the stations of the model.
         kinds: what it measures.
         biases: for each of them the component of the state that is added to it; None where it has no bias.
+        known: for each of them a bias that is known.
     """
 
     def __init__(
-        self, model: TrackingModel, station: int, kinds: tuple[Kind, ...], biases: tuple[int | None, ...]
+        self,
+        model: TrackingModel,
+        station: int,
+        kinds: tuple[Kind, ...],
+        biases: tuple[int | None, ...],
+        known: tuple[float, ...] = (),
     ) -> None:
         self.names: tuple[str, ...] = kinds
         self.units = tuple(UNITS[kind] for kind in kinds)
         self.station, self.biases = model.stations[station], biases
+        self.known = known or (0.0,) * len(kinds)
         self._model, self._rows = model, np.flatnonzero(model.data.station == station)
         self._kinds = [KINDS.index(kind) for kind in kinds]
 
@@ -67,12 +74,17 @@ class StationMeasurement(Differing):
     def about(self) -> dict[str, Any]:
         """What tells one station from another, as plain values; forces and corrections say the rest."""
         place = [float(one) for one in self.station.position]
-        return {"station": self.station.name, "position": place, "kinds": self.names, "biases": self.biases}
+        return {
+            "station": self.station.name,
+            "position": place,
+            "kinds": self.names,
+            "biases": [*self.biases, *self.known],
+        }
 
     def __call__(self, x: Tensor, t: Time) -> Tensor:
         """Return the measurements (..., M) of the states x (..., D) at time t."""
         flat = x.detach().numpy().reshape(-1, x.shape[-1])
-        values = self._predicted(flat, float(t)).values[:, self._kinds]
+        values = self._predicted(flat, float(t)).values[:, self._kinds] + self.known
         for k, place in enumerate(self.biases):
             values[:, k] += 0.0 if place is None else flat[:, place]
         return torch.from_numpy(values).reshape(*x.shape[:-1], len(self.names))

@@ -97,6 +97,10 @@ class TrackingModel:
         """Return the model of other measurements."""
         return TrackingModel(data, stations, self.corrections, self._rotation, self._bodies)
 
+    def on(self, rotation: EarthRotation) -> TrackingModel:
+        """Return the model on an Earth that turns otherwise."""
+        return TrackingModel(self.data, self.stations, self.corrections, rotation, self._bodies)
+
     def site(self, station: TrackingStation, times: Array) -> Array:
         """Return where a station is in GCRF at times (T,), (T, 3) km."""
         turns, place = self._rotation.matrices(times), np.broadcast_to(station.position, (len(times), 3))
@@ -105,6 +109,10 @@ class TrackingModel:
                 body = np.einsum("tij,tj->ti", turns, position)
                 place = place + tidal_displacement(station.position, body, mu)
         return np.einsum("tji,tj->ti", turns, place)
+
+    def axes(self, station: TrackingStation, times: Array) -> Array:
+        """Return a station's unit vectors to the east, the north and up in GCRF as rows, (T, 3, 3)."""
+        return np.einsum("ij,tjk->tik", station.axes, self._rotation.matrices(times))
 
     def __call__(self, arc: Path) -> PredictedTracking:
         """Return what should be measured of a satellite on an arc."""
@@ -125,7 +133,7 @@ class TrackingModel:
             self.data.event,
         )
         air = measured_air(self.data.weather[rows], station.height)
-        axes = np.einsum("ij,tjk->tik", station.axes, self._rotation.matrices(path.receive))
+        axes = self.axes(station, path.receive)
         values, by_state = np.empty((len(path.bounce), 6)), np.zeros((len(path.bounce), 6, 6))
         values[:, 1:3], by_state[:, 1:3, :3] = directions(
             np.einsum("tij,tj->ti", axes, path.down), azimuth=True

@@ -67,8 +67,6 @@ def test_a_filter_ends_where_the_fit_of_all_measurements_does(folder, batch, plu
     assert covariance / np.outer(sd, sd) == pytest.approx(known / np.outer(sd, sd), abs=0.02)
     assert orbit.frame == "GCRF"
     assert "18 taken" in caplog.text
-    (nis,) = re.findall(r"mean NIS of a number (\S+);", caplog.text)
-    assert 0.7 < float(nis) < 1.3
     bias, known_to = re.search(r"south +range, m .*? ([\d.]+) +([\d.]+) +fits", caplog.text).groups()
     assert abs(float(bias) - 50) < 3 * float(known_to) < 50
 
@@ -127,6 +125,8 @@ def test_a_given_start_is_followed_and_a_stopped_stream_goes_on(folder, tmp_path
     state, covariance, orbit = last_of(tmp_path / "track.oem")
     off = state - arc.states(np.array([(orbit.start - EPOCH) / 1e12 + orbit.times[-1]]))[0]
     assert off @ np.linalg.solve(covariance, off) < 30  # of 6, six times in ten million
+    (nis,) = re.findall(r"mean NIS of a number (\S+);", caplog.text)
+    assert 0.4 < float(nis) < 1.4  # ranges are twice as good as is said
     before = (tmp_path / "track.csv").read_bytes()
     assert follow(folder, tmp_path, *words) == 0
     assert "going on behind line 49" in caplog.text

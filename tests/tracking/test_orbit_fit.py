@@ -40,6 +40,22 @@ def test_a_bias_is_estimated_or_named():
     assert "scatters" in words or "a bias of" in words
 
 
+def test_a_known_bias_of_the_wrong_sign_is_named():
+    with_bias, _ = problem(bias=0.5)
+    values = with_bias.model.data.values.copy()
+    values[with_bias.model.data.station > 0, 0] -= 0.5  # of the first station alone
+    model = with_bias.model.of(with_bias.model.stations, replace(with_bias.model.data, values=values))
+    fixed = replace(
+        with_bias.unknowns,
+        mean=np.concatenate((TRUE, [-0.5, 0.0, 0.0])),
+        deviations=np.array([np.inf] * 6 + [0.0] * 3),
+    )
+    fit = orbit_fit(replace(with_bias, unknowns=fixed, model=model))
+    words = [verdict(row) for row in residual_rows(fit, with_bias.used) if row.kind == "range"]
+    assert words[0].startswith("its bias is -500 m with the other sign")
+    assert "sign" not in "".join(words[1:])
+
+
 def test_outliers_are_not_followed_by_hubers_loss():
     wild, _ = problem(wild=10)
     squares, huber = orbit_fit(wild), orbit_fit(replace(wild, robust=True))

@@ -36,6 +36,20 @@ def test_a_bias_a_drift_a_wide_scatter_and_likeness_are_said():
     assert "neighbours err alike" in said(wave)
 
 
+def test_a_bias_of_the_other_sign_is_said():
+    def of(mean, bias, given):
+        numbers = float(mean), 1e-3, (0.0, np.inf), 0.0
+        return verdict(ResidualRow("here", "range", 50, *numbers, 1e-3, bias, given))
+
+    # Given as +20 m and kept, it leaves -40 m; estimated from a wide prior, it comes out as -20 m.
+    assert of(-0.036, (0.02, 0.0), 0.02).startswith(
+        "its bias is 20 m with the other sign; a bias of -36 m is"
+    )
+    assert of(0.0, (-0.0195, 1e-3), 0.02) == "its bias is 20 m with the other sign"
+    assert of(0.0, (0.0195, 1e-3), 0.02) == "fits"
+    assert "sign" not in of(-0.01, (0.02, 0.0), 0.02)
+
+
 def test_likeness_lowers_how_many_count():
     assert effective(100, 0.0) == 100
     assert effective(100, 0.5) == pytest.approx(100 / 3)
@@ -67,7 +81,7 @@ def test_a_setup_is_checked_with_the_place_of_what_is_wrong():
     }
     assert isinstance(setup_of(plain), OrbitSetup)
     for change, words in (
-        ({"start": None}, "start: expected keys with values; received None"),
+        ({"start": "here"}, "start: expected keys with values; received 'here'"),
         ({"noise": {"range": float("nan")}}, "noise.range: expected a standard deviation > 0; received nan"),
         ({"forces": {"drag": {"area_to_mass": 0.0}}}, "forces.drag.area_to_mass: expected float > 0"),
         ({"forces": {"drag": {"area_to_mass": 1.0, "sd": -1.0}}}, "forces.drag.sd: expected 0 "),

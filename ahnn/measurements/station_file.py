@@ -1,0 +1,152 @@
+"""Any number of ground stations in one YAML file: where they stand, what they see, their noise and biases.
+
+kiruna:
+latitude: 67.86            # degrees, geodetic
+longitude: 20.96
+height: 400                # m
+min_elevation: 10          # degrees
+noise: {range: 0.05, azimuth: 0.006, elevation: 0.006}     # km, degrees, km/s; what it measures
+bias: {range: 0.02}        # of what is measured, as it is known
+bias_sd: {range: 0.1}      # and to what; estimated
+troll: [-72.0, 2.5, 1270]    # latitude, longitude, height
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ahnn.arguments import Finite, check_arguments, nearest
+from ahnn.contents import read_plain
+from ahnn.errors import UserError
+from ahnn.measurements.angles import Differing
+from ahnn.measurements.base import Time
+from ahnn.measurements.ground_station import Degrees, GroundStation
+from ahnn.measurements.several import Several
+
+SEEN = ("range", "azimuth", "elevation", "range_rate")
+FACTORS = {"azimuth": math.pi / 180, "elevation": math.pi / 180}
+"""From the units of the file."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StationEntry:
+    """A station of a file.
+
+    Attributes:
+        latitude, longitude: geodetic, degrees.
+        height: m above the ellipsoid.
+        min_elevation: degrees below which it sees nothing.
+        noise: standard deviations by kind, km, degrees and km/s.
+        bias: known biases, likewise.
+        bias_sd: to what they are known, likewise.
+    """
+
+    latitude: Degrees
+    longitude: Finite
+    height: Finite = 0.0
+    min_elevation: Degrees = 0.0
+    noise: dict[str, float] = field(default_factory=dict)
+    bias: dict[str, float] = field(default_factory=dict)
+    bias_sd: dict[str, float] = field(default_factory=dict)
+
+    def numbers(self, kind: str, other: float = 0.0) -> list[float]:
+        """Return `noise`, `bias` or `bias_sd` of `SEEN`, km, rad and km/s; another number without one."""
+        given = getattr(self, kind)
+        return [given[name] * FACTORS.get(name, 1.0) if name in given else other for name in SEEN]
+
+
+def read_stations(path: str | Path) -> dict[str, StationEntry]:
+    """Return the stations of a file; raises UserError for what is none, with its place."""
+    return {name: entry_of(value, f"{path}: {name}") for name, value in read_plain(Path(path)).items()}
+
+
+def entry_of(value: Any, who: str) -> StationEntry:
+    """Return a station of plain values; raises UserError."""
+    if isinstance(value, list) and len(value) == 3:
+        value = dict(zip(("latitude", "longitude", "height"), value, strict=True))
+    if not isinstance(value, Mapping):
+        message = f"{who}: expected [latitude, longitude, height], degrees and m, or keys; received {value}"
+        raise UserError(message)
+    check_arguments(who, StationEntry, value)
+    entry = StationEntry(**value)
+    for kind in ("noise", "bias", "bias_sd"):
+        for name, number in getattr(entry, kind).items():
+            if name not in SEEN:
+                message = f"{who}.{kind}: expected {', '.join(SEEN)}; received {name!r}{nearest(name, SEEN)}"
+                raise UserError(message)
+            if not (math.isfinite(number) if kind == "bias" else number > 0):
+                wanted = "a number" if kind == "bias" else "a number > 0"
+                message = f"{who}.{kind}.{name}: expected {wanted}; received {number}"
+                raise UserError(message)
+    return entry
+
+
+class BiasedStation(Differing):
+    """A station of a file with its known biases: what it has a noise of is measured.
+
+    Args:
+        entry: of the file.
+        earth_angle: of the Greenwich meridian from the inertial x axis at t = 0, rad.
+        mass: of the satellite in kg.
+
+    Raises:
+        UserError: nothing that it measures.
+    """
+
+    def __init__(self, entry: StationEntry, earth_angle: float = 0.0, mass: float = 1.0) -> None:
+        kept = [k for k, name in enumerate(SEEN) if name in entry.noise]
+        if not kept:
+            message = f"noise: expected standard deviations of {', '.join(SEEN)}, or of some; received none"
+            raise UserError(message)
+        place = entry.latitude, entry.longitude, entry.height / 1e3
+        lowest = {"min_elevation": entry.min_elevation, "earth_angle": earth_angle}
+        self.station = GroundStation(*place, range_rate=True, mass=mass, **lowest)
+        self.kept, self.mass = kept, mass
+        self.names = tuple(SEEN[k] for k in kept)
+        self.units = tuple(self.station.units[k] for k in kept)
+        self.bias = [entry.numbers("bias")[k] for k in kept]
+        self.deviations = [entry.numbers("noise")[k] for k in kept]
+        self.bias_sd = [entry.numbers("bias_sd")[k] for k in kept]
+
+    def __call__(self, x: Tensor, t: Time) -> Tensor:
+        """Return the measurements (..., M) of the states x (..., D) at time t, in view or not."""
+        return self.station(x, t)[..., self.kept] + torch.tensor(self.bias).to(x)
+
+    def in_view(self, x: Tensor, t: Time) -> Tensor:
+        """Return whether the states x (..., D) stand at the least elevation or higher, (..., M) bool."""
+        return self.station.in_view(x, t)[..., self.kept]
+
+    def locate(self, y: Tensor, t: Time) -> Tensor:
+        """Return the positions (..., 3) in km that are seen as y (..., M); NaN unless all of them is seen."""
+        whole = y.new_full((*y.shape[:-1], len(SEEN)), torch.nan)
+        whole[..., self.kept] = y - torch.tensor(self.bias).to(y)
+        return self.station.locate(whole, t)
+
+
+class StationsOfFile(Several):
+    """The stations of a file, side by side.
+
+    Args:
+        file: of the stations, see `ahnn.measurements.station_file`.
+        earth_angle: of the Greenwich meridian from the inertial x axis at t = 0, rad; None is 0.
+        mass: of the satellite in kg.
+
+    Attributes:
+        deviations: standard deviations of all their numbers.
+
+    Raises:
+        UserError: no station, or what is none.
+    """
+
+    def __init__(self, file: str, earth_angle: float | None = None, mass: float = 1.0) -> None:
+        models = [BiasedStation(one, earth_angle or 0.0, mass) for one in read_stations(file).values()]
+        super().__init__(models)
+        self.file, self.mass = file, mass
+        self.deviations = [sd for model in models for sd in model.deviations]

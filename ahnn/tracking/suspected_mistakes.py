@@ -1,0 +1,180 @@
+"""Which mistake explains residuals that are no noise: what would fit if it were undone.
+
+Stations that stand elsewhere and angles in another unit are undone and fitted again. A turn of the Earth, as
+of UTC that is given for UT1, is one more unknown of the linearised measurements (a score test: Rao 1948);
+ranges, rates, azimuths and elevations turn with the stations and do not show it, as right ascensions do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import combinations
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ahnn.errors import TrainingError
+from ahnn.tracking.earth_rotation import EarthRotation
+from ahnn.tracking.formats.bulletin_b import EarthOrientation
+from ahnn.tracking.orbit_fit import LinearisedOrbit, OrbitProblem, linearised, orbit_fit, rows_of
+from ahnn.tracking.tracking_data import KINDS
+from ahnn.tracking.tracking_model import ANGLES
+
+Array = NDArray[np.float64]
+WIDE = 3.0
+"""Root mean square of residuals in standard deviations from which mistakes are looked for."""
+EXPLAINED = 0.2
+"""Fraction of it that is left where one is found."""
+MOST = 4
+"""Mistakes that are undone and fitted."""
+CERTAIN = 5.0
+"""Standard deviations of a turn of the Earth that is told."""
+RATE = 7.292115e-5
+"""Of the Earth, rad/s."""
+LARGEST = 1.0
+"""s that UT1 is from UTC at most; what is more is another mistake."""
+TURN = 0.1
+"""s by which the Earth is turned for a difference."""
+SAME = 1e-3
+"""s to which values of UT1 - UTC are the same."""
+DEGREE = np.pi / 180
+
+
+class Turned(NamedTuple):
+    """The Earth, turned further.
+
+    Attributes:
+        rotation: that is turned.
+        seconds: of UT1.
+    """
+
+    rotation: EarthRotation
+    seconds: float
+
+    def matrices(self, times: Array) -> Array:
+        """Return the matrices from GCRF to ITRF at times (T,), shape (T, 3, 3)."""
+        angle = RATE * self.seconds
+        turn = np.array([[np.cos(angle), np.sin(angle), 0], [-np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+        return turn @ self.rotation.matrices(times)
+
+
+def suspected_mistakes(
+    problem: OrbitProblem, point: LinearisedOrbit | None, rotation: EarthRotation
+) -> list[str]:
+    """Return sentences on what was likely mistaken; none where residuals are noise.
+
+    Args:
+        problem: that was fitted.
+        point: its solution; None where there is none.
+        rotation: of the Earth, as the problem has it.
+    """
+    found = [] if point is None else turn_of(problem, point, rotation)
+    if found or (point is not None and size_of(problem, point) < WIDE):
+        return found
+    limit = WIDE if point is None else max(WIDE / 2, EXPLAINED * size_of(problem, point))
+    for words, other in nearest_first(problem):
+        try:
+            fit = orbit_fit(replace(other, robust=False, noise_known=True))
+        except (TrainingError, np.linalg.LinAlgError):
+            continue
+        if size_of(other, fit.point) < limit:
+            return [words]
+    return []
+
+
+def size_of(problem: OrbitProblem, point: LinearisedOrbit) -> float:
+    """Return the root mean square of fitted residuals in standard deviations as they were given."""
+    return float(np.sqrt(np.mean(rows_of(problem, point, problem.noise).e ** 2)))
+
+
+def nearest_first(problem: OrbitProblem) -> list[tuple[str, OrbitProblem]]:
+    """Return the mistakes whose undoing brings measurements nearest to the path of the start, best first.
+
+    Others are not fitted: their paths go astray.
+    """
+
+    def distance(other: OrbitProblem) -> float:
+        e = rows_of(other, held_against(other, begin), problem.noise).e
+        return float(np.log1p(np.abs(e)).mean())
+
+    begin = linearised(problem, problem.unknowns.mean.copy())
+    ranked = [(distance(other), words, other) for words, other in undone(problem)]
+    nearer = sorted((one for one in ranked if one[0] < distance(problem)), key=lambda one: one[0])
+    return [(words, other) for _, words, other in nearer[:MOST]]
+
+
+def held_against(problem: OrbitProblem, point: LinearisedOrbit) -> LinearisedOrbit:
+    """Return other measurements, or stations, on the same path."""
+    residuals = problem.model.data.values - problem.model(point.arc).values
+    residuals[:, ANGLES] = (residuals[:, ANGLES] + np.pi) % (2 * np.pi) - np.pi
+    return point._replace(residuals=residuals)
+
+
+def undone(problem: OrbitProblem) -> Iterator[tuple[str, OrbitProblem]]:
+    """Yield problems in each of which one mistake is undone, and its words."""
+    model, data = problem.model, problem.model.data
+    angles = np.array([kind not in ("range", "range_rate") for kind in KINDS])
+    if np.isfinite(data.values[problem.used][:, angles]).any():
+        for factor, words in ((1 / DEGREE, "radians are taken for degrees"), (DEGREE, "degrees for radians")):
+            values = np.where(angles, data.values * factor, data.values)
+            other = model.of(model.stations, replace(data, values=values))
+            yield f"angles fit if multiplied by {factor:.4g}: {words}", replace(problem, model=other)
+    for a, b in combinations(range(len(data.stations)), 2):
+        places = list(model.stations)
+        places[a], places[b] = places[b], places[a]
+        words = f"{data.stations[a]} and {data.stations[b]} fit where the other stands: they are interchanged"
+        yield words, replace(problem, model=model.of(tuple(places), data))
+    for s, name in enumerate(data.stations):
+        used = problem.used & (data.station != s)
+        if len({*data.station[used].tolist()}) == len(data.stations) - 1 > 0:
+            words = f"without {name} the others fit: it stands elsewhere, or its measurements are of another"
+            yield words, replace(problem, used=used)
+
+
+def turn_of(problem: OrbitProblem, point: LinearisedOrbit, rotation: EarthRotation) -> list[str]:
+    """Return a sentence where the measurements say that the Earth is turned, else none."""
+    turned = problem.model.on(cast(Any, Turned(rotation, TURN)))
+    moved = (turned(point.arc).values - problem.model(point.arc).values) / TURN
+    moved[:, ANGLES] = ((moved[:, ANGLES] * TURN + np.pi) % (2 * np.pi) - np.pi) / TURN
+    rows = rows_of(problem, point, problem.noise)
+    seen = np.isfinite(point.residuals) & problem.used[:, None]
+    column = moved[seen] / rows.sd
+    free = problem.unknowns.free
+    precision = problem.unknowns.precision(problem.smooth)[np.ix_(free, free)]
+    normal = rows.by.T @ rows.by + precision
+    scale = 1 / np.sqrt(np.diagonal(normal))
+    known = np.linalg.solve(normal * scale * scale[:, None], scale * (rows.by.T @ column)) * scale
+    left = column - rows.by @ known
+    weight = float(column @ left)
+    if not weight > 0:
+        return []
+    seconds, before = float(left @ rows.e) / weight, float(rows.e @ rows.e)
+    after = before - seconds**2 * weight
+    sd = float(np.sqrt(max(after / len(rows.e), 1.0) / weight))
+    if not CERTAIN * sd < abs(seconds) < LARGEST:
+        return []
+    return [
+        f"directions fit if the Earth is turned by {seconds:+.4f} ± {sd:.1g} s of UT1: UTC given for UT1?"
+    ]
+
+
+def orientation_mistake(
+    used: EarthOrientation, known: EarthOrientation, rotation: EarthRotation
+) -> list[str]:
+    """Return a sentence where UT1 - UTC is another than the IERS has it, which most residuals do not show.
+
+    Args:
+        used: orientation of the Earth as it was given.
+        known: that of the IERS.
+        rotation: of the measurements.
+    """
+    day = rotation.day(0.5 * (rotation.first + rotation.last))
+    if not known.mjd[0] <= day <= known.mjd[-1]:
+        return []
+    ours, theirs = (float(np.interp(day, one.mjd, one.ut1_utc)) for one in (used, known))
+    if abs(ours - theirs) < SAME:
+        return []
+    words = f"UT1 - UTC is given as {ours:.4f} s, and the IERS has {theirs:.4f} s: UTC given for UT1?"
+    return [f"orientation: {words}"]
