@@ -58,6 +58,7 @@ def test_bands_that_are_too_narrow_are_refused_and_right_ones_are_not(width, ver
     assert "states, all trajectories: 60.0, 90.0, 100.0 % within 1, 2, 3 sigma, mean of 60 draws" in text
     assert f"along 600 independent directions errors are {width}.00" in text
     assert text.endswith(bands)
+    assert "ranks: too few draws to tell" in rank_table(scores(3))
 
 
 def test_uniformity_of_one_rank_is_exact():

@@ -19,6 +19,8 @@ from ahnn.evaluation.independent_directions import DirectionTest, together
 TIMES = ("a quarter", "half", "the end")
 REFUSED = 0.05
 """Probability, over all tests together, of refusing right bands."""
+DRAWS = 20
+"""Fewer say nothing of ranks that are not refused."""
 Score = Mapping[str, Mapping[str, Any]]
 """Numbers `uncertainty` and `forecast` of metrics.json."""
 
@@ -51,7 +53,8 @@ def rank_table(scores: Sequence[Score]) -> str:
     for name, (p, values) in every.items():
         lines.append(f"  {name:<26}{len(values):>7}{sum(values) / len(values):>8.2f}{p:>12.2g}")
     least = min(p for p, _ in every.values())
-    verdict = "uniform" if least * len(every) >= REFUSED else "not uniform"
+    enough = "uniform" if len(scores) >= DRAWS else "too few draws to tell"
+    verdict = enough if least * len(every) >= REFUSED else "not uniform"
     lines.append(f"ranks: {verdict}, least p {least:.2g} of {len(every)} tests")
     for name, part, key in (("states", "uncertainty", "coverage"), ("forecasts", "forecast", "states")):
         means = [sum(one[part][key][k] for one in scores) / len(scores) for k in range(len(NORMAL))]
