@@ -14,6 +14,7 @@ COMMANDS = f"""ahnn {__version__}: learn Hamiltonian dynamics, and assimilate me
   python -m ahnn.export      a trained model for other programs         --help
   python -m ahnn.reproduce   the tables of the paper                    --help
   python -m ahnn.benchmark   tasks of the field, published scores beside  --help
+  python -m ahnn.calibrate   are bands right over many draws?             --help
   python -m ahnn.data check  look data over before they are learned     --help
   python -m ahnn.orbit       an orbit from what stations measured       --help
   python -m ahnn.assimilate  filter a stream of measurements online     --help

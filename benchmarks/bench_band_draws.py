@@ -2,6 +2,8 @@
 
     python benchmarks/bench_band_draws.py RUN --draws 20
 
+With --anew trajectories are drawn again, too, the unseen ones among them.
+
 RUN is the folder of a training on simulated measurements. One training is one draw: its errors move together,
 and a band holds nearly all of them or few. So its measurements are drawn again on the same trajectories, from
 its weights functions take their steps to the optimum of these, and the new covariance is held against unseen
@@ -26,6 +28,7 @@ from ahnn.data import SplitData
 from ahnn.data.segments import whole
 from ahnn.evaluation.bands import banded
 from ahnn.evaluation.goodness_of_fit import explain
+from ahnn.evaluation.independent_directions import DirectionTest, together
 from ahnn.evaluation.make_case import make_case
 from ahnn.jobs.evaluating import robust_of
 from ahnn.rollouts import rollout
@@ -42,6 +45,7 @@ class Drawn(NamedTuple):
         chi_square: of unseen measurements, with its 95 % band.
         remaining, determined: squared length of the step that is left, and of the one that noise gives.
         held_out, own: factors on the covariance by validation, and chi-square of the training.
+        test: of the width of the bands along the independent directions of errors.
     """
 
     efficiency: float
@@ -52,6 +56,7 @@ class Drawn(NamedTuple):
     determined: float
     held_out: float
     own: float
+    test: DirectionTest
 
     @property
     def inside(self) -> bool:
@@ -59,11 +64,12 @@ class Drawn(NamedTuple):
         return self.band[0] <= self.chi_square <= self.band[1]
 
 
-def drawn(run: Run, seed: int) -> Drawn | None:
+def drawn(run: Run, seed: int, *, anew: bool) -> Drawn | None:
     """Return what the measurements of another seed lead to; None where they explain no trajectory."""
     cfg, robust = OmegaConf.create(run.config), robust_of(run)
     source = build_source(cfg)
     cfg.data.seed = seed
+    source = build_source(cfg) if anew else source
     data = SplitData(source, list(cfg.data.split), build_sensor(cfg, source))
     dynamics = copy.deepcopy(run.trained).requires_grad_(True)
     train, val = (whole(data.measured(split), data.instrument()) for split in ("train", "val"))
@@ -78,7 +84,7 @@ def drawn(run: Run, seed: int) -> Drawn | None:
     band = banded(case, found, rollout(learned, truth[:, 0], case.dt, truth.shape[1]))
     left = explain(learned, case.measured, robust)
     sizes = (found.about[name] for name in ("remaining", "determined", "held_out", "chi_square"))
-    return Drawn(band.efficiency[0], band.coverage, left.chi_square, left.band, *sizes)
+    return Drawn(band.efficiency[0], band.coverage, left.chi_square, left.band, *sizes, test=band.test)
 
 
 def main() -> None:
@@ -88,17 +94,19 @@ def main() -> None:
     parser.add_argument("run", type=Path)
     parser.add_argument("--draws", type=int, default=20)
     parser.add_argument("--first", type=int, default=1001, help="seed of the first draw")
+    parser.add_argument("--anew", action="store_true", help="draw trajectories again, too")
     args = parser.parse_args()
     run, draws = load(args.run), []
     for seed in range(args.first, args.first + args.draws):
-        one = drawn(run, seed)
+        one = drawn(run, seed, anew=args.anew)
         if one is None:
             print(f"{seed}: explains no trajectory", flush=True)
             continue
         draws.append(one)
         shares = ", ".join(f"{100 * share:5.1f}" for share in one.coverage)
         print(
-            f"{seed}: {one.efficiency:.2f} of the bound; {shares} %; chi-square {one.chi_square:.4f} "
+            f"{seed}: {one.efficiency:.2f} of the bound; {shares} %; {one.test.scatter:.2f} along "
+            f"{one.test.directions} directions; chi-square {one.chi_square:.4f} "
             f"({one.band[0]:.4f} to {one.band[1]:.4f}); left {one.remaining:.2g} of {one.determined:.0f}; "
             f"inflation {one.held_out:.3g} x {max(one.own, 1.0):.3g}",
             flush=True,
@@ -106,7 +114,10 @@ def main() -> None:
     means = torch.tensor([one.coverage for one in draws]).mean(0)
     efficiency = torch.tensor([one.efficiency for one in draws]).square().mean().sqrt()
     shares = ", ".join(f"{100 * share:.1f}" for share in means.tolist())
-    print(f"{len(draws)} draws: {efficiency:.2f} of the bound (rms); {shares} %", end="; ")
+    every = together([one.test for one in draws])
+    print(
+        f"{len(draws)} draws: {efficiency:.2f} of the bound (rms); {shares} %; {every.sentence()}", end="; "
+    )
     print(f"chi-square in its band in {sum(one.inside for one in draws)} of them")
 
 

@@ -96,6 +96,7 @@ ENTRIES = {
     "report",
     "reproduce",
     "benchmark",
+    "calibrate",
     "orbit",
     "fitting",
     "cli",
@@ -105,6 +106,7 @@ ENTRIES = {
 """The doors of the house: they may import every room, and no room imports them."""
 DOORS = [
     *("train", "evaluate", "predict", "export", "assimilate", "report", "reproduce", "benchmark", "orbit"),
+    "calibrate",
     "data/__main__",
 ]
 """What users call: a command line goes in, `cli` makes values of it, and `jobs` does what they say."""

@@ -6,31 +6,23 @@ import contextlib
 import json
 import logging
 import math
-import os
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
 from ahnn.arguments import Count
+from ahnn.cli.drawings import SCORE, appearing, finished, run_missing, score
 from ahnn.cli.early_stops import ended
 from ahnn.cli.pairs import divided, read_pairs
-from ahnn.contents import read_json
 from ahnn.errors import Occupied, TrainingError, UserError
 from ahnn.evaluation.terminal import show
-from ahnn.files import claimed, require_writable, whole_folder, write_atomically
+from ahnn.files import require_writable, write_atomically
 from ahnn.fitting import fit
 from ahnn.tasks import TASKS, Draw, FieldTask, Predict, table
 
 log = logging.getLogger("ahnn")
-SIGNALLED = 128
-"""Exit codes from here on are those of signals."""
-SCORE = "score.json"
-"""Of a training, in its folder beside the run."""
 
 
 @dataclass(frozen=True)
@@ -51,16 +43,6 @@ class DrawnTraining(NamedTuple):
     model: str
     draw: int
     folder: Path
-
-    @property
-    def finished(self) -> bool:
-        """Whether its score is there; the folder appears with it."""
-        return (self.folder / SCORE).is_file()
-
-    @property
-    def score(self) -> dict[str, float]:
-        """What was written of it."""
-        return read_json(self.folder / SCORE)
 
 
 def benchmark(arguments: list[str], usage: str) -> None:
@@ -118,34 +100,14 @@ def trainings(tasks: dict[str, FieldTask], asked: BenchmarkRequest) -> Iterator[
 
 def run(plan: list[DrawnTraining], asked: BenchmarkRequest) -> list[DrawnTraining]:
     """Train what is not finished, each in a process of its own; return what failed."""
-    left = [training for training in plan if not training.finished]
-    log.info("benchmark: %d trainings in %s, %d finished", len(plan), asked.output, len(plan) - len(left))
-    children: set[subprocess.Popen[bytes]] = set()
+    done = sum(map(finished, plan))
+    log.info("benchmark: %d trainings in %s, %d finished", len(plan), asked.output, done)
 
-    def start(training: DrawnTraining) -> bool:
-        words = [training.task, f"models=[{training.model}]", f"only={training.draw + 1}"]
-        child = subprocess.Popen(
-            [sys.executable, "-m", "ahnn.benchmark", *words, f"output='{asked.output}'"],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            env={**os.environ, "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "1")},
-        )
-        children.add(child)
-        said = child.communicate()[1].decode(errors="replace").strip().splitlines()
-        if child.returncode < SIGNALLED:  # who stopped it has said so
-            log.info("%s", said[-1] if said else f"{training.folder}: ended without a word")
-        return child.returncode == 0
+    def words(training: DrawnTraining) -> list[str]:
+        own = [training.task, f"models=[{training.model}]", f"only={training.draw + 1}"]
+        return ["ahnn.benchmark", *own, f"output='{asked.output}'"]
 
-    pool = ThreadPoolExecutor(asked.jobs)
-    try:
-        done = [*pool.map(start, left)]
-    except BaseException:
-        for child in children:
-            child.terminate()
-        raise
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-    return [training for training, well in zip(left, done, strict=True) if not well]
+    return run_missing(plan, words, asked.jobs)
 
 
 def one(training: DrawnTraining) -> None:
@@ -154,7 +116,7 @@ def one(training: DrawnTraining) -> None:
 
     task = TASKS[training.task]
     drawn = task.draw(training.draw)
-    with contextlib.suppress(Occupied), turn(training.folder), whole_folder(training.folder) as place:
+    with contextlib.suppress(Occupied), appearing(training.folder) as place:
         begun = time.process_time()
         own = (*drawn.options, f"data.split={list(drawn.split)}", f"seed={training.draw}")
         options = [*task.models[training.model], *own]
@@ -179,18 +141,10 @@ def scored(drawn: Draw, predict: Predict) -> dict[str, float]:
     return {name: math.inf if math.isnan(value) else value for name, value in found.items()}
 
 
-@contextlib.contextmanager
-def turn(folder: Path) -> Iterator[None]:
-    """Hold a training for this process; raises Occupied where another one works on it."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with claimed(folder.parent, f".{folder.name}.turn"):
-        yield
-
-
 def scores_of(name: str, plan: list[DrawnTraining]) -> dict[str, list[dict[str, float]]]:
     """Return what was scored on a task, by the name of the model."""
     found: dict[str, list[dict[str, float]]] = {}
     for training in plan:
-        if training.task == name and training.finished:
-            found.setdefault(training.model, []).append(training.score)
+        if training.task == name and finished(training):
+            found.setdefault(training.model, []).append(score(training))
     return found

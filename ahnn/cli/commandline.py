@@ -38,7 +38,7 @@ from ahnn.paths import conf_dir
 
 MODES = ("run", "multirun", "cfg", "info", "shell_completion")
 TEXTS = ("run", "pretrained", "ckpt", "weights", "name", "label", "start", "measurements", "state", "output")
-TEXTS += ("figure", "figures", "oem", "object", "system.path", "system.name", "system.gravity", "data.cache")
+TEXTS += ("figure", "figures", "oem", "object", "system.path", "system.name", "data.cache")
 """Keys that name files, folders or things."""
 LISTS = ("run", "system.path")
 """Those of them that take several."""

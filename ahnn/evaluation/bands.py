@@ -37,6 +37,7 @@ class Band(NamedTuple):
         expected: rms norms of the errors, of positions and of velocities, that they stand for.
         bound: the same from noise alone: the Cramer-Rao bound of the regularised parameters.
         efficiency: rms norms of the errors in units of that bound.
+        single: errors of the first trajectory at a quarter, half and all of its time, in standard deviations.
     """
 
     deviations: Tensor
@@ -45,6 +46,7 @@ class Band(NamedTuple):
     expected: tuple[float, float]
     bound: tuple[float, float]
     efficiency: tuple[float, float]
+    single: tuple[tuple[float, ...], ...]
 
     def sentence(self, space: Space) -> str:
         """Return the finding as a note under the table."""
@@ -62,7 +64,9 @@ class Band(NamedTuple):
 
     def numbers(self) -> dict[str, Any]:
         """Return plain values for metrics.json."""
-        found = {name: list(getattr(self, name)) for name in ("coverage", "expected", "bound", "efficiency")}
+        found = {
+            name: list(getattr(self, name)) for name in self._fields if name not in ("deviations", "test")
+        }
         normal = {"sigmas": list(SIGMAS), "of_normal_errors": list(NORMAL)}
         return {**normal, **found, "test": self.test.numbers()}
 
@@ -97,6 +101,7 @@ def banded(case: Case, uncertainty: Uncertainty, prediction: Tensor) -> Band:
         expected=norms(deviations.where(there, torch.nan), case.space.divisor),
         bound=bound,
         efficiency=(real[0] / bound[0], real[1] / bound[1]),
+        single=tuple(tuple((off / deviations)[0, samples * k // 4 - 1].tolist()) for k in (1, 2, 4)),
     )
 
 

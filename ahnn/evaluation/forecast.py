@@ -40,6 +40,7 @@ class Forecast(NamedTuple):
         lost: trajectories whose first half no start fits, which do not count in the others.
         trajectories: how many were tried.
         outliers: share of the measured numbers ahead that were taken for outliers and left out.
+        single: errors of the last true state of the first trajectory, in standard deviations.
     """
 
     coverage: tuple[float, ...]
@@ -50,6 +51,7 @@ class Forecast(NamedTuple):
     lost: int
     trajectories: int
     outliers: float = 0.0
+    single: tuple[float, ...] | None = None
 
     def sentence(self) -> str:
         """Return the finding as a note under the table."""
@@ -118,7 +120,7 @@ def forecast(
     causes = forecast_columns(dynamics, states, steps, here, early, spread, part.whitening)
     variances = Variances.of(causes, here.of_state, there, spread.shape[1])
     standard = variances.states.sqrt()
-    of_true = None if true is None else shares(((states[:, steps.ends] - true) / standard)[there])
+    off_true = None if true is None else (states[:, steps.ends] - true) / standard
     ahead, total = later & ~part.values.isnan(), 1 + variances.values
     off, width = (part.residuals(states[:, steps.ends]) / total.sqrt())[ahead], total[ahead]
     counted = torch.ones_like(off, dtype=torch.bool) if robust == "none" else ~(off.abs() > OUTLYING)
@@ -126,11 +128,12 @@ def forecast(
         coverage=shares(off[counted]),
         width=float(width[counted].nanmean().sqrt()),
         parameters=float((variances.parameters / variances.states)[ahead.any(-1)].nanmean()),
-        states=of_true,
+        states=None if off_true is None else shares(off_true[there]),
         right=middle(variances.within / int(there.sum())),
         lost=int((~met).sum()),
         trajectories=len(met),
         outliers=1 - float(counted.double().mean()),
+        single=None if off_true is None else tuple(off_true[0, -1].tolist()),
     )
 
 

@@ -7,7 +7,7 @@ errors e are z = v^T W^T e / s^2 ~ N(0, 1), independently: the sum of z^2 over k
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import torch
@@ -73,6 +73,13 @@ def direction_test(parts: Iterable[tuple[Tensor, Tensor]]) -> DirectionTest:
         matrix = matrix + (rows.mT @ rows).double()
         pull = pull + (rows.mT @ (errors[seen] / sd[seen].squeeze(-1)).to(rows)).double()
     return scatter_of(matrix, pull)
+
+
+def together(tests: Sequence[DirectionTest]) -> DirectionTest:
+    """Return one test of several trainings that are independent of each other."""
+    count = sum(test.directions for test in tests)
+    squares = sum(test.directions * test.scatter**2 for test in tests)
+    return DirectionTest(count, (squares / count) ** 0.5)
 
 
 def scatter_of(matrix: Tensor, pull: Tensor) -> DirectionTest:

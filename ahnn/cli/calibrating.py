@@ -1,0 +1,121 @@
+"""From a command line to trainings on draws of truth, noise and weights, and the test of their bands."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import math
+import random
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+from ahnn.arguments import Count, Within
+from ahnn.cli.drawings import SCORE, appearing, finished, run_missing, score
+from ahnn.cli.early_stops import ended
+from ahnn.cli.pairs import read_pairs
+from ahnn.errors import Occupied, TrainingError, UserError
+from ahnn.evaluation.rank_test import rank_figure, rank_table
+from ahnn.evaluation.results import load_results
+from ahnn.evaluation.terminal import show
+from ahnn.files import require_writable, write_atomically
+
+log = logging.getLogger("ahnn")
+FIGURE = "calibration.png"
+OWN = ("plugins=none", "evaluation=scores", "logger=none")
+
+
+@dataclass(frozen=True)
+class CalibrationRequest:
+    """What a command asks for beside the training."""
+
+    draws: Count = 20
+    spread: Annotated[float, Within(0, 1)] = 0.1
+    jobs: Count = 1
+    output: str = "runs/calibration"
+    only: Count | None = None  # this draw alone, counted from 1: what the command starts
+
+
+class CalibrationDraw(NamedTuple):
+    """One draw: its number, counted from 1, and where it is."""
+
+    number: int
+    folder: Path
+
+
+def calibrate(arguments: list[str]) -> None:
+    """Train on what is not finished, and show and draw the test of all draws.
+
+    Raises:
+        UserError: a training that does not compose, or not one on measurements of a system.
+        TrainingError: some trainings failed; the others are in the table.
+    """
+    keys = {field.name for field in fields(CalibrationRequest)}
+    own = [text for text in arguments if text.partition("=")[0] in keys]
+    overrides = [text for text in arguments if text not in own]
+    asked = read_pairs(own or ["jobs=1"], CalibrationRequest, "")
+    numbers = range(1, asked.draws + 1) if asked.only is None else [asked.only]
+    plan = [CalibrationDraw(number, Path(asked.output, f"draw_{number}")) for number in numbers]
+    if asked.only is not None:
+        one(plan[0], overrides, asked.spread)
+        return
+    constants_of(overrides, asked.spread, 1)
+    require_writable(Path(asked.output))
+
+    def words(draw: CalibrationDraw) -> list[str]:
+        here = [f"only={draw.number}", f"spread={asked.spread}", f"output='{asked.output}'"]
+        return ["ahnn.calibrate", *overrides, *here]
+
+    log.info("calibrate: %d draws in %s, %d finished", len(plan), asked.output, sum(map(finished, plan)))
+    with ended(lambda: "the same command goes on where it was stopped"):
+        failed = run_missing(plan, words, asked.jobs)
+    if scores := [score(draw) for draw in plan if finished(draw)]:
+        show(rank_table(scores))
+        rank_figure(scores).savefig(Path(asked.output, FIGURE), dpi=120)
+    if failed:
+        places = ", ".join(str(draw.number) for draw in failed)
+        message = f"calibrate: {len(failed)} of {len(plan)} trainings failed, see above: draw {places}"
+        raise TrainingError(message)
+
+
+def constants_of(overrides: list[str], spread: float, number: int) -> list[str]:
+    """Return the constants of the system in a draw, as overrides; raises UserError as `calibrate`."""
+    from ahnn.cli.compose import compose_job
+    from ahnn.cli.parts import build_sensor, build_source
+
+    cfg = compose_job([*overrides, *OWN], Path("unused"))
+    source = build_source(cfg)
+    if source.truth is None or build_sensor(cfg, source) is None:
+        message = (
+            "calibrate: expected measurements of a system, drawn anew; received exact states or files. "
+            "Add sensor= or data.noise=, such as experiment=spring_noisy"
+        )
+        raise UserError(message)
+    drawn = random.Random(number)
+    names = type(source.truth).constants if spread else ()
+    return [f"system.{name}={cfg.system[name] * math.exp(spread * drawn.gauss(0, 1))}" for name in names]
+
+
+def one(draw: CalibrationDraw, overrides: list[str], spread: float) -> None:
+    """Train and test in this process; the folder appears when both are done."""
+    from ahnn.cli.compose import compose_job
+    from ahnn.cli.preflight import quiet
+    from ahnn.cli.settings import check_settings
+    from ahnn.cli.training import train_once
+
+    constants = constants_of(overrides, spread, draw.number)
+    texts = [*overrides, *OWN, *constants, f"seed={draw.number}", f"data.seed={draw.number}"]
+    with contextlib.suppress(Occupied), appearing(draw.folder) as place:
+        cfg = compose_job(texts, place / "run")
+        quiet()
+        check_settings(cfg)
+        train_once(cfg, None, texts)
+        found = load_results(place / "run").numbers
+        if "uncertainty" not in found or "forecast" not in found:
+            message = f"calibrate: draw {draw.number} ended without bands"
+            raise TrainingError(message)
+        write_atomically(
+            place / SCORE, json.dumps({key: found[key] for key in ("uncertainty", "forecast")}).encode()
+        )
+        log.info("draw %d: finished", draw.number)

@@ -1,0 +1,88 @@
+"""Drawings of a study: a process for each, side by side, and a folder that appears with its score."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from ahnn.contents import read_json
+from ahnn.files import claimed, whole_folder
+
+log = logging.getLogger("ahnn")
+SIGNALLED = 128
+"""Exit codes from here on are those of signals."""
+SCORE = "score.json"
+"""Of a drawing, in its folder beside the run."""
+
+
+class Drawing(Protocol):
+    """One training among many."""
+
+    @property
+    def folder(self) -> Path:
+        """Where its run and its score are."""
+        ...
+
+
+D = TypeVar("D", bound=Drawing)
+
+
+def finished(drawing: Drawing) -> bool:
+    """Return whether the score is there; the folder appears with it."""
+    return (drawing.folder / SCORE).is_file()
+
+
+def score(drawing: Drawing) -> dict[str, Any]:
+    """Return what was written of a drawing."""
+    return read_json(drawing.folder / SCORE)
+
+
+def run_missing(plan: Sequence[D], words: Callable[[D], list[str]], jobs: int) -> list[D]:
+    """Run what is not finished, each in a process of its own; return what failed.
+
+    Args:
+        plan: all drawings.
+        words: what follows `python -m` for one of them.
+        jobs: processes at a time.
+    """
+    left = [drawing for drawing in plan if not finished(drawing)]
+    children: set[subprocess.Popen[bytes]] = set()
+
+    def start(drawing: D) -> bool:
+        child = subprocess.Popen(
+            [sys.executable, "-m", *words(drawing)],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            env={**os.environ, "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "1")},
+        )
+        children.add(child)
+        said = child.communicate()[1].decode(errors="replace").strip().splitlines()
+        if child.returncode < SIGNALLED:  # who stopped it has said so
+            log.info("%s", said[-1] if said else f"{drawing.folder}: ended without a word")
+        return child.returncode == 0
+
+    pool = ThreadPoolExecutor(jobs)
+    try:
+        done = [*pool.map(start, left)]
+    except BaseException:
+        for child in children:
+            child.terminate()
+        raise
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+    return [drawing for drawing, well in zip(left, done, strict=True) if not well]
+
+
+@contextlib.contextmanager
+def appearing(folder: Path) -> Iterator[Path]:
+    """Yield a folder to write into, which appears whole under its name; raises Occupied in another's turn."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with claimed(folder.parent, f".{folder.name}.turn"), whole_folder(folder) as place:
+        yield place
