@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from ahnn.data.files.optional_libraries import library
+from ahnn.optional_libraries import library
 from ahnn.data.files.parquet import cells
 from ahnn.data.files.table import Place
 from ahnn.errors import UserError

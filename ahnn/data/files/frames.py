@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ahnn.data.files import epochs
 from ahnn.data.files.content import Content
 from ahnn.data.files.frame_names import CENTRES, INERTIAL, NAMES, SIDECAR, known
-from ahnn.data.files.optional_libraries import library
+from ahnn.optional_libraries import library
 from ahnn.data.files.samples import Array, Track
 from ahnn.data.files.table import Place
 from ahnn.data.files.units import LENGTH, unit

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ahnn.data.files.optional_libraries import library
+from ahnn.optional_libraries import library
 from ahnn.data.files.table import Note, Place, Remark, Sheet, header_of, refuse
 
 INDEX = "__index_level_"
