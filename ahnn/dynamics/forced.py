@@ -83,7 +83,7 @@ class Forced(nn.Module):
         return any(force.potential(at) is None for force in self.parts)
 
     def fit(self, statistics: Statistics) -> None:
-        """Set all constants from the training split, those of H and learned forces from what known ones leave."""
+        """Set all constants from the training split: what is learned, from what known forces leave."""
         left = statistics
         if self.known:
             at = Instant(

@@ -102,7 +102,7 @@ class Network(nn.Module, ABC):
 
 @torch.no_grad()
 def silence(module: nn.Module) -> None:
-    """Set the outputs of all networks in a module to zero everywhere: their last layers, which learn first."""
+    """Set the outputs of all networks in a module to zero: their last layers, which learn first."""
     for network in module.modules():
         if isinstance(network, Network):
             for parameter in network.output.parameters():

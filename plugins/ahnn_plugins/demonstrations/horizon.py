@@ -161,7 +161,7 @@ class Horizon:
 
 
 def predicted(flow: Flow, starts: Tensor, case: Case, samples: int) -> Tensor:
-    """Return the first samples (R, K, 6) that follow from starts (R, 6), those of all B trajectories in turn."""
+    """Return what follows, (R, K, 6), from starts (R, 6), those of all B trajectories again and again."""
     turns = len(starts) // len(case.test.times)
     clock = case.test.clock(clock_of(flow))
     rows = torch.arange(len(case.test.times)).repeat(turns)
