@@ -77,7 +77,7 @@ class ThirdBodies(Force):
         self.begin, self.spacing, self.own = span[0] - MARGIN * spacing, spacing, own
         self.nodes = int((span[1] - span[0]) / spacing) + 2 * MARGIN + 2
         # No buffers: they keep all their digits in any precision of the weights.
-        times = (self.begin + spacing * np.arange(self.nodes)) / day
+        times = np.asarray((self.begin + spacing * np.arange(self.nodes)) / day, dtype=np.float64)
         ephemeris = opened([center, *bodies], epoch, times)
         unit = (ephemeris.AU / length) ** 3 / day**2
         strengths = [mass * unit * parameter(ephemeris, name) for name in bodies]
