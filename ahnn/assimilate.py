@@ -14,11 +14,14 @@ output=FILE         estimate and covariance after each line, CSV or JSON lines; 
 state=FILE          saved every 1000 lines (every=N); the same command goes on with it after any stop
 objects=COLUMN      whose a line is: many objects, each as if alone; start is a table of their states by id,
                     or one for all; every=N lines are taken together (100,000); Parquet in and out
+shard=2/8           of objects those of the second of eight workers, by their names
 states=FILE         of objects, at the end: their last states, a start of ahnn.predict: .csv, .parquet, .oem
 window=SECONDS      late measurements are merged by replay; lines=N are kept for that at most
 measurement=NAME    what is measured; of several sensors: +measurement@sensors.NAME=OPTION for each
 measurement.bias_sd=NUMBER      its bias is estimated; bias_memory=TIME lets it wander; or of sensors.NAME
-plugins=NAME        the filter; plugins.ukf.gate=0.9999 refuses outliers, plugins.ukf.process_noise is Q
+plugins=NAME        the filter; plugins.ukf.process_noise is Q
+gate=0.999999       refuses what is less probable; opens again after plugins.ukf.patience=5 refusals in a row;
+                    gate=none takes all
 watch=true          a live view of state, 3 sigma, innovations and NIS on standard error; or --watch
 figures=FOLDER      innovations, consistency and deviations at the end
 oem=FILE            .oem or .xml: an ephemeris message at the end, of object=NAME

@@ -21,7 +21,7 @@ def substeps(gap: TimeStep, longest: float) -> int:
         longest: length of a step, infinite for one step.
     """
     length = float(gap.abs().nan_to_num().max()) if isinstance(gap, Tensor) else abs(gap)
-    return max(1, math.ceil(length / longest - SLACK))
+    return 1 if math.isnan(length) else max(1, math.ceil(length / longest - SLACK))
 
 
 def substeps_of_each(gaps: Tensor, longest: float) -> Tensor:

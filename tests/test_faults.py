@@ -140,6 +140,7 @@ ODD = ("MPLBACKEND=nonsense", "RANK=x", "TORCH_LOGS=")
 
 
 @pytest.mark.parametrize("odd", [*ODD, pytest.param("LOCAL_RANK=x", marks=pytest.mark.slow)])
+@pytest.mark.sampled(3)
 def test_a_library_that_cannot_be_imported_is_one_message(tmp_path, monkeypatch, odd):
     monkeypatch.setenv(*odd.split("="))
     job = started(tmp_path, *FIRST, f"run={tmp_path / 'run'}")

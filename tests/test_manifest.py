@@ -137,6 +137,7 @@ def test_threads_share_a_manifest(tmp_path):
 @pytest.mark.parametrize(
     "made", ["figures/mine.png", "config.yaml", "metrics.json", "predictions.safetensors", "notes.txt"]
 )
+@pytest.mark.sampled(2)
 def test_a_training_takes_no_folder_of_somebody_else(tmp_path, monkeypatch, capsys, made):
     folder = tmp_path / "proj"
     (folder / made).parent.mkdir(parents=True)

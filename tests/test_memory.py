@@ -32,6 +32,7 @@ print((faults() - before) * resource.getpagesize() / 8 / 8_000_000)
 
 @pytest.mark.skipif(not hasattr(os, "confstr"), reason="glibc alone keeps freed memory on request")
 @pytest.mark.parametrize(("tuned", "tensors"), [({}, (0, 0.1)), ({"MALLOC_TRIM_THRESHOLD_": "0"}, (9, 11))])
+@pytest.mark.sampled(2)
 def test_tensors_take_the_pages_of_those_before_unless_the_user_tunes_it(tuned, tensors):
     run = subprocess.run(
         [sys.executable, "-c", PAGES], env=os.environ | tuned, capture_output=True, text=True, check=True

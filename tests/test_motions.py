@@ -137,7 +137,8 @@ def test_a_known_force_stands_beside_a_learned_one(tmp_path, monkeypatch):
 def test_known_physics_stays_the_result_where_no_later_weights_are_better(tmp_path, stiffness, better):
     """The system's own spring leaves nothing to learn; one that is too soft does."""
     spring = ["hamiltonian=mechanical", "forces=springs", f"model.forces.springs.stiffness={stiffness}"]
-    run = trained(tmp_path / "run", *spring, "callbacks.rollout.count=5", "callbacks.best.monitor=val/rollout")
+    judged = ["callbacks.rollout.count=5", "callbacks.best.monitor=val/rollout"]
+    run = trained(tmp_path / "run", *spring, *judged)
     x = torch.tensor([[0.3, 0.1]], dtype=torch.float64)
     learned = float(run.dynamics.field.hamiltonian(x)[0, 1])
     assert learned == pytest.approx(-0.3, abs=0.05) if better else learned == 0.0
@@ -151,6 +152,7 @@ TRIED = [pytest.param(name, marks=pytest.mark.slow if name == "particle" else ()
 
 
 @pytest.mark.parametrize("name", TRIED)
+@pytest.mark.sampled(3)
 def test_filters_follow_a_force_that_depends_on_time(name):
     """Exact dynamics: errors are those that the filter believes; a flow that stands still in time is off."""
     system = ForcedOscillator(name="f", dt=0.05, steps=200)
@@ -175,6 +177,7 @@ def test_filters_follow_a_force_that_depends_on_time(name):
 
 
 @pytest.mark.parametrize("name", TRIED)
+@pytest.mark.sampled(2)
 def test_filters_follow_controls_that_are_known(name):
     """Each member has controls of its own, and those of another lead it astray."""
     system = PushedSpring(name="p", dt=0.05, steps=200)

@@ -55,6 +55,7 @@ def tensors(path: Path) -> ahnn.Trajectories:
 
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("padded", [False, True])
+@pytest.mark.sampled(5)
 def test_training_sees_the_same(tmp_path, case, padded):
     columns, noise, asked = CASES[case]
     data = table(tmp_path / "swings.csv", columns, noise)

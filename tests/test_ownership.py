@@ -144,6 +144,7 @@ def test_alternatives_of_a_choice_set_the_same_keys():
 @pytest.mark.parametrize(
     "named", [*BUNDLES, *ROUNDS], ids=lambda named: ",".join(map("=".join, named.items()))
 )
+@pytest.mark.sampled(3)
 def test_every_key_and_choice_of_every_option_holds_with_every_budget(named, budget):
     named = {"budget": budget} | named
     cfg = composed(*(f"{name}={value}" for name, value in named.items()))
@@ -156,6 +157,7 @@ def test_every_key_and_choice_of_every_option_holds_with_every_budget(named, bud
 
 
 @pytest.mark.parametrize(("one", "other"), CROSSED)
+@pytest.mark.sampled(2)
 def test_two_options_hold_together(one, other):
     cfg = composed("=".join(one), "=".join(other))
     require(cfg, *one)

@@ -19,6 +19,7 @@ def ended(command, stdout, **options):
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+@pytest.mark.sampled(3)
 def test_a_reader_that_has_gone_ends_a_command_quietly(command):
     read, write = os.pipe()
     os.close(read)
@@ -30,6 +31,7 @@ def test_a_reader_that_has_gone_ends_a_command_quietly(command):
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+@pytest.mark.sampled(3)
 def test_a_full_disk_behind_standard_output_is_one_message(command):
     with Path("/dev/full").open("w") as full:
         code, told = ended(command, full)

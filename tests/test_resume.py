@@ -88,6 +88,7 @@ def uninterrupted(request, tmp_path_factory):
 
 
 @pytest.mark.parametrize("cut", CUTS)
+@pytest.mark.sampled(3)
 def test_a_cut_training_ends_with_the_same_bits(uninterrupted, tmp_path, cut):
     cfg, whole = uninterrupted
     folder = tmp_path / "cut"

@@ -19,6 +19,7 @@ FIRST = [*SMALL, "recipe=first_order", "evaluation=scores"]
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+@pytest.mark.sampled(2)
 def test_a_scheduler_that_ends_a_training_loses_nothing(tmp_path, number, code):
     run = [*FIRST, "trainer.max_epochs=2000", "callbacks.last.every=100000", f"run={tmp_path / 'run'}"]
     job = started(tmp_path, *run)

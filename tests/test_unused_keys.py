@@ -45,6 +45,7 @@ def command(given):
 
 
 @pytest.mark.parametrize("given", UNREAD)
+@pytest.mark.sampled(2)
 def test_a_key_without_effect_is_refused_with_the_reason(given, tmp_path, capfd):
     assert call("ahnn.train", *command(given.split()), f"run={tmp_path / 'run'}") == 2
     err = capfd.readouterr().err

@@ -14,6 +14,7 @@ from ahnn.assimilation.catalogue import Catalogue
 from ahnn.assimilation.catalogue_rows import CatalogueRows
 from ahnn.assimilation.line_parser import Layout
 from ahnn.assimilation.lines import Lines
+from ahnn.assimilation.object_shard import ObjectShard
 from ahnn.assimilation.parquet_stream import ParquetParts, ParquetRows
 from ahnn.assimilation.reading_table import FATES, CatalogueEstimates
 from ahnn.assimilation.stream_clock import StreamClock
@@ -30,7 +31,7 @@ NAMED = 1000
 
 
 class CatalogueSession(StreamSession):
-    """The stream of many objects; arguments as of `StreamSession`, and the column that names the object.
+    """The stream of many objects; arguments as of `StreamSession`, the column that names the object, and a shard.
 
     A state is saved behind each table, so that a restart takes the same tables: with them come the same bits.
     """
@@ -49,8 +50,9 @@ class CatalogueSession(StreamSession):
         clock: StreamClock | None = None,
         *,
         objects: str,
+        shard: ObjectShard = ObjectShard(),  # noqa: B008 - a tuple
     ) -> None:
-        self.objects, self.unknown = objects, set[str]()
+        self.objects, self.shard, self.unknown = objects, shard, set[str]()
         super().__init__(filtering, lines, rows, output, state, every, clock)
 
     def run(self) -> None:
@@ -62,7 +64,7 @@ class CatalogueSession(StreamSession):
         """
         try:
             for parsed in self._tables():
-                self._take(parsed)
+                self._take(self.shard.lines(parsed))
                 self._count()
                 self._save()
             self._end()
@@ -145,6 +147,7 @@ WORDS = {
     "repeated": "was counted before: not counted again",
     "ahead": "lies further ahead than a gap may be: not counted",
     "rejected": "rejected by the gate",
+    "reopened": "reopened the gate, which had refused those before it: its covariance was widened",
 }
 
 

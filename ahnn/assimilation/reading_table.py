@@ -15,11 +15,11 @@ Fate = Outcome | Literal["bad", "lost", "unknown"]
 """What became of a reading: as of one object, or it left no finite estimate, its object is lost, or there is
 no such object."""
 FATES: tuple[Fate, ...] = (
-    *("taken", "rejected", "predicted", "repeated", "late", "ahead"),
+    *("taken", "reopened", "rejected", "predicted", "repeated", "late", "ahead"),
     *("bad", "lost", "unknown"),
 )
 """In the order of the numbers that stand for them."""
-COUNTED = 3
+COUNTED = 4
 """Of so many at the front a row goes out."""
 
 Array = NDArray[np.float64]

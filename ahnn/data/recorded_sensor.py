@@ -13,6 +13,8 @@ class Recorded(Sensor):
     The truth is not known, of test trajectories neither.
     """
 
+    draws = False
+
     def measure(self, truth: Trajectories, part: int) -> Observations:
         """Return the recorded values (B, T, M), NaN where one is missing; angles go on over turns."""
         del part

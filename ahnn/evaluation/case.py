@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from ahnn.integrators import Integrator
-from ahnn.measurements import Segment
+from ahnn.measurements import NoiseEstimate, Segment
 from ahnn.metrics import Scores, score
 from ahnn.shooting.robust import RobustName
 from ahnn.systems import System
@@ -54,6 +54,7 @@ class Case:
         novelty: distance (...) of states (..., D) from the training data, where it is known.
         fitted: (B, D) starts from which the model meets the measurements of the test trajectories best, where
             nothing else is known of these: then `test` holds measurements, NaN in what is not measured.
+        noise: of the measurements, where the training estimated any.
         remark: what the reader must know of the test trajectories; "" where they are those of the training.
     """
 
@@ -76,6 +77,7 @@ class Case:
     uncertainty: Uncertainty | None = None
     novelty: Callable[[Tensor], Tensor] | None = None
     fitted: Tensor | None = None
+    noise: NoiseEstimate | None = None
     remark: str = ""
 
     def starts(self) -> dict[Start, Tensor]:
@@ -153,6 +155,8 @@ class Findings:
 
     Attributes:
         notes: findings without a row of their own, which go to the first one of the evaluation.
+        faults: findings that ask for a remedy, for the verdict.
+        highlights: further findings for the verdict.
     """
 
     rows: list[Row] = field(default_factory=list)
@@ -160,11 +164,15 @@ class Findings:
     arrays: dict[str, Tensor] = field(default_factory=dict)
     figures: dict[str, Figure] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)
+    highlights: list[str] = field(default_factory=list)
 
-    def tell(self, finding: str) -> None:
-        """Add a finding to the note of the first row; "" adds nothing."""
+    def tell(self, finding: str, also: list[str] | None = None) -> None:
+        """Add a finding to the note of the first row, and to `faults` or `highlights`; "" adds nothing."""
         row = self.rows[0]
         self.rows[0] = row._replace(note="\n".join(part for part in (row.note, finding) if part))
+        if also is not None and finding:
+            also.append(finding)
 
 
 @runtime_checkable

@@ -7,12 +7,10 @@ import math
 import time
 
 from ahnn.checkpoints import read_checkpoint, require_same
-from ahnn.dynamics.scaling import remark_on_scale
 from ahnn.files import write_atomically
 from ahnn.jobs.prepared import Prepared
 from ahnn.loading import load
 from ahnn.models import AbstractModel
-from ahnn.statistics import Statistics
 from ahnn.training.cuda_graph import RecordedStep, can_record
 from ahnn.training.runtime_estimate import expected_seconds
 from ahnn.uncertainty import find_domain
@@ -23,11 +21,11 @@ log = logging.getLogger("ahnn")
 def fit(prepared: Prepared) -> float:
     """Train and return the seconds that the steps took."""
     trainer = prepared.trainer
-    statistics = calibrate(prepared)
+    calibrate(prepared)
     if prepared.model.dynamics.begins_known and prepared.checkpoint is None:
         trainer.num_sanity_val_steps = math.inf  # known physics is the first candidate for the best weights
     if trainer.is_global_zero:
-        announce(prepared, statistics)
+        announce(prepared)
         # What cannot take a step has been refused.
         write_atomically(prepared.folder / "config.yaml", prepared.config)
     started = time.monotonic()
@@ -35,8 +33,8 @@ def fit(prepared: Prepared) -> float:
     return time.monotonic() - started
 
 
-def calibrate(prepared: Prepared) -> Statistics:
-    """Fit a model's scalings to the training split, whose statistics are returned, and note what it is."""
+def calibrate(prepared: Prepared) -> None:
+    """Fit a model's scalings to the training split, and note what it is."""
     data, model, trainer = prepared.data, prepared.model, prepared.trainer
     statistics = data.statistics()
     model.calibrate(statistics)
@@ -49,7 +47,6 @@ def calibrate(prepared: Prepared) -> Statistics:
     model.learns_from(dt=dt, domain=domain, seen=data.splits.seen())
     if prepared.recorded and can_record(trainer, model):
         model.step_by(RecordedStep(len(data.train_dataloader().batches()[0])))
-    return statistics
 
 
 def begin_at(model: AbstractModel, run: str) -> None:
@@ -63,12 +60,10 @@ def begin_at(model: AbstractModel, run: str) -> None:
     model.dynamics.load_state_dict(trained.state_dict())
 
 
-def announce(prepared: Prepared, statistics: Statistics) -> None:
+def announce(prepared: Prepared) -> None:
     """Say what is odd about the data, how many optimiser steps are left, and about how long they take."""
     data, model, trainer = prepared.data, prepared.model, prepared.trainer
-    scaling = model.about["settings"]["model"].get("scaling")
-    scaled = remark_on_scale(scaling, statistics.minimum, statistics.maximum, data.source.space.components)
-    for remark in filter(None, (data.remark(), scaled)):
+    if remark := data.remark():
         log.warning(remark)
     done = 0 if prepared.checkpoint is None else read_checkpoint(prepared.checkpoint)["global_step"]
     per_epoch = -(-len(data.train_dataloader()) // trainer.accumulate_grad_batches)

@@ -62,20 +62,26 @@ class OblateFlow:
         """Return the states (B, 6) after dt."""
         if not (numbers_alone(x, dt) and x.shape[1] == 6) or library() is None:
             return self.flow(x, dt)
-        x, h = x.contiguous(), torch.as_tensor(dt, dtype=torch.float64).contiguous()
-        if h.numel() == 1:
-            return self._followed(x, h, substeps(h, self.longest))
+        x = x.contiguous()
+        if not isinstance(dt, Tensor) or dt.numel() == 1:
+            count = substeps(float(dt), self.longest)
+            return self._followed(x, torch.tensor(float(dt) / count, dtype=torch.float64), count)
+        h = dt.to(torch.float64).contiguous()
         counts = substeps_of_each(h.abs().nan_to_num(), self.longest)
         if bool((counts != counts[0]).any()):  # each its own, whoever is beside it
             out = torch.empty_like(x)
             for count in counts.unique():
-                out[counts == count] = self._followed(x[counts == count], h[counts == count], int(count))
+                own = counts == count
+                out[own] = self._followed(x[own], h[own] / count, int(count))
             return out
-        return self._followed(x, h, int(counts.flatten()[0]))
+        return self._followed(x, h / counts[0], int(counts[0]))
 
     def _followed(self, x: Tensor, h: Tensor, count: int) -> Tensor:
-        """Return the states (B, 6) after steps h, () or (B,), each of `count` parts."""
-        out, h = torch.empty_like(x), h / count
+        """Return the states (B, 6) after `count` steps of length h, () or (B,)."""
+        out = torch.empty_like(x)
+        if len(x) <= PART:
+            self._follow(x, h, count, out)
+            return out
 
         def follow(part: slice) -> None:
             self._follow(x[part], h[part] if h.numel() > 1 else h, count, out[part])

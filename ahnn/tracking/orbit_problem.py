@@ -51,17 +51,18 @@ class PreparedOrbit(NamedTuple):
     learned: tuple[AccelerationOfTime, int] | None
 
 
-def prepared_orbit(setup: OrbitSetup, folder: Path) -> PreparedOrbit:
+def prepared_orbit(setup: OrbitSetup, folder: Path, data: TrackingData | None = None) -> PreparedOrbit:
     """Return the problem of a setup.
 
     Args:
         setup: what the user says.
         folder: that the names of files start from.
+        data: in place of the measurements that the setup names.
 
     Raises:
         UserError: what is wrong with a file, or with a station.
     """
-    data = measured(setup, folder)
+    data = measured(setup, folder) if data is None else data
     at = (start_moment(setup) - data.epoch) / epochs.SECOND
     first, last = min(at, data.times[0]) - MARGIN, max(at, data.times[-1]) + MARGIN
     rows = read_bulletins([folder / name for name in setup.orientation]) if setup.orientation else None

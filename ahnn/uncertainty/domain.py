@@ -31,7 +31,7 @@ knows what lies a little beside them."""
 BEYOND = 1.5
 """Novelty from which a state is flagged: unseen trajectories of the training's kind reach 1.3."""
 RATE = 500.0
-"""Times the square of novelty - 1: what the error of a learned force grows by (docs/predict.md)."""
+"""Times the square of novelty - 1: what the error of a learned force grows by (docs/novelty.md)."""
 
 
 class Domain(NamedTuple):

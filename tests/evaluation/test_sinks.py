@@ -132,6 +132,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.sampled(3)
 def test_every_case_draws_what_it_can(tmp_path, name):
     case = make_case(tmp_path, **CASES[name])
     figures = open_loop_figures(case, open_loop(case).arrays)

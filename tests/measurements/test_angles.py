@@ -124,6 +124,7 @@ def filters():
 @pytest.mark.parametrize("compiled", [True, False])
 @pytest.mark.parametrize("model", [Position(1, "rad"), Several([Position(1, "rad")])], ids=["read", "points"])
 @pytest.mark.parametrize("gate", [None, Gate()])
+@pytest.mark.sampled(3)
 def test_filters_and_smoothers_follow_an_angle_through_its_turns(form, compiled, model, gate, monkeypatch):
     if not compiled:
         monkeypatch.setattr(members, "library", lambda: None)

@@ -31,6 +31,7 @@ NAMES = [
 
 @pytest.mark.parametrize("system", [SPRING, MOLNIYA], ids=["spring", "molniya"])
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.sampled(3)
 def test_a_model_fits_a_tiny_batch(cache, name, system):
     if name == "central_body" and system is SPRING:
         pytest.skip("one degree of freedom has no centre")

@@ -88,6 +88,7 @@ def test_what_has_no_end_in_place_of_a_file_is_refused(run, tmp_path, capfd, fil
 
 
 @pytest.mark.parametrize("kind", ODD)
+@pytest.mark.sampled(3)
 def test_so_is_it_in_place_of_a_file_that_a_command_names(run, tmp_path, capfd, kind):
     for suffix in ("csv", "oem", "yaml", "safetensors", "ckpt", "gfc", "state"):
         ODD[kind](tmp_path / f"odd.{suffix}")

@@ -48,6 +48,7 @@ COMMANDS = {
 
 
 @pytest.mark.parametrize("door", COMMANDS)
+@pytest.mark.sampled(3)
 def test_nothing_in_the_working_directory_is_imported(hostile, door):
     path = [entry for entry in sys.path if entry and not Path(entry).is_relative_to(hostile)]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(path)}

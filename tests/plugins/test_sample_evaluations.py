@@ -72,6 +72,7 @@ def test_all_stand_in_one_table_with_floors_and_the_same_measurements(case):
         ["process_noise=[1e-4,1e-4]", "bias_sd=0.01"],
     ],
 )
+@pytest.mark.sampled(4)
 def test_every_option_of_a_filter_is_one_of_theirs(case, name, options):
     findings = run(case, "cadence=10", *SMALL[name], *options, group=name)
     told = findings.numbers["filters"][name]["floor"]["perturbed"]
@@ -116,6 +117,7 @@ def test_what_they_have_not_is_refused(case):
 @pytest.mark.parametrize(
     "options", [["plugins=enkf"], ["plugins=particle", "plugins.particle.gate=0.9999"], ["plugins=imm"]]
 )
+@pytest.mark.sampled(2)
 def test_a_stream_is_filtered_and_goes_on_where_it_was(tmp_path, monkeypatch, options):
     monkeypatch.chdir(tmp_path)
     start = [0.0, -3145.0, -6173.0, 10.0, 0.0, 0.0]

@@ -15,6 +15,7 @@ from ahnn.systems.truth import ACCURACY, accurate_substeps, exact_flow
 
 
 @pytest.mark.parametrize("dt", [pytest.param(0.01, marks=pytest.mark.slow), 0.05, 0.1])
+@pytest.mark.sampled(2)
 def test_the_truth_of_a_spring_is_its_closed_form(dt):
     system = dataclasses.replace(SPRING, dt=dt, steps=round(10 / dt))
     states, times, *_ = generate(system, 20, 3)

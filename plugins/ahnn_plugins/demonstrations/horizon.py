@@ -119,13 +119,12 @@ class Horizon:
         nearer = {kind: periods_ahead(ahead, case.label, first, kind) for kind in ("true", "fitted")}
         whole = len(ahead[0].errors)
         beaten = ", ".join(f"{count} of {whole} from the {kind} start" for kind, count in nearer.items())
-        rows[0] = rows[0]._replace(
-            note=f"{self.unit}s, from the first on, in which {case.label} is nearer than {first}: {beaten}"
-        )
+        note = f"{self.unit}s, from the first on, in which {case.label} is nearer than {first}: {beaten}"
         numbers: dict[str, Any] = {"nearer": nearer, "unit": self.unit, "errors": {}}
         for one in ahead:
             numbers["errors"].setdefault(one.start, {})[one.name] = one.errors.tolist()
-        return Findings(rows=rows, numbers=numbers, figures={"ahead": self._figure(ahead, case)})
+        figures = {"ahead": self._figure(ahead, case)}
+        return Findings(rows=rows, numbers=numbers, figures=figures, notes=[note])
 
     def _measured(self, case: Case) -> Tensor:
         """Return noisy positions of the first samples of each test trajectory, (B, K, 3)."""

@@ -6,6 +6,8 @@ operations, each of which costs more than its arithmetic; here they are three or
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -78,6 +80,35 @@ def read(prior: Belief, y: Tensor, chol_r: Tensor) -> Updated:
     return _updated(_call("ahnn_read", *shapes, y, mean, chol, step, noise, noise_step, *results), results)
 
 
+class StepNoise(NamedTuple):
+    """Noise and limits of a step, as the library takes them.
+
+    Attributes:
+        process: address of the factor of the process noise, and the step between members.
+        measured: the same of the measurement noise, the largest NIS that is taken, and the address of half
+            the periods of the numbers.
+        tensors: own the memory of the addresses.
+    """
+
+    process: tuple[int, int]
+    measured: tuple[int, int, float, int]
+    tensors: tuple[Tensor, ...]
+
+    @classmethod
+    def of(cls, chol_q: Tensor, chol_r: Tensor, limit: float, half: Tensor) -> StepNoise:
+        """Return the noise of a step.
+
+        Args:
+            chol_q: (B, D, D) lower factor of the process noise.
+            chol_r: (B, M, M) lower factor of the measurement noise.
+            limit: largest NIS that is taken.
+            half: (M,) half periods of the numbers, inf of those that are no angles; larger residuals wrap.
+        """
+        (q, q_step), (r, r_step) = _members(chol_q), _members(chol_r)
+        read = r.data_ptr(), r_step, limit, half.data_ptr()
+        return cls((q.data_ptr(), q_step), read, (q, r, half))
+
+
 class Memory:
     """What the whole steps of a run make, step by step.
 
@@ -94,41 +125,30 @@ class Memory:
         told = [new(steps, batch, width), new(steps, batch, width), new(steps, batch), new(steps, batch)]
         singular = new(steps, batch, dtype=torch.bool)
         parts = (*beliefs[:2], told[0], *beliefs[2:], *told[1:], singular)
-        self.places = [(part.data_ptr(), part[0].numel() * part.element_size()) for part in parts]
+        kept = self.rows, *parts
+        self.places = [(part.data_ptr(), part[0].numel() * part.element_size()) for part in kept]
         self.steps = list(zip(*(part.unbind() for part in parts), strict=True))
+        scales = weights.outer, weights.recentring, weights.radius
+        self.scales = *(scale.data_ptr() for scale in scales), _step(weights.outer)
 
-    def step(
-        self,
-        k: int,
-        points: Tensor,
-        chol_q: Tensor,
-        chol_r: Tensor,
-        limit: float,
-        half: Tensor,
-        *,
-        measured: bool,
-    ) -> Tensor | None:
+    def step(self, k: int, points: Tensor, noise: StepNoise, *, measured: bool) -> Tensor | None:
         """Do what `predict`, `read` and `draw` do, one after the other.
 
         Args:
             k: number of the step.
             points: (B, S, D) sigma points after the flow.
-            chol_q: (B, D, D) lower factor of the process noise.
-            chol_r: (B, M, M) lower factor of the measurement noise.
-            limit: largest NIS that is taken.
-            half: (M,) half periods of the numbers, inf of those that are no angles; larger residuals wrap.
+            noise: of the step.
             measured: whether there is a row to read, with nothing missing.
 
         Returns:
             The sigma points of the next step; None where a member is not sound.
         """
-        points, (q, q_step), (r, r_step) = points.contiguous(), _members(chol_q), _members(chol_r)
-        further, outer = torch.empty_like(points), self.weights.outer
-        scales = outer, self.weights.recentring, self.weights.radius, _step(outer)
-        row = self.rows[k] if measured else 0
-        places = [place + k * length for place, length in self.places]
-        arguments = (points, *scales, q, q_step, row, r, r_step, limit, half, *places, further)
-        return further if _call("ahnn_whole", *self.shape, *arguments) else None
+        points = points.contiguous()
+        further = torch.empty_like(points)
+        row, *places = [place + k * length for place, length in self.places]
+        read = row if measured else 0, *noise.measured
+        own = points.data_ptr(), *self.scales, *noise.process, *read, *places, further.data_ptr()
+        return further if _done("ahnn_whole", *self.shape, *own) else None
 
     def made(self, k: int) -> tuple[Belief, Updated]:
         """Return prediction and update of step k."""
@@ -168,10 +188,15 @@ def _call(name: str, *arguments: Tensor | float) -> bool:
     Raises:
         MemoryError: it found none for a block of members.
     """
+    return _done(name, *(a.data_ptr() if isinstance(a, Tensor) else a for a in arguments))
+
+
+def _done(name: str, batch: float, *arguments: float) -> bool:
+    """Call a function of the library with addresses; see `_call`."""
     found = library()
     assert found is not None
-    told = getattr(found, name)(*(a.data_ptr() if isinstance(a, Tensor) else a for a in arguments))
+    told = getattr(found, name)(batch, *arguments)
     if told == NO_MEMORY:
-        message = f"filter: no memory for {arguments[0]} members"
+        message = f"filter: no memory for {batch} members"
         raise MemoryError(message)
     return told == SOUND

@@ -44,7 +44,7 @@ class WholeSteps:
         self.memory: members.Memory | None = None
         self.further: tuple[Belief, Tensor] | None = None
         self.seen: tuple[object, object, object] = None, None, None  # what `_knows` looked at last
-        self.half = rows.new_empty(0)  # half periods of its numbers
+        self.noise: members.StepNoise | None = None  # of what it saw
 
     def __call__(
         self, k: int, state: FilterState, row: Tensor | None, model: StepModel, length: float, time: Tensor
@@ -75,10 +75,9 @@ class WholeSteps:
             return None
         if self.memory is None:
             self.memory = members.Memory(self.rows, points.shape[-1], self.weights)
-        limit = math.inf if sensor.thresholds is None else float(sensor.thresholds[-1])
+        assert self.noise is not None
         whole = self.whole[k]
-        limits = limit, self.half
-        further = self.memory.step(k, points, chol_q, sensor.chol_r, *limits, measured=whole)
+        further = self.memory.step(k, points, self.noise, measured=whole)
         if further is None:
             return None
         predicted, updated = self.memory.made(k)
@@ -99,5 +98,7 @@ class WholeSteps:
             if not members.apply_to(self.weights, chol_q, sensor.chol_r, self.rows):
                 return False
             self.seen = state.status, chol_q, sensor
-            self.half = 0.5 * self.rows.new_tensor(periods(sensor.measurement))
+            limit = math.inf if sensor.thresholds is None else float(sensor.thresholds[-1])
+            half = 0.5 * self.rows.new_tensor(periods(sensor.measurement))
+            self.noise = members.StepNoise.of(chol_q, sensor.chol_r, limit, half)
         return members.apply_to(self.weights, points)

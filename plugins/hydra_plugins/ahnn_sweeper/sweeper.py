@@ -37,8 +37,8 @@ class AhnnOptunaSweeper(Sweeper):
 
     Args:
         study_name: name of the study in its storage.
-        storage: `journal:///PATH`, `sqlite:///PATH` or `postgresql+psycopg://HOST/DATABASE`; null is a
-            journal file in the sweep folder.
+        storage: `journal:///PATH`, `sqlite:///PATH`, `postgresql+psycopg://HOST/DATABASE` or
+            `grpc://HOST:PORT`, a proxy of Optuna; null is a journal file in the sweep folder.
         direction: `minimize` or `maximize` the value that the job returns.
         n_trials: trials that the study shall have in the end, over all starts and all machines.
         batch_size: trials that are handed to the launcher at once.

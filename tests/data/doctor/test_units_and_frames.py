@@ -29,6 +29,7 @@ def bench():
 
 
 @pytest.mark.parametrize("kind", ["spring", "pendulum", "LEO", "GEO", "Molniya"])
+@pytest.mark.sampled(2)
 def test_every_mistake_is_seen_and_sound_data_pass(bench, kind, tmp_path):
     for k, (name, mistake) in enumerate(bench.MISTAKES.get(kind, bench.ORBITS).items()):
         draw = np.random.default_rng(k)

@@ -111,7 +111,7 @@ def test_days_ahead_and_errors_of_each_day(horizon):
         assert bool((5 * learned < oblate).all() and (2 * oblate < two_body).all())
     close(torch.tensor(daily["true"]["J2"]), 100 * torch.tensor(daily["true"]["learned"]), 0.1)
     assert [row.who for row in horizon.rows] == [Who("J2", "true"), Who(TWO_BODY, "true")]
-    assert "2 of 2 from the true start, 2 of 2 from the fitted start" in horizon.rows[0].note
+    assert "2 of 2 from the true start, 2 of 2 from the fitted start" in horizon.notes[0]
 
 
 def test_a_fitted_start_of_the_exact_flow_is_the_true_one(tmp_path):

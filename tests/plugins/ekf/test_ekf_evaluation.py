@@ -66,6 +66,7 @@ def test_both_filters_stand_in_one_table_with_floors_figures_and_the_same_measur
         {"process_noise": {"size": 1e-3, "memory": 600.0}, "least_squares": True},
     ],
 )
+@pytest.mark.sampled(3)
 def test_every_option_of_a_filter_is_one_of_it(case, options):
     (plugin,) = plugins(**options).values()
     names = {row.who.estimator for row in plugin(case).rows}

@@ -66,6 +66,7 @@ def test_the_winner_runs_again_as_an_experiment(tmp_path: Path):
 @pytest.mark.parametrize(
     ("space", "rates"), [(("sweep=paper", "model=hnn"), (1e-4, 1e-3)), (("sweep=paper_node",), (1e-6, 1e-4))]
 )
+@pytest.mark.sampled(2)
 def test_the_papers_spaces_compose(tmp_path: Path, space: tuple[str, ...], rates: tuple[float, float]):
     folder = tmp_path / "sweep"
     code, output = sweep(folder, *space, "hydra.sweeper.n_trials=1", "hydra/launcher=basic")

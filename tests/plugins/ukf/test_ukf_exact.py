@@ -35,6 +35,7 @@ def kalman_filter(problem, b):
 
 @pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
 @pytest.mark.parametrize(("size", "width"), [(2, 1), (3, 2), (4, 4), (6, 3), (8, 5)])
+@pytest.mark.sampled(3)
 def test_equals_the_kalman_filter(make_linear, close, form, size, width):
     problem, model = make_linear(size, width, steps=1000, batch=2, seed=size)
     belief = initial_belief(problem.mean, problem.p0)
@@ -86,6 +87,7 @@ PENDULUM_NOISE = 1e-4 * torch.tensor([[2.0, 0.5], [0.5, 1.0]], dtype=torch.float
 
 @pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
 @pytest.mark.parametrize("parameters", [(1.0, 2.0, 0.0), (0.3, 2.0, 1.0), (0.7, 0.0, 0.5)])
+@pytest.mark.sampled(2)
 def test_equals_filterpy_on_a_nonlinear_problem(close, form, parameters):
     start, rows = pendulum_data(batch=1, steps=500)
     q, r = (m.to(torch.float64) for m in PENDULUM_NOISE)

@@ -40,6 +40,7 @@ def worst(result, means, covs):
 @pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
 @pytest.mark.parametrize("size", [2, 4, 6])
 @pytest.mark.parametrize("far", [0.0, 1.0, 1e3, 1e6])
+@pytest.mark.sampled(5)
 def test_a_small_alpha_is_the_kalman_filter_or_gets_a_status(make_linear, form, size, far):
     problem, model = make_linear(size, 2, steps=20, seed=size)
     means, covs = kalman(problem)
