@@ -37,10 +37,12 @@ OPEN = {
     "controls",
     "stored",
     "labels",
+    "optional_libraries",
 }
 GROUND = OPEN | {"integrators", "measurements", "metrics", "rollouts", "statistics", "checkpoints"}
 MAY_IMPORT = {
     "errors": set(),
+    "optional_libraries": {"errors"},
     "clock": set(),
     "types": {"clock", "errors"},
     "paths": set(),

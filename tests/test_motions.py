@@ -133,6 +133,17 @@ def test_a_known_force_stands_beside_a_learned_one(tmp_path, monkeypatch):
     assert float(field(x)[0, 1]) == pytest.approx(-1.5, abs=0.5)  # the learned part undoes the weight
 
 
+@pytest.mark.parametrize(("stiffness", "better"), [(5.0, False), (4.0, True)])
+def test_known_physics_stays_the_result_where_no_later_weights_are_better(tmp_path, stiffness, better):
+    """The system's own spring leaves nothing to learn; one that is too soft does."""
+    spring = ["hamiltonian=mechanical", "forces=springs", f"model.forces.springs.stiffness={stiffness}"]
+    judged = ["callbacks.rollout.count=5", "callbacks.best.monitor=val/rollout"]
+    run = trained(tmp_path / "run", *spring, *judged)
+    x = torch.tensor([[0.3, 0.1]], dtype=torch.float64)
+    learned = float(run.dynamics.field.hamiltonian(x)[0, 1])
+    assert learned == pytest.approx(-0.3, abs=0.05) if better else learned == 0.0
+
+
 FILTERS = {"ukf": UnscentedKalmanFilter(), "ekf": ExtendedKalmanFilter()}
 FILTERS |= {"enkf": EnsembleKalmanFilter(), "particle": ParticleFilter(particles=400)}
 

@@ -9,12 +9,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from ahnn.data.files.optional_libraries import library
 from ahnn.data.files.parquet import cells
 from ahnn.data.files.table import Place
 from ahnn.errors import UserError
 from ahnn.files import write_atomically
 from ahnn.manifest import digest_of, is_own, remove_own
+from ahnn.optional_libraries import library
 
 PIECE = 1 << 20
 PART = "part-{:06d}.parquet"

@@ -25,6 +25,7 @@ class Dynamics(nn.Module, ABC):
         spec: plain values from which `make_dynamics` builds the same module, weights apart.
         assumes: what is taken as known of the dynamics; scores mean little without it.
         clock: k, clock coordinates of the states: 0, 1 for time, 1 + m for time and m controls.
+        begins_known: whether fresh parameters are known physics alone, the learned part being zero.
         anchored: whether it knows where the origin of the positions is, so that a bias of all readings shows.
     """
 
@@ -32,6 +33,7 @@ class Dynamics(nn.Module, ABC):
     assumes: str
     clock: int = 0
     anchored: bool = True
+    begins_known: bool = False
 
     @property
     def own_step(self) -> float | None:

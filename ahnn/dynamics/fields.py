@@ -11,10 +11,11 @@ from torch import Tensor, nn
 from ahnn.dynamics import fused_steps, native
 from ahnn.dynamics.base import Dynamics
 from ahnn.dynamics.forced import Forced
-from ahnn.dynamics.forces import Force
+from ahnn.dynamics.forces import AxialNetwork, Force, NetworkForce
 from ahnn.dynamics.gradients import Layers
 from ahnn.dynamics.hamiltonians import GenericHamiltonian, Structure, make_hamiltonian
 from ahnn.dynamics.inputs import Cartesian, InputName
+from ahnn.dynamics.layered import silence
 from ahnn.dynamics.native import Scheme
 from ahnn.dynamics.networks import make_network
 from ahnn.dynamics.scaling import Kind
@@ -98,6 +99,10 @@ class NeuralODE(IntegratedField):
         super().__init__(NeuralField(dof, scaling, network), integrator)
 
 
+FREE = (NetworkForce, AxialNetwork)
+"""Learned forces that may be anything, zero too."""
+MOVES = ("mechanical", "central_body", "pairs")
+"""Hamiltonians whose kinetic energy is known: without the learned part they are a motion."""
 CENTRED = ("isotropic", "radial", "central_body", "perturbed_body")
 """Inputs and Hamiltonians for which the origin is the centre of a force."""
 
@@ -151,7 +156,19 @@ class HamiltonianDynamics(IntegratedField):
             self.clock = field.clock
             assumed += [force.assumes for force in field.parts]
         super().__init__(field, integrator)
+        known = mu is not None or (isinstance(field, Forced) and bool(field.known))
+        self.begins_known = known and hamiltonian in MOVES
+        if self.begins_known:
+            self.silence()
         self.assumes = ", ".join(assumed)
+
+    def silence(self) -> None:
+        """Set the learned potential and learned forces to zero, so that known physics is left."""
+        parts = [self.field]
+        if isinstance(self.field, Forced):  # friction L L^T would not grow from zero
+            parts = [self.field.hamiltonian, *(p for p in self.field.parts if isinstance(p, FREE))]
+        for part in parts:
+            silence(part)
 
     def _as_one(self, x: Tensor, dt: TimeStep) -> tuple[Layers, Scheme] | None:
         """Return field and scheme where a step from states like x is one operation, else None."""

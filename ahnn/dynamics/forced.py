@@ -83,15 +83,15 @@ class Forced(nn.Module):
         return any(force.potential(at) is None for force in self.parts)
 
     def fit(self, statistics: Statistics) -> None:
-        """Set all constants from the training split, those of H from what known forces leave."""
-        for force in self.parts:
-            force.fit(statistics)
+        """Set all constants from the training split: what is learned, from what known forces leave."""
         left = statistics
         if self.known:
             at = Instant(
                 statistics.clock[:, :1], statistics.clock[:, 1:], statistics.positions, statistics.velocities
             )
             left = statistics.without(total(self.known, at))
+        for force in self.parts:
+            force.fit(left)
         cast(Any, self.hamiltonian).fit(left)
 
     def seen(self, x: Tensor) -> Tensor:

@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from typing import Protocol, cast
 
+import torch
 from torch import Tensor, nn
 
 from ahnn.dynamics import fused_steps
@@ -97,3 +98,12 @@ class Network(nn.Module, ABC):
             values: v, (B, R); None for zeros.
             out: (B, R, P).
         """
+
+
+@torch.no_grad()
+def silence(module: nn.Module) -> None:
+    """Set the outputs of all networks in a module to zero: their last layers, which learn first."""
+    for network in module.modules():
+        if isinstance(network, Network):
+            for parameter in network.output.parameters():
+                parameter.zero_()

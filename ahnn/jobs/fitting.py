@@ -22,6 +22,8 @@ def fit(prepared: Prepared) -> float:
     """Train and return the seconds that the steps took."""
     trainer = prepared.trainer
     calibrate(prepared)
+    if prepared.model.dynamics.begins_known and prepared.checkpoint is None:
+        trainer.num_sanity_val_steps = math.inf  # known physics is the first candidate for the best weights
     if trainer.is_global_zero:
         announce(prepared)
         # What cannot take a step has been refused.

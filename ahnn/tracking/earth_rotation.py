@@ -13,8 +13,8 @@ from scipy.interpolate import CubicSpline
 
 from ahnn.data.files import epochs
 from ahnn.data.files.frames import terrestrial
-from ahnn.data.files.optional_libraries import library
 from ahnn.errors import UserError
+from ahnn.optional_libraries import library
 from ahnn.tracking.formats.bulletin_b import EarthOrientation
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from ahnn.data.files.frames import terrestrial
-from ahnn.data.files.optional_libraries import library
+from ahnn.optional_libraries import library
 
 Array = NDArray[np.float64]
 SUN_MU, MOON_MU = 132712440040.944, 4902.800076

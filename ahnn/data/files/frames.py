@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from ahnn.data.files import epochs
 from ahnn.data.files.content import Content
 from ahnn.data.files.frame_names import CENTRES, INERTIAL, NAMES, SIDECAR, known
-from ahnn.data.files.optional_libraries import library
 from ahnn.data.files.samples import Array, Track
 from ahnn.data.files.table import Place
 from ahnn.data.files.units import LENGTH, unit
+from ahnn.optional_libraries import library
 
 TURN = 7.292115146706979e-5
 """Rate of the Earth's rotation angle in rad/s (IERS Conventions 2010, 5.15)."""

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ahnn.data.files.optional_libraries import library
 from ahnn.data.files.table import Note, Place, Remark, Sheet, header_of, refuse
+from ahnn.optional_libraries import library
 
 INDEX = "__index_level_"
 """How pandas names the columns of an index that has no name."""

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from ahnn.data.files import epochs
 from ahnn.data.files.content import Content
 from ahnn.data.files.ephemeris import of_orbits
-from ahnn.data.files.optional_libraries import library
 from ahnn.data.files.samples import Track
 from ahnn.data.files.table import Fault, Note, Place, Remark, refuse
 from ahnn.errors import UserError
+from ahnn.optional_libraries import library
 
 FRAME = "TEME, EARTH, UTC"
 

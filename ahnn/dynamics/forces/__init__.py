@@ -11,11 +11,13 @@ from typing import Any
 from ahnn.arguments import check_arguments
 from ahnn.dynamics.forces.actuation import Actuation
 from ahnn.dynamics.forces.attraction import CentralAttraction, Oblateness
+from ahnn.dynamics.forces.axial import AxialNetwork
 from ahnn.dynamics.forces.base import Force, Instant
 from ahnn.dynamics.forces.forcing import Forcing
 from ahnn.dynamics.forces.friction import Friction
 from ahnn.dynamics.forces.network import NetworkForce
 from ahnn.dynamics.forces.spring import Spring
+from ahnn.dynamics.forces.third_bodies import ThirdBodies
 from ahnn.errors import UserError
 from ahnn.extensions import Table
 
@@ -29,6 +31,8 @@ FORCES: Table[Callable[..., Force]] = Table(
         "spring": Spring,
         "central_attraction": CentralAttraction,
         "oblateness": Oblateness,
+        "third_bodies": ThirdBodies,
+        "axial": AxialNetwork,
     },
 )
 """Names under which forces are stored, and what is built for them: called with `dof`, `controls`, options."""
@@ -65,6 +69,7 @@ def make_force(name: str, dof: int, controls: int, options: Mapping[str, Any]) -
 __all__ = [
     "FORCES",
     "Actuation",
+    "AxialNetwork",
     "CentralAttraction",
     "Force",
     "Forcing",
@@ -73,5 +78,6 @@ __all__ = [
     "NetworkForce",
     "Oblateness",
     "Spring",
+    "ThirdBodies",
     "make_force",
 ]

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ahnn.data.files.optional_libraries import library
 from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.files.table import Place, number
+from ahnn.optional_libraries import library
 from ahnn.tracking.formats.bulletin_b import EarthOrientation
 
 COLUMNS = {

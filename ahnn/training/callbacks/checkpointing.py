@@ -31,6 +31,8 @@ def require_monitored(who: str, name: str, trainer: Trainer) -> None:
 class BestPoint(Checkpoint):
     """Writes best.ckpt after each validation whose value is the smallest so far.
 
+    A validation before the first step, as a training has that begins with known physics, is one of them.
+
     Args:
         folder: where best.ckpt is written. It is no part of the state, so that a run may be moved.
         monitor: logged value.
@@ -52,7 +54,7 @@ class BestPoint(Checkpoint):
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Write if it is better."""
         del pl_module
-        if trainer.state.fn != "fit" or trainer.sanity_checking:
+        if trainer.state.fn != "fit":
             return
         self.latest, self.judged = float(trainer.callback_metrics[self.monitor]), True
         if self.latest < self.best:

@@ -77,10 +77,10 @@ class ValidationRollout(Callback):
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Log the value of this epoch, or the latest one; the last epoch always has its own."""
         data = cast(Any, trainer).datamodule
-        if trainer.sanity_checking or self.count == 0 or data.stages is not None:
+        if self.count == 0 or data.stages is not None:
             return
         epoch = trainer.current_epoch + 1
-        if epoch % self.every == 0 or epoch == trainer.max_epochs:
+        if trainer.sanity_checking or epoch % self.every == 0 or epoch == trainer.max_epochs:
             self.latest = self._error(trainer, pl_module)
         pl_module.log("val/rollout", self.latest, logger=False, sync_dist=True)
 

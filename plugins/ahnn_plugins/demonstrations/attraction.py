@@ -11,7 +11,7 @@ from torch import Tensor
 from ahnn.arguments import Positive, checked
 from ahnn.errors import UserError
 from ahnn.evaluation import Case, Findings, Row, Who, style
-from ahnn.rollouts import rollout
+from ahnn.rollouts import clock_of, rollout
 from ahnn.systems import System
 from ahnn.types import Space
 from ahnn_plugins.demonstrations.two_body import kepler
@@ -52,7 +52,8 @@ class Attraction:
         own = torch.tensor(list(self.bodies.values()), dtype=torch.float64)
         both = self.mu + own.repeat(len(start) // len(own)).unsqueeze(1)
         beside = kepler(start.expand_as(case.test.states), times - times[:, :1], both)
-        model = rollout(case.flow, start[:, 0], case.dt, times.shape[1])
+        clock = case.test.clock(clock_of(case.flow))
+        model = rollout(case.flow, start[:, 0], case.dt, times.shape[1], clock=clock)
         far, strengths = self._strengths(case)
         errors = {case.label: distances(model, case), "Kepler": distances(beside, case)}
         numbers = {

@@ -1,8 +1,8 @@
-"""How far ahead a learned flow beats analytic ones: errors day by day, all begun alike."""
+"""How far ahead a learned flow beats analytic ones: errors period by period, all begun alike."""
 
 from __future__ import annotations
 
-from functools import partial
+import copy
 from typing import Any, NamedTuple, final
 
 import torch
@@ -10,21 +10,19 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from ahnn.arguments import Count, Positive, Seed, checked
+from ahnn.dynamics.fields import HamiltonianDynamics
 from ahnn.errors import UserError
 from ahnn.evaluation import Case, Findings, Row, Who, style
-from ahnn.jacobians import step_jacobians
-from ahnn.measurements import Instrument, Position, Segment
-from ahnn.measurements.smoothing import guess
-from ahnn.rollouts import rollout
-from ahnn.shooting.initial_states import Trial, fit_starts
-from ahnn.shooting.path_sensitivities import steps_between
-from ahnn.shooting.robust import ROBUST
+from ahnn.rollouts import clock_of, rollout
 from ahnn.systems import Molniya, System, exact_flow
-from ahnn.types import Flow, Space
+from ahnn.types import Flow, Space, TimeStep
 from ahnn_plugins.demonstrations.two_body import kepler
 
-DAY = 86400.0
-TWO_BODY = "two-body"
+TWO_BODY, KNOWN = "two-body", "known part"
+ROUNDS, SETTLED = 8, 1e-6
+"""Gauss-Newton steps of a start at most, and the relative change of a sum of squares that is none."""
+NUDGE = 1e-6
+"""Differences of starts, relative to distance and speed."""
 
 
 class Ahead(NamedTuple):
@@ -34,90 +32,120 @@ class Ahead(NamedTuple):
         name: of the flow.
         start: `true`, or `fitted` to the first positions.
         states: (B, T, D).
-        daily: (N,) rms error of position over all trajectories, day by day.
+        errors: (N,) rms error of position over all trajectories, period by period.
     """
 
     name: str
     start: str
     states: Tensor
-    daily: Tensor
+    errors: Tensor
 
 
 @final
 @checked
 class Horizon:
-    """A learned flow beside an oblate planet's, and beside two-body motion, whose elements stay as they are.
+    """A learned flow beside the physics that it knows, an oblate planet's, and two-body motion.
 
     Each predicts the test trajectories twice: from their first state, and from the start that fits noisy
-    positions of their first samples best.
+    positions of their first samples best. Where the learned flow has known forces, these alone are a row.
 
     Args:
-        beside: the oblate planet.
         arc: samples that starts are fitted to.
         noise: standard deviation of their positions.
         seed: of that noise.
+        period: over which errors are averaged, a day or a year in the unit of time of the data.
+        unit: its name.
+        beside: the oblate planet, if there is one.
+        mu: of two-body motion; a list has that of each body, whose trajectories take turns. None takes that
+            of the planet.
     """
 
-    def __init__(self, beside: Molniya, arc: Count, noise: Positive, seed: Seed) -> None:
+    def __init__(
+        self,
+        arc: Count,
+        noise: Positive,
+        seed: Seed,
+        *,
+        period: Positive,
+        unit: str,
+        beside: Molniya | None = None,
+        mu: Positive | list[Positive] | None = None,
+    ) -> None:
         self.beside, self.arc, self.noise, self.seed = beside, arc, noise, seed
+        self.period, self.unit = period, unit
+        found = mu if mu is not None or beside is None else beside.mu
+        if found is None:
+            message = "mu: expected that of two-body motion, or a planet beside; received neither"
+            raise UserError(message)
+        self.mu = torch.tensor(found if isinstance(found, list) else [found], dtype=torch.float64)
 
     def check(self, truth: System | None, space: Space, steps: int) -> None:
         """Raise UserError for data in other units, or too short ones."""
         del truth
-        if space.units != self.beside.units:
-            message = f"beside: expected data in {self.beside.units}; received {space.units}"
+        if space.dof != 3 or (self.beside is not None and space.units != self.beside.units):
+            expected = "three dimensions" if self.beside is None else str(self.beside.units)
+            message = f"beside: expected data in {expected}; received {space.dof} in {space.units}"
             raise UserError(message)
         if not 6 <= self.arc <= steps:
             message = f"arc: expected from 6 to {steps} samples, those of a trajectory; received {self.arc}"
             raise UserError(message)
 
+    def flows(self, case: Case) -> dict[str, Flow]:
+        """Return the flows by name, the learned one first."""
+        found: dict[str, Flow] = {case.label: case.flow}
+        if isinstance(case.flow, HamiltonianDynamics) and case.flow.begins_known:
+            alone = copy.deepcopy(case.flow)
+            alone.silence()
+            found[KNOWN] = alone
+        if self.beside is not None:
+            found[self.beside.name] = exact_flow(self.beside)
+        return found | {TWO_BODY: self._two_body}
+
+    def _two_body(self, x: Tensor, dt: TimeStep) -> Tensor:
+        mu = self.mu.repeat(len(x) // len(self.mu))
+        return kepler(x, torch.as_tensor(dt).to(x).expand(x.shape[:-1]), mu)
+
     def __call__(self, case: Case) -> Findings:
-        """Return the rows of the analytic flows, errors of each day, and how many days the model is best."""
-        mu = self.beside.mu
-        flows: dict[str, Flow] = {
-            case.label: case.flow,
-            self.beside.name: exact_flow(self.beside),
-            TWO_BODY: lambda x, dt: kepler(x, torch.as_tensor(dt).to(x).expand(x.shape[:-1]), mu),
-        }
-        segment, ahead = self._segment(case), []
-        for name, flow in flows.items():
-            starts = {"true": case.test.states[:, 0], "fitted": fitted_start(flow, segment)}
+        """Return the rows of the other flows, errors of each period, and over how many the model is best."""
+        measured, ahead = self._measured(case), []
+        for name, flow in self.flows(case).items():
+            starts = {"true": case.test.states[:, 0], "fitted": fitted_start(flow, measured, case)}
             for kind, start in starts.items():
-                states = rollout(flow, start, case.dt, case.test.states.shape[1], f"{name}, {kind} start")
-                ahead.append(Ahead(name, kind, states, daily(states, case)))
-        rows = [
-            Row(Who(one.name, "true"), case.score(one.states))
-            for one in ahead
-            if one.start == "true" and one.name != case.label
-        ]
-        days = {kind: days_ahead(ahead, case.label, self.beside.name, kind) for kind in ("true", "fitted")}
-        known = len(ahead[0].daily)
-        beaten = ", ".join(f"{count} of {known} from the {kind} start" for kind, count in days.items())
-        note = f"days, from the first on, on which {case.label} is nearer: {beaten}"
-        numbers: dict[str, Any] = {"days": days, "daily": {}}
+                states = predicted(flow, start, case, case.test.states.shape[1])
+                ahead.append(Ahead(name, kind, states, self.by_period(states, case)))
+        others = [one for one in ahead if one.name != case.label]
+        rows = [Row(Who(one.name, "true"), case.score(one.states)) for one in others if one.start == "true"]
+        first = others[0].name
+        nearer = {kind: periods_ahead(ahead, case.label, first, kind) for kind in ("true", "fitted")}
+        whole = len(ahead[0].errors)
+        beaten = ", ".join(f"{count} of {whole} from the {kind} start" for kind, count in nearer.items())
+        note = f"{self.unit}s, from the first on, in which {case.label} is nearer than {first}: {beaten}"
+        numbers: dict[str, Any] = {"nearer": nearer, "unit": self.unit, "errors": {}}
         for one in ahead:
-            numbers["daily"].setdefault(one.start, {})[one.name] = one.daily.tolist()
+            numbers["errors"].setdefault(one.start, {})[one.name] = one.errors.tolist()
         figures = {"ahead": self._figure(ahead, case)}
         return Findings(rows=rows, numbers=numbers, figures=figures, notes=[note])
 
-    def _segment(self, case: Case) -> Segment:
-        """Return noisy positions of the first samples of each test trajectory."""
+    def _measured(self, case: Case) -> Tensor:
+        """Return noisy positions of the first samples of each test trajectory, (B, K, 3)."""
         draw = torch.Generator().manual_seed(self.seed)
-        positions, times = case.test.states[:, : self.arc, :3], case.test.times[:, : self.arc]
-        noise = self.noise * torch.randn(positions.shape, generator=draw, dtype=torch.float64)
-        deviations = torch.full((3,), self.noise, dtype=torch.float64)
-        longest = float(times.diff(dim=1).max())
-        instrument = Instrument(Position(), deviations, longest, 3, case.space.factor)
-        return Segment(positions + noise, times, instrument)
+        positions = case.test.states[:, : self.arc, :3]
+        return positions + self.noise * torch.randn(positions.shape, generator=draw, dtype=torch.float64)
+
+    def by_period(self, states: Tensor, case: Case) -> Tensor:
+        """Return the rms error of position over all trajectories, for each whole period, (N,)."""
+        index = ((case.test.times[0] - case.test.times[0, 0]) / self.period).floor().long()
+        error, count = off(states, case), int(index[-1]) + 1
+        return torch.stack([error[:, index == k].square().mean().sqrt() for k in range(count)])
 
     def _figure(self, ahead: list[Ahead], case: Case) -> Figure:
         """Draw rms errors of position over time, a panel for each kind of start."""
         figure = style.canvas(8, 6.5)
         panels = figure.subplots(2, 1, sharex=True)
-        time = (case.test.times[0] - case.test.times[0, 0]) / DAY
-        looks = (style.MODEL, style.FLOOR, style.ALONE)
+        time = (case.test.times[0] - case.test.times[0, 0]) / self.period
+        looks = (style.MODEL, style.FLOOR, style.ALONE, {"color": style.SKY, "lw": 1.3})
         for axes, kind in zip(panels, ("fitted", "true"), strict=True):
-            for one, look in zip([one for one in ahead if one.start == kind], looks, strict=True):
+            for one, look in zip([one for one in ahead if one.start == kind], looks, strict=False):
                 error = off(one.states, case).square().mean(0).sqrt()
                 axes.plot(time[1:], error[1:], **(look | {"lw": 1.3}), label=one.name)
             style.logarithmic(axes, 24)
@@ -126,21 +154,44 @@ class Horizon:
         head = f"{case.space.name}: rms over unseen stretches"
         panels[0].set_title(f"{head}\nfrom the start that fits the first positions best")
         panels[1].set_title("from the first state of each")
-        style.label_time(panels[1], style.Axis(time, "d"))
+        style.label_time(panels[1], style.Axis(time, self.unit))
         style.legend_below(figure, *panels)
         return figure
 
 
+def predicted(flow: Flow, starts: Tensor, case: Case, samples: int) -> Tensor:
+    """Return what follows, (R, K, 6), from starts (R, 6), those of all B trajectories again and again."""
+    turns = len(starts) // len(case.test.times)
+    clock = case.test.clock(clock_of(flow))
+    rows = torch.arange(len(case.test.times)).repeat(turns)
+    return rollout(flow, starts, case.dt, samples, clock=clock and clock.rows(rows))
+
+
 @torch.no_grad()
-def fitted_start(flow: Flow, segment: Segment) -> Tensor:
-    """Return the starts (B, 6) from which a flow meets measurements best."""
+def fitted_start(flow: Flow, measured: Tensor, case: Case) -> Tensor:
+    """Return the starts (B, 6) from which a flow meets positions (B, K, 3) best, by Gauss-Newton steps.
 
-    def increment(x: Tensor, dt: Tensor) -> Tensor:
-        return flow(x, dt) - x
-
-    steps = steps_between(segment.times, segment.instrument.longest)
-    trial = Trial(increment, partial(step_jacobians, increment), ROBUST["none"])
-    return fit_starts(trial, guess(segment), segment, steps).starts
+    They begin at the true start; derivatives are differences. A step that makes a fit worse is not taken.
+    """
+    best = start = case.test.states[:, 0]
+    sizes = [part.norm(dim=-1, keepdim=True).expand(-1, 3) for part in start.chunk(2, dim=-1)]
+    nudge = NUDGE * torch.cat(sizes, dim=-1)
+    least = start.new_full((len(start),), torch.inf)
+    for _ in range(ROUNDS):
+        beside = start.unsqueeze(0) + torch.diag_embed(nudge).transpose(0, 1)
+        together = torch.cat((start.unsqueeze(0), beside)).flatten(0, 1)
+        found = predicted(flow, together, case, measured.shape[1])[..., :3].unflatten(0, (7, -1))
+        missed = (measured - found[0]).flatten(1)
+        slopes = (found[1:] - found[0]).flatten(2).permute(1, 2, 0)
+        sums = missed.square().sum(1)
+        better = sums < least
+        best = torch.where(better.unsqueeze(1), start, best)
+        if not bool(((least - sums) > SETTLED * sums).any()):
+            break
+        least = torch.where(better, sums, least)
+        move = torch.linalg.lstsq(slopes.nan_to_num(), missed.nan_to_num().unsqueeze(-1)).solution
+        start = torch.where(better.unsqueeze(1), start + nudge * move.squeeze(-1), best)
+    return best
 
 
 def off(states: Tensor, case: Case) -> Tensor:
@@ -148,14 +199,7 @@ def off(states: Tensor, case: Case) -> Tensor:
     return (states - case.test.states)[..., :3].norm(dim=-1)
 
 
-def daily(states: Tensor, case: Case) -> Tensor:
-    """Return the rms error of position over all trajectories, for each whole day, (N,)."""
-    day = ((case.test.times[0] - case.test.times[0, 0]) / DAY).floor().long()
-    error, count = off(states, case), int(day[-1]) + 1
-    return torch.stack([error[:, day == k].square().mean().sqrt() for k in range(count)])
-
-
-def days_ahead(ahead: list[Ahead], label: str, other: str, start: str) -> int:
-    """Return on how many days, from the first on, the flow of a label is nearer than another."""
+def periods_ahead(ahead: list[Ahead], label: str, other: str, start: str) -> int:
+    """Return in how many periods, from the first on, the flow of a label is nearer than another."""
     own, theirs = (one for name in (label, other) for one in ahead if (one.name, one.start) == (name, start))
-    return int((own.daily < theirs.daily).long().cumprod(0).sum())
+    return int((own.errors < theirs.errors).long().cumprod(0).sum())

@@ -27,7 +27,9 @@ DAY = 86400.0
 @final
 @checked
 class Satellites:
-    """Positions and velocities in km and km/s, axes of TEME at the epoch of each set, time in s from there.
+    """Positions and velocities in km and km/s, axes of TEME at the epoch of each set.
+
+    Times are in s of UTC from 0 h of the day of the first set.
 
     Velocities are derivatives of the positions: those that SGP4 reports differ from them, on Molniya orbits
     by up to 2 m/s near perigee.
@@ -73,7 +75,9 @@ class Satellites:
         """Return the stretches, those of all satellites that begin together next to each other."""
         times = self.step * np.arange(self.stretches * self.samples)
         states = np.stack([moved(lines, times) for lines in self._sets])
-        return stretches(states, times, self.samples)
+        epochs = np.array([days_since_1950(lines) for lines in self._sets])
+        begins = DAY * (epochs - np.floor(epochs.min()))
+        return stretches(states, begins[:, None] + times, self.samples)
 
 
 def element_sets() -> dict[int, tuple[str, str]]:
@@ -82,6 +86,12 @@ def element_sets() -> dict[int, tuple[str, str]]:
     text = files("sgp4").joinpath("SGP4-VER.TLE").read_text()
     lines = [line[:69] for line in text.splitlines() if line[:2] in ("1 ", "2 ")]
     return {int(one[2:7]): (one, two) for one, two in zip(lines[::2], lines[1::2], strict=True)}
+
+
+def days_since_1950(lines: tuple[str, str]) -> float:
+    """Return the epoch of an element set in days after 1950-01-00, 0 h UTC, as SGP4 counts them."""
+    satellite = require("sgp4.api", "orbit").Satrec.twoline2rv(*lines)
+    return (satellite.jdsatepoch - 2433281.5) + satellite.jdsatepochF
 
 
 def moved(lines: tuple[str, str], times: np.ndarray) -> np.ndarray:

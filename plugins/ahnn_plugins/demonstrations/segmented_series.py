@@ -15,12 +15,12 @@ def stretches(states: np.ndarray, times: np.ndarray, samples: int) -> Trajectori
 
     Args:
         states: (N, T, D) of the bodies, T a multiple of `samples`.
-        times: (T,) common to them.
+        times: (T,) common to them, or (N, T).
         samples: of a stretch.
     """
     bodies, total, size = states.shape
     cut = states.reshape(bodies, total // samples, samples, size).swapaxes(0, 1)
-    clock = times.reshape(-1, 1, samples).repeat(bodies, axis=1)
+    clock = np.broadcast_to(times, (bodies, total)).reshape(bodies, -1, samples).swapaxes(0, 1)
     return Trajectories(
         torch.from_numpy(cut.reshape(-1, samples, size).copy()),
         torch.from_numpy(clock.reshape(-1, samples).copy()),

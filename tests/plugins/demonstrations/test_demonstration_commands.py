@@ -10,6 +10,7 @@ from ahnn.evaluation import Who, load_results
 SMALL = ["trainer.max_epochs=1", "model.network.width=4", "data.windows_per_epoch=200", "logger=none"]
 SMALL += ["trainer.accelerator=cpu", "callbacks.rollout.count=2"]
 PLANETS = ["experiment=planets", "system.samples=40", "data.batch_size=20", "loss.stages=[[6,1.0]]"]
+KNOWN = ["experiment=planets_known", "system.samples=60", "plugins.horizon.arc=40", "data.batch_size=20"]
 MOLNIYA = ["experiment=real_molniya", "system.samples=300", "plugins.horizon.arc=200", "data.batch_size=200"]
 
 
@@ -18,6 +19,7 @@ MOLNIYA = ["experiment=real_molniya", "system.samples=300", "plugins.horizon.arc
     ("module", "command", "judge", "others"),
     [
         ("jplephem", PLANETS, "attraction", [Who("Kepler", "true")]),
+        ("jplephem", KNOWN, "horizon", [Who("known part", "true"), Who("two-body", "true")]),
         ("sgp4", MOLNIYA, "horizon", [Who("J2", "true"), Who("J2", "true", "ukf"), Who("two-body", "true")]),
     ],
 )

@@ -10,14 +10,16 @@ import torch
 from cases import trajectories
 from helpers import close
 
+from ahnn.dynamics import make_dynamics
 from ahnn.errors import UserError
 from ahnn.evaluation import Case, Who
 from ahnn.evaluation.results import plain
+from ahnn.rollouts import rollout
 from ahnn.systems import Molniya
 from ahnn.systems.truth import exact_flow
 from ahnn.types import Space, Trajectories, Units
 from ahnn_plugins.demonstrations import Attraction, Horizon
-from ahnn_plugins.demonstrations.horizon import TWO_BODY, fitted_start
+from ahnn_plugins.demonstrations.horizon import KNOWN, TWO_BODY, fitted_start
 from ahnn_plugins.demonstrations.two_body import kepler
 from ahnn_plugins.ukf.plugin import UKFEvaluation
 
@@ -78,6 +80,7 @@ def test_a_model_without_an_energy_or_data_in_a_plane_have_no_attraction(tmp_pat
 
 
 EARTH = Molniya(name="earth", dt=300.0, steps=575)
+ROWS = {"period": 86400.0, "unit": "day"}
 OBLATE = dataclasses.replace(EARTH, name="J2", j2=1.1 * EARTH.j2)
 
 
@@ -93,28 +96,28 @@ def satellites_case(folder: Path) -> Case:
 
 @pytest.fixture(scope="module")
 def horizon(tmp_path_factory):
-    judge = Horizon(OBLATE, arc=60, noise=0.01, seed=0)
+    judge = Horizon(60, 0.01, 0, beside=OBLATE, **ROWS)
     case = satellites_case(tmp_path_factory.mktemp("horizon"))
     judge.check(None, case.space, 575)
     return judge(case)
 
 
 def test_days_ahead_and_errors_of_each_day(horizon):
-    daily = horizon.numbers["daily"]
-    assert horizon.numbers["days"] == {"true": 2, "fitted": 2}
+    daily = horizon.numbers["errors"]
+    assert horizon.numbers["nearer"] == {"true": 2, "fitted": 2}
     for kind in ("true", "fitted"):
         assert all(len(errors) == 2 for errors in daily[kind].values())
         learned, oblate, two_body = (torch.tensor(daily[kind][k]) for k in ("learned", "J2", TWO_BODY))
         assert bool((5 * learned < oblate).all() and (2 * oblate < two_body).all())
     close(torch.tensor(daily["true"]["J2"]), 100 * torch.tensor(daily["true"]["learned"]), 0.1)
     assert [row.who for row in horizon.rows] == [Who("J2", "true"), Who(TWO_BODY, "true")]
-    assert "2 of 2 from the true start, 2 of 2 from the fitted start" in horizon.rows[0].note
+    assert "2 of 2 from the true start, 2 of 2 from the fitted start" in horizon.notes[0]
 
 
 def test_a_fitted_start_of_the_exact_flow_is_the_true_one(tmp_path):
     case = satellites_case(tmp_path)
-    judge = Horizon(OBLATE, arc=60, noise=1e-4, seed=0)
-    start = fitted_start(exact_flow(EARTH), judge._segment(case))
+    judge = Horizon(60, 1e-4, 0, beside=OBLATE, **ROWS)
+    start = fitted_start(exact_flow(EARTH), judge._measured(case), case)
     close(start[:, :3], case.test.states[:, 0, :3], 1e-7)
     close(start[:, 3:], case.test.states[:, 0, 3:], 1e-6)
 
@@ -122,12 +125,36 @@ def test_a_fitted_start_of_the_exact_flow_is_the_true_one(tmp_path):
 @pytest.mark.parametrize("arc", [3, 576])
 def test_an_arc_that_fits_no_start_is_refused(arc):
     with pytest.raises(UserError, match=f"arc: expected from 6 to 575 samples.*received {arc}"):
-        Horizon(OBLATE, arc=arc, noise=1.0, seed=0).check(None, EARTH.space, 575)
+        Horizon(arc, 1.0, 0, beside=OBLATE, **ROWS).check(None, EARTH.space, 575)
 
 
 def test_other_units_are_refused():
     with pytest.raises(UserError, match="beside: expected data in Units"):
-        Horizon(OBLATE, arc=9, noise=1.0, seed=0).check(None, Space("x", ("q", "p") * 3), 575)
+        Horizon(9, 1.0, 0, beside=OBLATE, **ROWS).check(None, Space("x", ("q", "p") * 3), 575)
+    with pytest.raises(UserError, match=r"mu: expected that of two-body motion.*received neither"):
+        Horizon(9, 1.0, 0, **ROWS)
+
+
+def test_known_forces_alone_stand_beside_a_model_that_adds_to_them(tmp_path):
+    """Two bodies with a mass each, and a model that knows the attraction of the centre and pulls outwards."""
+    case = planets_case(tmp_path)
+    options = {"dof": 3, "inertia": 1.0, "hamiltonian": "central_body", "mu": MU, "inputs": "radial"}
+    options |= {"scaling": "none", "network": {"width": 4, "depth": 1, "activation": "tanh"}}
+    torch.manual_seed(0)
+    learned = make_dynamics("hamiltonian", integrator={"name": "dopri8"}, **options).double()
+    for parameter in learned.parameters():
+        parameter.data += 0.01
+    judge = Horizon(8, 1e-9, 0, period=5.0, unit="week", mu=[MU * (1 + STRONGER), MU])
+    judge.check(None, case.space, 9)
+    start = case.test.states[:, 0]
+    kinds = judge(dataclasses.replace(case, flow=learned)).numbers["errors"]
+    assert all(len(errors) == 2 for kind in kinds.values() for errors in kind.values())
+    assert max(kinds["fitted"][TWO_BODY]) < 1e-4 < 1e-3 < min(kinds["fitted"]["learned"])
+    known = rollout(
+        make_dynamics("hamiltonian", integrator={"name": "dopri8"}, **options).double(), start, 1.0, 10
+    )
+    errors = (known - case.test.states)[..., :3].norm(dim=-1).unflatten(1, (2, 5))
+    close(torch.tensor(kinds["true"][KNOWN]).double(), errors.square().mean((0, 2)).sqrt(), 1e-6)
 
 
 def ukf(**changes) -> UKFEvaluation:

@@ -61,7 +61,9 @@ def test_satellites_are_where_the_published_verification_has_them():
     for k, number in enumerate(MOLNIYA):
         lines = text.split(f"{number} xx\n")[1].splitlines()[:25]
         published = torch.tensor([[float(word) for word in line.split()[:7]] for line in lines]).double()
-        close(read.times[k], 60 * published[:, 0], 1e-12)
+        close(read.times[k] - read.times[k, 0], 60 * published[:, 0], 1e-9)
+        line = element_sets()[number][0]
+        assert float(read.times[k, 0]) == pytest.approx(86400 * (float(line[20:32]) - 176), abs=1e-4)
         close(read.states[k, :, :3], published[:, 1:4], 1e-7)
         close(read.states[k, :, 3:], published[:, 4:], 1e-3)
 

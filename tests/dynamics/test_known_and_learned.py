@@ -1,0 +1,134 @@
+"""Known forces under learned ones: bodies of DE421, a force about an axis, and where a training begins."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from helpers import close, generator
+
+from ahnn.clock import Clock, extended
+from ahnn.dynamics import make_dynamics
+from ahnn.dynamics.forces import Instant, make_force
+from ahnn.errors import UserError
+
+DOUBLE = {"dtype": torch.float64}
+SUN = 2.959122082855911e-4
+"""Of DE421, au^3/d^2."""
+AU = 149597870.6996262
+SKY = {"kind": "third_bodies", "center": "sun", "epoch": 2451545.0, "span": [0.0, 100.0], "spacing": 2.0}
+SKY |= {"day": 1.0, "length": AU, "own": 0.05}
+PLANETS = ["mercury", "venus", "earthmoon", "mars", "jupiter", "saturn", "uranus", "neptune"]
+
+
+def instant(t, q, v=None):
+    t = torch.as_tensor(t, **DOUBLE).unsqueeze(-1)
+    return Instant(t, t[..., :0], q, torch.zeros_like(q) if v is None else v)
+
+
+def ephemeris():
+    pytest.importorskip("jplephem", reason="the extra `ephemeris` is needed")
+    import de421
+    from jplephem.ephem import Ephemeris
+
+    return Ephemeris(de421)
+
+
+def test_sun_and_planets_move_a_planet_as_the_ephemeris_has_it():
+    """Second differences of Mars in DE421; relativity, 1e-8 of the Sun's pull, is left."""
+    known, days = ephemeris(), np.arange(20.0, 80.0, 5.0)
+    ahead = [
+        (known.position("mars", 2451545.0, days + k) - known.position("sun", 2451545.0, days + k)) / AU
+        for k in range(-4, 5)
+    ]
+    weights = [-1 / 560, 8 / 315, -1 / 5, 8 / 5, -205 / 72, 8 / 5, -1 / 5, 8 / 315, -1 / 560]
+    rate = torch.from_numpy(sum(w * a for w, a in zip(weights, ahead, strict=True)).T.copy())
+    q = torch.from_numpy(ahead[4].T.copy())
+    pull = make_force("sun", 3, 0, {"kind": "central_attraction", "mu": SUN})
+    others = make_force("planets", 3, 0, {**SKY, "bodies": PLANETS})
+    at = instant(days, q)
+    assert float((pull(at) - rate).norm() / rate.norm()) > 1e-5
+    close(pull(at) + others(at), rate, 1e-7)
+
+
+def test_the_moon_pulls_a_satellite_with_the_difference_of_two_attractions():
+    """In km and seconds, against positions and masses read here."""
+    known = ephemeris()
+    options = {**SKY, "bodies": ["sun", "moon"], "center": "earth", "day": 86400.0, "length": 1.0, "own": 0.0}
+    force = make_force("bodies", 3, 0, {**options, "span": [0.0, 1e5], "spacing": 3600.0})
+    q = 4e4 * torch.randn(5, 3, generator=generator(0), **DOUBLE)
+    t = torch.linspace(0, 1e5, 5, **DOUBLE)
+    moon = known.position("moon", 2451545.0, t.numpy() / 86400).T
+    earth = known.position("earthmoon", 2451545.0, t.numpy() / 86400).T - moon / (1 + known.EMRAT)
+    sun = known.position("sun", 2451545.0, t.numpy() / 86400).T - earth
+    expected = 0.0
+    for body, mu in ((sun, known.GMS), (moon, known.GMB / (1 + known.EMRAT))):
+        r, line = torch.from_numpy(body), torch.from_numpy(body) - q
+        pulls = line / line.norm(dim=1, keepdim=True) ** 3 - r / r.norm(dim=1, keepdim=True) ** 3
+        expected = expected + mu * AU**3 / 86400**2 * pulls
+    close(force(instant(t, q)), expected, 1e-7)
+    assert bool(force(instant([-4e4, 2e5], q[:2])).isnan().all())
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"bodies": ["ceres"]}, {"bodies": ["sun"]}, {"bodies": []}, {"span": [0.0, 1e6]}, {"span": [1.0, 1.0]}],
+)
+def test_bodies_and_dates_that_de421_does_not_have_are_refused(changes):
+    ephemeris()
+    with pytest.raises(UserError, match=r"third_bodies: expected .*received"):
+        make_force("planets", 3, 0, {**SKY, "bodies": ["venus"], **changes})
+
+
+def test_a_force_about_the_axis_turns_with_the_motion():
+    force = make_force("own", 3, 0, {"kind": "axial", "falloff": 2}).double()
+    q, v = (torch.randn(20, 3, generator=generator(k), **DOUBLE) for k in (1, 2))
+    c, s = np.cos(0.7), np.sin(0.7)
+    turn = torch.tensor([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]], **DOUBLE)
+    nothing = torch.zeros(20, **DOUBLE)
+    found = force(instant(nothing, q, v)).detach()
+    assert float(found.norm()) > 0
+    close(force(instant(nothing, q @ turn.T, v @ turn.T)).detach(), found @ turn.T, 1e-12)
+    with pytest.raises(UserError, match="axial: expected three coordinates; received 2"):
+        make_force("own", 2, 0, {"kind": "axial", "falloff": 2})
+
+
+def model(hamiltonian, mu=None, forces=None):
+    options = {"dof": 3, "inertia": 1.0, "inputs": "isotropic", "scaling": "none", "mu": mu, "forces": forces}
+    options |= {"network": {"width": 6, "depth": 2, "activation": "tanh"}, "integrator": {"name": "rk4"}}
+    return make_dynamics("hamiltonian", hamiltonian=hamiltonian, **options).double()
+
+
+PULL = {"planet": {"kind": "central_attraction", "mu": 2.0}}
+
+
+@pytest.mark.parametrize(
+    ("hamiltonian", "mu", "forces"),
+    [
+        ("central_body", 2.0, None),
+        ("mechanical", None, PULL),
+        ("mechanical", None, {**PULL, "rest": {"kind": "axial", "falloff": 1}}),
+        ("mechanical", None, {**PULL, "rest": {"kind": "network", "sees": ["q", "v"]}}),
+    ],
+)
+def test_a_model_with_known_physics_begins_at_it(hamiltonian, mu, forces):
+    made, x = model(hamiltonian, mu, forces), torch.randn(10, 6, generator=generator(3), **DOUBLE)
+    assert made.begins_known
+    q, p = x.chunk(2, dim=-1)
+    two_body = torch.cat((p, -2 * q / q.norm(dim=-1, keepdim=True) ** 3), dim=-1)
+    close(made.field(x).detach(), two_body, 1e-14)
+    for parameter in made.parameters():
+        parameter.data += 0.3
+    assert float((made.field(x) - two_body).detach().norm()) > 0.1
+    made.silence()
+    close(made.field(x).detach(), two_body, 1e-14)
+
+
+@pytest.mark.parametrize(
+    ("hamiltonian", "forces"), [("mechanical", None), ("central_body", None), ("separable", PULL)]
+)
+def test_a_model_that_learns_all_does_not(hamiltonian, forces):
+    made, x = model(hamiltonian, None, forces), torch.randn(10, 6, generator=generator(3), **DOUBLE)
+    assert not made.begins_known
+    clock = Clock(x[:, :0], x[:, :0])
+    assert float(made.field(extended(x, clock)).detach().norm()) > 0
