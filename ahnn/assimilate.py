@@ -1,28 +1,28 @@
 """Assimilate measurements online: `python -m ahnn.assimilate run=DIR measurements=FILE|- start=[..]|FILE`.
 
-run=DIR             a run folder; or pretrained=NAME, a model that comes with the package; ckpt=best
+run=DIR             a run folder; or pretrained=NAME, a model shipped with the package; ckpt=best
 measurements=FILE   CSV with a header (time, sensor, numbers, sd_NAME) or JSON lines; - is standard input
 start=[X,...]       the state at time=0; or FILE: YAML or JSON (mean, sd or covariance), an ephemeris, table,
-                    element set, or what an assimilation wrote, with its epoch, frame and covariance
+                    element set, or output of an assimilation, with its epoch, frame and covariance
 start_sd=[..]       its standard deviations, one for each component (of one degree of freedom q and p), or
                     [position,velocity], in place of a covariance in FILE
-controls=FILE       of a model with controls: a table of times and controls, or numbers that are held; without
-                    it they are columns of the measurements, and hold until a line that has others
-epoch=2024-03-01T12:00:00       of time zero; else that of the data of the run, or of the start
-frame=EME2000       also center=EARTH, time_system=UTC: where neither the run nor the start says them
-output=FILE         estimate and covariance after each line, CSV or JSON lines; else standard output
-state=FILE          saved every 1000 lines (every=N); the same command goes on with it after any stop
-objects=COLUMN      whose a line is: many objects, each as if alone; start is a table of their states by id,
-                    or one for all; every=N lines are taken together (100,000); Parquet in and out
-states=FILE         of objects, at the end: their last states, a start of ahnn.predict: .csv, .parquet, .oem
-window=SECONDS      late measurements are merged by replay; lines=N are kept for that at most
-measurement=NAME    what is measured; of several sensors: +measurement@sensors.NAME=OPTION for each
-measurement.bias_sd=NUMBER      its bias is estimated; bias_memory=TIME lets it wander; or of sensors.NAME
+controls=FILE       for a model with controls: a table of times and controls, or constants; without
+                    it they are columns of the measurements, each value valid until the next one
+epoch=2024-03-01T12:00:00       of time zero; default: epoch of the training data, or of the start
+frame=EME2000       also center=EARTH, time_system=UTC: where neither the run nor the start defines them
+output=FILE         estimate and covariance after each line, CSV or JSON lines; default: standard output
+state=FILE          saved every 1000 lines (every=N); repeat the command to resume after any interruption
+objects=COLUMN      object id of each line, to estimate many objects independently; start is a table by id,
+                    or one state for all; every=N lines form a batch (100,000); Parquet in and out
+states=FILE         final states of the objects, usable as start of ahnn.predict: .csv, .parquet, .oem
+window=SECONDS      late measurements are merged by replay, from a buffer of at most lines=N lines
+measurement=NAME    sensor; with several sensors: +measurement@sensors.NAME=OPTION for each
+measurement.bias_sd=NUMBER      estimate its bias; bias_memory=TIME lets the bias drift; also sensors.NAME
 plugins=NAME        the filter; plugins.ukf.gate=0.9999 refuses outliers, plugins.ukf.process_noise is Q
 watch=true          a live view of state, 3 sigma, innovations and NIS on standard error; or --watch
 figures=FOLDER      innovations, consistency and deviations at the end
 oem=FILE            .oem or .xml: an ephemeris message at the end, of object=NAME
---trust             build whatever the folder's config.yaml names; only if you know who wrote it
+--trust             build any class named in the folder's config.yaml; only for files you trust
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ USAGE = "usage: python -m ahnn.assimilate run=DIR | pretrained=NAME measurements
 
 
 def assimilate(arguments: list[str]) -> None:
-    """Assimilate the stream that a command line names; raises as `cli.stream` and `jobs.assimilating`."""
+    """Assimilate the stream named on the command line; raises as `cli.stream` and `jobs.assimilating`."""
     with importing():
         from ahnn.cli.stream import read_stream
         from ahnn.jobs import assimilating

@@ -1,10 +1,10 @@
 """Predict with learned dynamics: `python -m ahnn.predict run=DIR start=FILE duration=1d output=orbit.csv`.
 
 run=DIR             a run folder, or [A,B,C]: the mean of several trainings, with their spread
-pretrained=NAME     a model that comes with the package
+pretrained=NAME     a model shipped with the package
 ckpt=best           the weights: best, last, or a path
-start=FILE          first sample of each trajectory in a file (docs/data.md), an element set, or what an
-                    assimilation wrote; or numbers in the units of the model: start=[0.5,0], [[0.5,0],[0.7,0]]
+start=FILE          first sample of each trajectory in a file (docs/data.md), an element set, or output
+                    of an assimilation; or numbers in the model's units: [0.5,0], [[0.5,0],[0.7,0]]
 start_sd=[..]       its standard deviations, one for each component (of one degree of freedom q and p), or
                     [position,velocity]; else the covariance in FILE, and exact without either
 controls=FILE       of a model with controls: a table of time and controls, or numbers that are held
