@@ -1,8 +1,8 @@
 """Affine scalings of the state, fitted on the training split.
 
-A scaling sits inside the vector field: the network sees scaled coordinates, and its gradient is pulled back
-to the physical state by the chain rule. Hamilton's equations then hold exactly for any scaling, also for a
-scaling per component, which is not canonical by itself in more than one dimension.
+The scaling is part of the vector field: the network receives scaled coordinates, and its gradient is pulled
+back to the physical state by the chain rule. Hamilton's equations then hold exactly for any scaling, also for
+a scaling per component, which is not canonical by itself in more than one dimension.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ Kind = Literal["minmax", "block", "none"]
 
 
 UNEVEN = 1e3
-"""Ratio of the ranges of two components that one scale for both leaves unseen."""
+"""Ratio of the ranges of two components above which a shared scale makes the smaller negligible."""
 
 
 def remark_on_scale(kind: str | None, minimum: Tensor, maximum: Tensor, names: Sequence[str]) -> str:
-    """Return which components one scale for positions, or for momenta, makes too small to be seen, or ""."""
+    """Return a remark on components made negligible by a shared scale of positions or momenta, or ""."""
     if kind != "block":
         return ""
     ranges = (maximum - minimum).unflatten(0, (2, -1))
@@ -40,11 +40,11 @@ def remark_on_scale(kind: str | None, minimum: Tensor, maximum: Tensor, names: S
 
 @checked
 class Affine(nn.Module):
-    """z = (x - shift) / scale, with constants that travel with the checkpoint.
+    """Affine map z = (x - shift) / scale, with constants stored in the checkpoint.
 
     Args:
-        kind: `minmax` maps each component to [-1, 1] (the paper); `block` shares one scale among the
-            positions and one among the momenta; `none` is the identity.
+        kind: `minmax` maps each component to [-1, 1] (the paper); `block` uses one scale for all positions
+            and one for all momenta; `none` is the identity.
         size: number of components.
     """
 
@@ -61,7 +61,7 @@ class Affine(nn.Module):
         """Set shift and scale from the extremes of the components, both of shape (size,).
 
         Raises:
-            UserError: a component does not vary.
+            UserError: a component is constant.
         """
         if self.kind == "none":
             return
