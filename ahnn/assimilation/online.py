@@ -1,4 +1,4 @@
-"""The filter online, as a class of three methods: update, save, load."""
+"""Online filter of one object, with methods update, save and load."""
 
 from __future__ import annotations
 
@@ -24,20 +24,21 @@ from ahnn.estimation import Belief, EstimatorState, Innovation, Status, load_not
 from ahnn.estimation.process_model import Process
 
 Outcome = Literal["taken", "rejected", "predicted", "repeated", "late", "ahead"]
-"""What became of a reading: it counted, the gate refused it, it was empty, it was there already, it came too
-late, or it lies too far ahead. The last three leave the estimate as it was."""
+"""Outcomes of a reading: accepted, rejected by the gate, empty, duplicate, too late, or too far ahead. The
+last three leave the estimate unchanged.
+"""
 
 
 class Estimate(NamedTuple):
-    """What is believed after a reading.
+    """Estimate after a reading.
 
     Attributes:
-        outcome: of the reading.
-        time: at which the estimate holds: that of the newest reading.
-        mean: (D,).
-        covariance: (D, D).
-        innovation: what the reading told; None where it left the estimate as it was.
-        replayed: readings that came before it and are later than it.
+        outcome: outcome of the reading.
+        time: time of the estimate, that of the newest reading.
+        mean: (D,) state estimate.
+        covariance: (D, D) covariance.
+        innovation: innovation of the reading; None if the estimate is unchanged.
+        replayed: number of later readings that were replayed.
     """
 
     outcome: Outcome
@@ -49,24 +50,24 @@ class Estimate(NamedTuple):
 
 
 class Diverged(RuntimeError):
-    """The filter has lost what it follows; the message says by what."""
+    """The filter has diverged; the message states the cause."""
 
 
 class Assimilation:
-    """A filter that takes readings as they come, and can be saved and gone on with at any of them.
+    """Filter that processes readings as they arrive, and can be saved and resumed after any reading.
 
     Args:
-        process: the estimator and its process model.
-        sensors: by name; a reading without name is of the only one.
-        start: belief about the state, of one member.
-        time: at which it holds.
-        window: readings that come late by up to this are put in their place and later ones replayed.
-        lines: most readings that are kept for that.
-        gap: a reading that lies further ahead is refused; None is 10,000 steps of the flow.
-        controls: of a process model that has some, known ahead; None where readings bring them.
+        process: estimator with its process model.
+        sensors: sensors by name; a reading without name belongs to a single sensor.
+        start: initial belief about the state, one member.
+        time: time of the initial belief.
+        window: largest delay of a late reading, which is inserted at its time while later ones are replayed.
+        lines: largest number of readings kept for replay.
+        gap: largest time ahead of an accepted reading; None for 10,000 steps of the flow.
+        controls: controls known in advance; None if readings supply them, or without controls.
 
     Raises:
-        UserError: a value beyond its limits, a start of several members, or controls of another model.
+        UserError: a value outside its limits, a start with several members, or controls of another model.
     """
 
     @checked
@@ -99,18 +100,17 @@ class Assimilation:
             self.window = ReadingWindow(state, float(time), self.controls.unknown)
             mean, covariance = start.mean[0].tolist(), start.covariance[0].tolist()
             self.begun = {"start": mean, "start_sd": covariance, "time": float(time)}
-            # no line waits for what that prepares
+            # so that the first line does not wait for this preparation
             self.process.advanced(state, time, time + process.max_step, self.controls.trial)
 
     @torch.inference_mode()
     def update(self, reading: Reading) -> Estimate:
-        """Return the estimate after a reading, which is merged in its place if it comes late.
+        """Process a reading, merging a late one at its time, and return the estimate after it.
 
         Raises:
-            UserError: a sensor that there is none of, another number of values than it has, or controls that
-                are missing or none.
-            BadLine: numbers that leave no finite, precise estimate; the state from before it is kept.
-            Diverged: the filter has lost what it follows; the state from before the reading is kept.
+            UserError: an unknown sensor, a wrong number of values, or missing or invalid controls.
+            BadLine: values that give no finite, precise estimate; the previous state is kept.
+            Diverged: the filter has diverged; the state before the reading is kept.
         """
         reading = self._named(reading)
         now = self.window.time
@@ -132,7 +132,7 @@ class Assimilation:
 
     @property
     def biases(self) -> dict[str, list[tuple[float, float]]]:
-        """By sensor the estimated bias of each column and its standard deviation, 0 where it has none."""
+        """Estimated biases of each sensor's columns with standard deviations, 0 for columns without bias."""
         if self.errors is None:
             return {}
         mean, chol = self.window.state.moments
@@ -145,11 +145,11 @@ class Assimilation:
         return {name: [(0.0, 0.0) if k is None else pairs[k] for k in own] for name, own in places}
 
     def save(self, path: str | Path, notes: Mapping[str, str] | None = None) -> None:
-        """Write all that is needed to go on; the file appears whole or not at all.
+        """Save the complete state atomically, for resuming.
 
         Args:
-            path: of the file.
-            notes: texts that are kept beside the state.
+            path: path of the file.
+            notes: additional texts saved with the state.
         """
         window = self.window
         readings = json.dumps([entry.reading for entry in window.entries])
@@ -159,10 +159,10 @@ class Assimilation:
 
     @torch.inference_mode()
     def load(self, path: str | Path) -> dict[str, str]:
-        """Go on where `save` was called, and return the notes that were kept there.
+        """Restore the state written by `save`, and return its notes.
 
         Raises:
-            UserError: no such file, a damaged one, or one of another process, sensors or window.
+            UserError: a missing or damaged file, or one of another process, sensors or window.
         """
         try:
             state, notes = load_state(path, like=self.window.anchor), load_notes(path)
@@ -181,11 +181,11 @@ class Assimilation:
 
     @property
     def identity(self) -> str:
-        """What determines the estimates besides start and readings, in 32 hexadecimal digits."""
+        """Hash of all that determines estimates except start and readings, 32 hexadecimal digits."""
         return self.models.identity((self.span, self.lines, self.gap, self.process.max_step))
 
     def _others(self, path: str | Path, notes: Mapping[str, str], time: float) -> str:
-        """Return what a state that holds at a time was made with and is not ours; "" where all is."""
+        """Return the settings of a saved state that differ from ours, for messages; "" if none."""
         if notes["of"] != self.identity:
             return (
                 f"state: expected one of this model, process noise, sensors and window; received {path} of "
@@ -199,7 +199,7 @@ class Assimilation:
         return ""
 
     def _named(self, reading: Reading) -> Reading:
-        """Return the reading under the name of its sensor; one without values needs none."""
+        """Return the reading with its sensor name filled in, if it has values."""
         self.controls.require_fitting(reading)
         if not math.isfinite(reading.time):
             message = f"reading: expected a time that is finite; received {reading}"
@@ -221,7 +221,7 @@ class Assimilation:
         return reading
 
     def _added(self, window: ReadingWindow, reading: Reading) -> ReadingWindow:
-        """Return the window with a reading at its end."""
+        """Return the window with a reading appended."""
         held = window.controls
         controls = self.controls.between(held, window.time, reading.time)
         state = self.process.advanced(window.state, window.time, reading.time, controls)
@@ -234,7 +234,7 @@ class Assimilation:
         return window._replace(entries=(*window.entries, entry))
 
     def _updated(self, before: EstimatorState, reading: Reading) -> tuple[EstimatorState, Innovation]:
-        """Return the state given a reading at its time, and what that told; raises BadLine."""
+        """Condition the state on a reading at its time; return state and innovation; raises BadLine."""
         own, model = reading.deviations, self.models.seen[reading.sensor]
         factor = self._factors[reading.sensor] if own is None else self.sensors[reading.sensor].factor(own)
         y = torch.tensor([reading.values], dtype=torch.float64)
@@ -254,13 +254,13 @@ class Assimilation:
 
 
 def absurd_numbers(said: list[str], deviations: Sequence[float]) -> str:
-    """Return what is wrong with numbers that no filter takes, which are spelled already."""
+    """Return the message for values too extreme for a filter, given as text."""
     received = ", ".join([*said, *(f"sd {sd:g}" for sd in deviations)])
     return f"expected numbers that leave a finite, precise estimate; received {received}"
 
 
 def lost_filter(status: int, time: float, sensor: str) -> str:
-    """Return what has become of a filter at a time, by a sensor where one has a part in it."""
+    """Return the message for a diverged filter, with time and, if relevant, sensor."""
     by = f", by sensor {sensor}" if sensor else ""
     return (
         f"expected a filter that follows its measurements; it is {Status(status).name} at time {time:g}{by}"
