@@ -1,4 +1,4 @@
-"""Prediction bands of a model whose parameters have a covariance, held against what then happened."""
+"""Prediction bands from a parameter covariance, and their coverage of unseen trajectories."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from ahnn.types import Space
 from ahnn.uncertainty import Uncertainty, rollout_sensitivities
 
 SIGMAS = (1, 2, 3)
-"""Half widths of the bands, in standard deviations."""
+"""Half-widths of the bands, in standard deviations."""
 NORMAL = tuple(math.erf(k / math.sqrt(2)) for k in SIGMAS)
-"""What they hold of normal errors."""
+"""Coverage of the bands for normal errors."""
 DRAWS, MIDDLE = 200, 0.95
-"""Trainings that are imagined to tell what right bands hold, and the middle share of these that is told."""
+"""Number of simulated trainings for the expected coverage, and the central fraction reported."""
 
 
 class Band(NamedTuple):
-    """Standard deviations of rollouts from the true start, and what they were worth.
+    """Standard deviations of rollouts from the true start, and their coverage.
 
     Attributes:
-        deviations: (B, T, D).
-        coverage: shares of the components of unseen states within 1, 2 and 3 of them.
-        right: least and largest share that right bands hold in the middle 95 % of trainings, likewise.
-        expected: rms norms of the errors, of positions and of velocities, that they stand for.
-        bound: the same from noise alone: the Cramer-Rao bound of the regularised parameters.
+        deviations: (B, T, D) standard deviations.
+        coverage: fractions of components of unseen states within 1, 2 and 3 standard deviations.
+        right: limits of the coverage of calibrated bands in the central 95 % of trainings.
+        expected: expected rms norms of position and velocity errors.
+        bound: expected errors from noise alone: the Cramer-Rao bound of the regularised parameters.
         efficiency: rms norms of the errors in units of that bound.
     """
 
@@ -60,7 +60,7 @@ class Band(NamedTuple):
 
 
 def banded(case: Case, uncertainty: Uncertainty, prediction: Tensor) -> Band:
-    """Return the band of a prediction (B, T, D) of the test trajectories from their true starts."""
+    """Compute the band of a prediction (B, T, D) of the test trajectories from their true starts."""
     count, samples = case.test.times.shape
     lengths = torch.as_tensor(case.dt, dtype=torch.float64).expand(count, samples - 1)
     dynamics, start = cast(Dynamics, case.flow), case.test.states[:, 0]
@@ -73,7 +73,7 @@ def banded(case: Case, uncertainty: Uncertainty, prediction: Tensor) -> Band:
         for own, seen in zip(moved[:, 1:], there[rows, 1:], strict=True):
             within += held(own[seen] @ draws, own[seen].norm(dim=-1, keepdim=True))
     deviations, alone = (torch.cat(some).sqrt() for some in zip(*parts, strict=True))
-    alone = alone / uncertainty.inflation**0.5  # the last column is the offset, and both are inflated
+    alone = alone / uncertainty.inflation**0.5  # the last column is the offset; both are inflated
     bound = norms(alone.where(there, torch.nan), case.space.divisor)
     real = norms(off, case.space.divisor)
     later, band = off[:, 1:].abs(), deviations[:, 1:]
@@ -88,33 +88,33 @@ def banded(case: Case, uncertainty: Uncertainty, prediction: Tensor) -> Band:
 
 
 def imagined(columns: int) -> Tensor:
-    """Return `DRAWS` draws of so many independent causes, in their standard deviations, (columns, DRAWS)."""
+    """Draw `DRAWS` samples of independent standard normal causes, (columns, DRAWS)."""
     return torch.randn(columns, DRAWS, generator=torch.Generator().manual_seed(0))
 
 
 def held(off: Tensor, sd: Tensor) -> Tensor:
-    """Return how many of n errors (n, DRAWS), with deviations (n, 1), each draw has within bands, (3, DRAWS).
+    """Count errors (n, DRAWS) with deviations (n, 1) within the bands for each draw, (3, DRAWS).
 
-    Errors of one training move together: where nearly all of them are one direction, a right band holds
-    nearly all or few.
+    Errors of one training are correlated: if a single direction dominates, a calibrated band contains nearly
+    all or few of them.
     """
     return torch.stack([(off.abs() <= k * sd).sum(0) for k in SIGMAS])
 
 
 def middle(shares: Tensor) -> tuple[tuple[float, float], ...]:
-    """Return the ends of the middle 95 % of shares (3, DRAWS)."""
+    """Return the central 95 % interval of fractions (3, DRAWS)."""
     ends = torch.tensor([(1 - MIDDLE) / 2, (1 + MIDDLE) / 2], dtype=torch.float64)
     return tuple((float(low), float(high)) for low, high in torch.quantile(shares.double(), ends, dim=1).mT)
 
 
 def right_bands(right: tuple[tuple[float, float], ...]) -> str:
-    """Return what right bands hold, as text."""
+    """Format the coverage of calibrated bands."""
     ends = ", ".join(f"{100 * low:.3g} to {100 * high:.3g}" for low, high in right)
     return f"right ones {ends} % in 19 draws of 20"
 
 
 def percent(shares: tuple[float, ...]) -> str:
-    """Return shares as text."""
+    """Format fractions in percent."""
     return ", ".join(f"{100 * share:.3g}" for share in shares)
 
 
@@ -126,7 +126,7 @@ def norms(values: Tensor, divisor: float | Tensor) -> tuple[float, float]:
 
 
 def band_figure(case: Case, prediction: Tensor, deviations: Tensor) -> Figure:
-    """Draw the errors of one unseen trajectory within their band, positions above and velocities below."""
+    """Plot the errors of one unseen trajectory with their band, positions above and velocities below."""
     figure = style.canvas(8, 6)
     panels = figure.subplots(2, 1, sharex=True)
     axis, names = style.time_axis(case), style.state_labels(case)

@@ -1,7 +1,7 @@
-"""What bands of forecasts hold of measurements: a check that needs no truth.
+"""Coverage of forecast bands by measurements: a calibration check without truth.
 
-A start is fitted to the first half of each unseen trajectory and predicts the second, as somebody would who
-knows no more. Where the truth is known, true states are held against the bands, too.
+An initial state is fitted to the first half of each unseen trajectory and predicts the second half. If the
+truth is known, true states are also compared with the bands.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from ahnn.uncertainty import forecast_columns
 
 
 class Forecast(NamedTuple):
-    """What the bands of forecasts hold.
+    """Coverage of forecast bands.
 
     Attributes:
-        coverage: shares of the measured numbers ahead within 1, 2 and 3 standard deviations.
-        width: these standard deviations, rms, in those of the noise; near 1 little else was tested.
-        parameters: what the parameters have of the variances of states ahead, on average.
-        states: the same shares of the components of true states; None where these are not known.
-        right: least and largest share of states ahead that right bands hold in the middle 95 % of draws.
-        lost: trajectories whose first half no start fits, which do not count in the others.
-        trajectories: how many were tried.
-        outliers: share of the measured numbers ahead that were taken for outliers and left out.
+        coverage: fractions of later measured values within 1, 2 and 3 standard deviations.
+        width: rms of these standard deviations in units of the noise; near 1 mainly the noise was tested.
+        parameters: mean contribution of parameters to the variances of predicted states.
+        states: same fractions for components of true states, or None if unknown.
+        right: limits of the coverage of calibrated bands in the central 95 % of draws.
+        lost: number of trajectories whose first half cannot be fitted, excluded from the others.
+        trajectories: number of trajectories tried.
+        outliers: fraction of later measured values excluded as outliers.
     """
 
     coverage: tuple[float, ...]
@@ -74,15 +74,15 @@ def forecast(
     robust: RobustName = "none",
     truth: Trajectories | None = None,
 ) -> Forecast | None:
-    """Return what bands hold of the second halves of measurements, None where no first half can be fitted.
+    """Evaluate forecast bands on second halves of measurements; None if no first half can be fitted.
 
     Args:
-        dynamics: with a field, float64.
-        segment: measurements that the dynamics were not trained on.
+        dynamics: float64 dynamics with a field.
+        segment: measurements not used in training.
         spread: L, shape (P, R); L L^T is the covariance of the parameters.
-        robust: the loss of the training. One that weighs outliers down leaves them out here: in the first
-            half what is far from its robust fit, in the second what is far from the forecast.
-        truth: of the same trajectories, at these times and perhaps others.
+        robust: robust loss of the training. With such a loss outliers are excluded here: in the first half
+            values far from the robust fit, in the second half values far from the forecast.
+        truth: true states of the trajectories, at these and possibly other times.
     """
     early = first_halves(segment)
     first = part_fitted(dynamics, segment, early, robust)
@@ -123,15 +123,15 @@ def forecast(
 
 
 class Variances(NamedTuple):
-    """How far off forecasts are.
+    """Variances of forecasts.
 
     Attributes:
-        states: variances, (B, K + 1, D).
-        parameters: what the parameters have of them.
-        values: variances of what is measured, (B, K + 1, M), in those of the noise and without it; 0 where
-            nothing was measured.
-        within: how many states ahead are within 1, 2 and 3 standard deviations in each of some draws of noise
-            and parameters, (3, DRAWS).
+        states: variances of states, (B, K + 1, D).
+        parameters: contribution of the parameters to these variances.
+        values: variances of measured values, (B, K + 1, M), in units of the noise variance and without noise;
+            0 where missing.
+        within: number of predicted states within 1, 2 and 3 standard deviations in each draw of noise and
+            parameters, (3, DRAWS).
     """
 
     states: Tensor
@@ -143,13 +143,13 @@ class Variances(NamedTuple):
     def of(
         cls, causes: Iterable[tuple[Tensor, Tensor]], of_state: Tensor, there: Tensor, columns: int
     ) -> Variances:
-        """Return what the columns of `forecast_columns` make.
+        """Compute variances from the columns of `forecast_columns`.
 
         Args:
-            causes: the columns, those of so many parameters.
+            causes: columns for the given number of parameters.
             of_state: derivatives of measurements, (B, K + 1, M, D).
-            there: which states count in `within`, (B, K + 1, D).
-            columns: of the parameters.
+            there: mask of states counted in `within`, (B, K + 1, D).
+            columns: number of parameter columns.
         """
         parts, within, first = [], torch.zeros(len(SIGMAS), DRAWS, dtype=torch.int64), 0
         draws = imagined(columns + there[:, 0].numel())
@@ -169,20 +169,20 @@ class Variances(NamedTuple):
 
 
 def first_halves(segment: Segment) -> Tensor:
-    """Return which times belong to the first half of what was measured, (B, K + 1) bool."""
+    """Return the mask of times in the first half of the measurements, (B, K + 1) bool."""
     there = ~segment.values.isnan().all(-1)
     return there.cumsum(1) <= there.sum(1, keepdim=True) / 2
 
 
 def part_fitted(dynamics: Dynamics, segment: Segment, early: Tensor, robust: RobustName) -> Segment:
-    """Return what was measured early, (B, K + 1), up to the last of these times; outliers are left out."""
+    """Return early measurements, (B, K + 1), up to the last of these times, without outliers."""
     last = max(int(early.any(0).sum()) - 1, 1)
     part = segment._replace(values=segment.values.masked_fill(~early.unsqueeze(-1), torch.nan)).first(last)
     return part if robust == "none" else without_outliers(dynamics, part, robust)
 
 
 def at(truth: Trajectories, rows: Tensor, times: Tensor) -> Tensor:
-    """Return the states (b, K + 1, D) of some trajectories at times (b, K + 1), NaN where they have none."""
+    """Return the states (b, K + 1, D) of trajectories at times (b, K + 1), NaN where missing."""
     known = truth.times[rows].nan_to_num(nan=torch.inf)
     near = 1e-6 * float(truth.times.diff(dim=1).nanmean())
     index = torch.searchsorted(known, times - near).clamp(max=known.shape[1] - 1)
@@ -192,5 +192,5 @@ def at(truth: Trajectories, rows: Tensor, times: Tensor) -> Tensor:
 
 
 def shares(off: Tensor) -> tuple[float, ...]:
-    """Return the shares within 1, 2 and 3 of errors in standard deviations; a NaN is outside."""
+    """Return the fractions of normalised errors within 1, 2 and 3; NaN is outside."""
     return tuple(float((off.abs() <= k).double().mean()) for k in SIGMAS)
