@@ -1,4 +1,4 @@
-"""What an assimilation writes: names of its columns, its rows, and its last estimate."""
+"""Reading of assimilation output: column names, rows, and the last estimate."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FIRST = ("line", "time", "sensor", "outcome", "replayed", "nis", "dof")
 
 
 class Last(NamedTuple):
-    """The last estimate: time, mean (D,), covariance (D, D), and what they refer to."""
+    """The last estimate: time, mean (D,), covariance (D, D), and their reference."""
 
     time: float
     mean: Tensor
@@ -50,16 +50,16 @@ def rows_of(path: Path) -> Iterator[dict[str, Any]]:
 
 
 def last_estimate(path: Path, space: Space) -> Last:
-    """Return the last estimate in an output, in the units of a space.
+    """Read the last estimate of an output, in the units of a space.
 
     Raises:
-        UserError: there is none, or it is of another space.
+        UserError: there is no estimate, or it belongs to another space.
     """
     names, row = space.components, {}
     lower = [(i, j) for i in range(len(names)) for j in range(i + 1)]
     covariance = torch.zeros(len(names), len(names), dtype=torch.float64)
     try:
-        for row in rows_of(path):  # noqa: B007 - the last one counts
+        for row in rows_of(path):  # noqa: B007 - only the last one is used
             pass
         time, mean = float(row["time"]), [float(row[name]) for name in names]
         for i, j in lower:
@@ -79,7 +79,7 @@ def last_estimate(path: Path, space: Space) -> Last:
 
 
 def units_of(space: Space) -> dict[str, str]:
-    """Return the units of time and components as a sidecar has them."""
+    """Return the units of time and components as in a sidecar."""
     names, units = space.components, space.units
     momentum = {"1": "1", "rad": f"kg m^2/{units.time}"}.get(units.position, f"kg {units.velocity}")
     parts = [units.position] * space.dof + [momentum] * space.dof
@@ -87,7 +87,7 @@ def units_of(space: Space) -> dict[str, str]:
 
 
 def described(space: Space, reference: Reference) -> sidecar.Sidecar:
-    """Return the sidecar of an output: with it a reader of data takes the estimates as states."""
+    """Return the sidecar of an output, with which data readers treat estimates as states."""
     names, dof = list(space.components), space.dof
     columns = {"time": "time", "positions": names[:dof], "momenta": names[dof:]}
     return sidecar.Sidecar(units_of(space), columns, str(reference))

@@ -1,4 +1,4 @@
-"""From a setup and its files to a problem that can be solved."""
+"""Construction of an orbit determination problem from a setup and its files."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ from ahnn.tracking.unknowns import START, SmoothBlock, Smoothness, Unknowns
 
 Array = NDArray[np.float64]
 TURNING = np.array([kind not in ("range", "range_rate") for kind in KINDS])
-"""Which of `KINDS` are angles."""
+"""Mask of angles among `KINDS`."""
 MARGIN = 60.0
-"""Seconds by which Earth, Sun and Moon are known beyond the measurements; light needs less."""
+"""Margin in seconds of Earth rotation, Sun and Moon beyond the measurements; light time is shorter."""
 SMOOTH = (10.0, 0.3)
-"""Where the choice of the smoothness begins: units of the basis, and a fraction of the time."""
+"""Initial smoothness: units of the basis, and a fraction of the time span."""
 
 
 class PreparedOrbit(NamedTuple):
-    """A problem and what is needed beside it.
+    """Orbit determination problem with auxiliary data.
 
     Attributes:
-        problem: with all measurements.
-        rotation: of the Earth.
-        learned: the learned acceleration and the place of its first unknown, if there is one.
+        problem: problem with all measurements.
+        rotation: Earth rotation.
+        learned: learned acceleration and index of its first unknown, or None.
     """
 
     problem: OrbitProblem
@@ -52,14 +52,14 @@ class PreparedOrbit(NamedTuple):
 
 
 def prepared_orbit(setup: OrbitSetup, folder: Path) -> PreparedOrbit:
-    """Return the problem of a setup.
+    """Build the problem of a setup.
 
     Args:
-        setup: what the user says.
-        folder: that the names of files start from.
+        setup: user's setup.
+        folder: base folder of file names.
 
     Raises:
-        UserError: what is wrong with a file, or with a station.
+        UserError: an invalid file or station.
     """
     data = measured(setup, folder)
     at = (start_moment(setup) - data.epoch) / epochs.SECOND
@@ -115,7 +115,7 @@ def prepared_orbit(setup: OrbitSetup, folder: Path) -> PreparedOrbit:
 
 
 def start_moment(setup: OrbitSetup) -> int:
-    """Return the epoch of the start in picoseconds; raises UserError for what is none."""
+    """Return the epoch of the start in picoseconds; raises UserError for an invalid epoch."""
     try:
         return epochs.instant(setup.start.epoch, utc=True)
     except ValueError as error:
@@ -124,7 +124,7 @@ def start_moment(setup: OrbitSetup) -> int:
 
 
 def measured(setup: OrbitSetup, folder: Path) -> TrackingData:
-    """Return the measurements of the satellite; raises UserError where it is not clear which one."""
+    """Return the measurements of the satellite; raises UserError if the satellite is ambiguous."""
     found = read_tracking(folder / setup.measurements)
     known = [one for one in found if setup.object in (None, one.object)]
     if len(known) != 1:
@@ -137,7 +137,7 @@ def measured(setup: OrbitSetup, folder: Path) -> TrackingData:
 
 
 def stations_of(setup: OrbitSetup, folder: Path, data: TrackingData) -> tuple[TrackingStation, ...]:
-    """Return the stations that the data name; raises UserError for one whose place nobody says."""
+    """Return the stations named in the data; raises UserError for unknown coordinates."""
     if setup.sinex is not None:
         catalogue = read_sinex(*(folder / name for name in setup.sinex))
         return tuple(cartesian_station(name, catalogue.position(name, data.epoch)) for name in data.stations)
@@ -163,17 +163,17 @@ def stations_of(setup: OrbitSetup, folder: Path, data: TrackingData) -> tuple[Tr
 
 
 def by_kind(choice: KindChoice) -> Array:
-    """Return the numbers of each kind in km, rad and km/s, (6,); NaN where none is."""
+    """Return the numbers of each kind in km, rad and km/s, (6,); NaN for none."""
     given = [getattr(choice, one.name) for one in sorted(fields(choice), key=lambda f: KINDS.index(f.name))]
     numbers = np.array([np.nan if one is None else one for one in given], dtype=np.float64)
     return np.where(TURNING, np.radians(numbers), numbers)
 
 
 def noise_of(setup: OrbitSetup, data: TrackingData) -> Array:
-    """Return the noise by station and kind, (stations, 6): the setup's, else the file's median.
+    """Return the noise by station and kind, (stations, 6): from the setup, else the file's median.
 
     Raises:
-        UserError: neither says one of what was measured.
+        UserError: the noise of some measurements is unknown.
     """
     table = np.tile(by_kind(setup.noise), (len(data.stations), 1))
     for s, k in np.argwhere(np.isnan(table)):
@@ -189,7 +189,7 @@ def noise_of(setup: OrbitSetup, data: TrackingData) -> Array:
 
 
 def require_light(setup: OrbitSetup, data: TrackingData) -> None:
-    """Refuse ranges of which no wavelength is known where light is delayed; raises UserError."""
+    """Raise UserError for laser ranges without a known wavelength if delays are corrected."""
     ranged = np.isfinite(data.values[:, 0])
     if setup.corrections.troposphere == "laser" and not np.isfinite(data.wavelength[ranged]).all():
         message = (
@@ -199,7 +199,7 @@ def require_light(setup: OrbitSetup, data: TrackingData) -> None:
 
 
 def biases_of(choice: KindChoice, data: TrackingData) -> tuple[tuple[tuple[int, int], ...], list[float]]:
-    """Return which biases are estimated, (station, kind), and their prior standard deviations."""
+    """Return the estimated biases, (station, kind), and their prior standard deviations."""
     deviations = by_kind(choice)
     pairs = [
         (s, k)

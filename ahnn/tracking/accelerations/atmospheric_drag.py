@@ -1,4 +1,4 @@
-"""Drag of an atmosphere that turns with the Earth and thins out exponentially."""
+"""Drag of an exponential atmosphere that rotates with the Earth."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import numpy as np
 from ahnn.tracking.accelerations.contract import Acceleration, Array
 
 ROTATION = 7.292115e-5
-"""Rate of the Earth, rad/s (IERS Conventions 2010, table 1.2)."""
+"""Rotation rate of the Earth, rad/s (IERS Conventions 2010, table 1.2)."""
 RADIUS = 6378.137
-"""km."""
+"""Radius of the Earth, km."""
 LAYERS = np.array(
     [
         (150.0, 2.070e-9, 22.523),
@@ -32,7 +32,7 @@ LAYERS = np.array(
 
 
 class AtmosphericDrag:
-    """Acceleration against the wind, with one parameter: the drag coefficient (1).
+    """Drag acceleration, with one parameter: the drag coefficient (dimensionless).
 
     Args:
         area_to_mass: m^2/kg.
@@ -58,7 +58,7 @@ class AtmosphericDrag:
 
 
 def atmosphere(height: float) -> tuple[float, float]:
-    """Return density in kg/m^3 and scale height in km at a height in km; the lowest layer goes on down."""
+    """Return density in kg/m^3 and scale height in km at a height in km; the lowest layer is extrapolated."""
     layer = max(0, int(np.searchsorted(LAYERS[:, 0], height, side="right")) - 1)
     base, density, scale = LAYERS[layer]
     return float(density * np.exp((base - height) / scale)), float(scale)

@@ -1,4 +1,4 @@
-"""What every acceleration of a satellite offers."""
+"""Interface of satellite accelerations."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ NONE = np.zeros((3, 3))
 
 
 class Acceleration(NamedTuple):
-    """An acceleration at one state, in km/s^2 and the axes of GCRF.
+    """Acceleration at one state, in km/s^2 in GCRF, with derivatives.
 
     Attributes:
-        value: (3,).
-        by_position: its derivatives by the position, (3, 3).
-        by_velocity: by the velocity, (3, 3).
-        by_parameters: by the term's own parameters, (3, P).
+        value: (3,) acceleration.
+        by_position: derivatives with respect to position, (3, 3).
+        by_velocity: derivatives with respect to velocity, (3, 3).
+        by_parameters: derivatives with respect to the term's parameters, (3, P).
     """
 
     value: Array
@@ -28,10 +28,10 @@ class Acceleration(NamedTuple):
 
 
 class AccelerationTerm(Protocol):
-    """One cause of acceleration."""
+    """Term of the acceleration."""
 
     parameters: tuple[str, ...]
-    """Names of what can be estimated of it, each with its unit in the term's docstring."""
+    """Names of the parameters that can be estimated, with units in the term's docstring."""
 
     def __call__(self, t: float, r: Array, v: Array, p: Array) -> Acceleration:
         """Return the acceleration of a satellite.
@@ -46,5 +46,5 @@ class AccelerationTerm(Protocol):
 
 
 def known(value: Array, by_position: Array, by_velocity: Array = NONE) -> Acceleration:
-    """Return an acceleration that has no parameters."""
+    """Build an acceleration without parameters."""
     return Acceleration(value, by_position, by_velocity, np.empty((3, 0)))
