@@ -1,4 +1,4 @@
-"""How far ahead a learned flow beats analytic ones: errors day by day, all begun alike."""
+"""Prediction horizon of a learned flow compared with analytic ones: daily errors from equal starts."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ TWO_BODY = "two-body"
 
 
 class Ahead(NamedTuple):
-    """A prediction of the test trajectories.
+    """Prediction of the test trajectories.
 
     Attributes:
-        name: of the flow.
+        name: name of the flow.
         start: `true`, or `fitted` to the first positions.
-        states: (B, T, D).
-        daily: (N,) rms error of position over all trajectories, day by day.
+        states: (B, T, D) predicted states.
+        daily: (N,) rms error of position over all trajectories, by day.
     """
 
     name: str
@@ -46,16 +46,16 @@ class Ahead(NamedTuple):
 @final
 @checked
 class Horizon:
-    """A learned flow beside an oblate planet's, and beside two-body motion, whose elements stay as they are.
+    """Comparison of a learned flow with that of an oblate planet, and with two-body motion.
 
-    Each predicts the test trajectories twice: from their first state, and from the start that fits noisy
-    positions of their first samples best.
+    Each flow predicts the test trajectories twice: from their first state, and from the initial state that
+    best fits noisy positions of their first samples.
 
     Args:
-        beside: the oblate planet.
-        arc: samples that starts are fitted to.
+        beside: system of the oblate planet.
+        arc: number of samples for fits of initial states.
         noise: standard deviation of their positions.
-        seed: of that noise.
+        seed: seed of that noise.
     """
 
     def __init__(self, beside: Molniya, arc: Count, noise: Positive, seed: Seed) -> None:
@@ -72,7 +72,7 @@ class Horizon:
             raise UserError(message)
 
     def __call__(self, case: Case) -> Findings:
-        """Return the rows of the analytic flows, errors of each day, and how many days the model is best."""
+        """Return the rows of the analytic flows, daily errors, and the number of days won by the model."""
         mu = self.beside.mu
         flows: dict[str, Flow] = {
             case.label: case.flow,
@@ -110,7 +110,7 @@ class Horizon:
         return Segment(positions + noise, times, instrument)
 
     def _figure(self, ahead: list[Ahead], case: Case) -> Figure:
-        """Draw rms errors of position over time, a panel for each kind of start."""
+        """Plot rms position errors over time, one panel per kind of start."""
         figure = style.canvas(8, 6.5)
         panels = figure.subplots(2, 1, sharex=True)
         time = (case.test.times[0] - case.test.times[0, 0]) / DAY
@@ -132,7 +132,7 @@ class Horizon:
 
 @torch.no_grad()
 def fitted_start(flow: Flow, segment: Segment) -> Tensor:
-    """Return the starts (B, 6) from which a flow meets measurements best."""
+    """Fit the initial states (B, 6) of a flow to measurements."""
 
     def increment(x: Tensor, dt: Tensor) -> Tensor:
         return flow(x, dt) - x
@@ -155,6 +155,6 @@ def daily(states: Tensor, case: Case) -> Tensor:
 
 
 def days_ahead(ahead: list[Ahead], label: str, other: str, start: str) -> int:
-    """Return on how many days, from the first on, the flow of a label is nearer than another."""
+    """Return the number of initial days on which a flow is more accurate than another."""
     own, theirs = (one for name in (label, other) for one in ahead if (one.name, one.start) == (name, start))
     return int((own.daily < theirs.daily).long().cumprod(0).sum())
