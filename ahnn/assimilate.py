@@ -8,10 +8,10 @@ start_sd=[..]       its standard deviations, one for each component (of one degr
                     [position,velocity], in place of a covariance in FILE
 controls=FILE       for a model with controls: a table of times and controls, or constants; without
                     it they are columns of the measurements, each value valid until the next one
-epoch=2024-03-01T12:00:00       of time zero; default: epoch of the training data, or of the start
+epoch=2024-03-01T12:00:00       epoch of time zero; default: that of the training data, or of the start
 frame=EME2000       also center=EARTH, time_system=UTC: where neither the run nor the start defines them
 output=FILE         estimate and covariance after each line, CSV or JSON lines; default: standard output
-state=FILE          saved every 1000 lines (every=N); repeat the command to resume after any interruption
+state=FILE          state file, saved every 1000 lines (every=N); repeat the command to resume
 objects=COLUMN      object id of each line, to estimate many objects independently; start is a table by id,
                     or one state for all; every=N lines form a batch (100,000); Parquet in and out
 states=FILE         final states of the objects, usable as start of ahnn.predict: .csv, .parquet, .oem

@@ -148,7 +148,7 @@ class Catalogue:
 
     @property
     def lost(self) -> dict[str, Status]:
-        """Reason of failure for each lost object, by name."""
+        """Reason for the failure of each lost object, by name."""
         pairs = zip(self.names, self.objects.lost.tolist(), strict=True)
         return {name: Status(status) for name, status in pairs if status}
 

@@ -132,7 +132,7 @@ def run(plan: list[DrawnTraining], asked: BenchmarkRequest) -> list[DrawnTrainin
         )
         children.add(child)
         said = child.communicate()[1].decode(errors="replace").strip().splitlines()
-        if child.returncode < SIGNALLED:  # the user who stopped it knows
+        if child.returncode < SIGNALLED:  # stopped by the user
             log.info("%s", said[-1] if said else f"{training.folder}: ended without a word")
         return child.returncode == 0
 

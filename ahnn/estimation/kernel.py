@@ -124,8 +124,8 @@ def decided(
     """Accept or reject an update, member by member.
 
     Returns:
-        The state, still with the estimates before the update, whether each member accepts the update, and
-        whether the gate rejected its row, (B,) bool each.
+        The state with the estimates before the update, the mask of members that accept it, and the mask
+        of rows rejected by the gate, (B,) bool each.
     """
     present = ~torch.isnan(y)
     has_row = present.any(-1)

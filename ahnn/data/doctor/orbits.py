@@ -86,7 +86,7 @@ def words(frame: str) -> list[str]:
 
 
 def hypothesis(times: Array, positions: Array, body: str | None, *, turning: bool) -> str:
-    """Return the mistake under which positions in km at times in s form an orbit; "" for none or no orbit.
+    """Return the unit or frame mistake that explains an orbit (km, s); "" for none, or for no orbit.
 
     Args:
         times: (T,) in s.

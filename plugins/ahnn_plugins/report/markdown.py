@@ -34,7 +34,7 @@ def markdown(text: str) -> str:
 
 
 def _spread(row: tuple[Head, ...]) -> list[str]:
-    """Return the heading over each column."""
+    """Return the heading above each column."""
     return [markdown(head.text) for head in row for _ in range(head.span)]
 
 

@@ -35,7 +35,7 @@ class SigmaWeights(NamedTuple):
 
     Attributes:
         radius: sqrt(D + lambda), distance of the points, in standard deviations.
-        outer: W_i of every point but the centre, mean and covariance alike.
+        outer: weight W_i of all points except the centre, for mean and covariance.
         mean_centre: W_m0.
         covariance_centre: W_c0.
         recentring: fraction of the shift subtracted from the deviations.
