@@ -8,17 +8,20 @@ start_sd=[..]       its standard deviations, one for each component (of one degr
                     [position,velocity], in place of a covariance in FILE
 controls=FILE       for a model with controls: a table of times and controls, or constants; without
                     it they are columns of the measurements, each value valid until the next one
-epoch=2024-03-01T12:00:00       epoch of time zero; default: that of the training data, or of the start
+epoch=2024-03-01T12:00:00       of time zero; default: epoch of the training data, or of the start
 frame=EME2000       also center=EARTH, time_system=UTC: where neither the run nor the start defines them
 output=FILE         estimate and covariance after each line, CSV or JSON lines; default: standard output
-state=FILE          state file, saved every 1000 lines (every=N); repeat the command to resume
+state=FILE          saved every 1000 lines (every=N); repeat the command to resume after any interruption
 objects=COLUMN      object id of each line, to estimate many objects independently; start is a table by id,
                     or one state for all; every=N lines form a batch (100,000); Parquet in and out
+shard=2/8           of objects those of the second of eight workers, by their names
 states=FILE         final states of the objects, usable as start of ahnn.predict: .csv, .parquet, .oem
 window=SECONDS      late measurements are merged by replay, from a buffer of at most lines=N lines
 measurement=NAME    sensor; with several sensors: +measurement@sensors.NAME=OPTION for each
 measurement.bias_sd=NUMBER      estimate its bias; bias_memory=TIME lets the bias drift; also sensors.NAME
-plugins=NAME        the filter; plugins.ukf.gate=0.9999 refuses outliers, plugins.ukf.process_noise is Q
+plugins=NAME        the filter; plugins.ukf.process_noise is Q
+gate=0.999999       refuses what is less probable; opens again after plugins.ukf.patience=5 refusals in a row;
+                    gate=none takes all
 watch=true          a live view of state, 3 sigma, innovations and NIS on standard error; or --watch
 figures=FOLDER      innovations, consistency and deviations at the end
 oem=FILE            .oem or .xml: an ephemeris message at the end, of object=NAME

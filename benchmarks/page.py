@@ -25,7 +25,7 @@ def cpu() -> str:
 
 def machine(load: float) -> str:
     """Return what measures, with its mean load before."""
-    shared = f"mean load before {load:.1f}: others shared it" if load > 0.5 else "idle before"
+    shared = f"mean load {load:.1f}" if load > 0.5 else "idle before"
     versions = f"Python {platform.python_version()}, PyTorch {torch.__version__}"
     return f"{cpu()}, {os.cpu_count()} cores, {versions}; {shared}"
 

@@ -32,10 +32,9 @@ STEPS, WINDOWS = 150, 51200
 """Steps of a fit through Lightning, and windows of an epoch."""
 OPENING = """# Benchmarks
 
-`make bench` measures ahnn and its peers on the same work, in turn (A B A B), on one thread, and writes this
-page; `python benchmarks/run.py --only filter,rollouts --repeats 3` measures some of its sections again and
-leaves the others. Times are CPU time, medians, unless said otherwise; ratios are medians of the ratios of
-each repeat, below 1 where ahnn is faster. Peers that are not installed are left out by name.
+`make bench` measures ahnn and its peers on the same work, alternating, on one thread, and writes this page.
+`python benchmarks/run.py --only filter,rollouts --repeats 3` repeats some sections. Times are medians of CPU
+time unless stated; ratios are medians over the repeats, below 1 where ahnn is faster.
 
 ![Time of ahnn over that of each peer](benchmarks.png)
 """
@@ -54,96 +53,85 @@ class Section(NamedTuple):
 SECTIONS = {
     "training": Section(
         "Training steps",
-        """All follow a generic Hamiltonian network of three degrees of freedom by Runge-Kutta steps of
-order four. A step is the Huber loss of the recursive predictions over a window, its gradient and AdamW,
-in float32, without Lightning. The floor is the time that the multiply-adds of the network take as plain
-matrix products of torch, which do not use all that some processors have: it can be undercut.
+        """A generic Hamiltonian network of three degrees of freedom, RK4, the Huber loss of recursive
+predictions over a window, its gradient and AdamW, in float32, without Lightning. The floor is the time
+of the network's multiply-adds as matrix products of torch.
 
-- **autograd.grad**: plain PyTorch, the field as `autograd.grad` of the energy with its graph.
+- **autograd.grad**: plain PyTorch, the field as `autograd.grad` of the energy.
 - **torchdiffeq**: the same field through `odeint(method="rk4")`, its 3/8 rule.
-- **JAX**: Equinox and Optax, the whole step jitted; compilation is not counted.
+- **JAX**: Equinox and Optax, the whole step jitted; without compilation.
 
-The optimiser of ahnn is fused, as `recipe=first_order` has it, that of the peers in PyTorch is the
-default one. Steps of ahnn and their reverse are in C where there is a compiler, as in any training.""",
+ahnn has a fused optimiser and steps in C, as in any training; PyTorch peers have the default optimiser.""",
         lambda repeats: table([*works.training(repeats)], "one step [ms]"),
         15,
         {peer: works.NEEDS[peer] for peer in ("torchdiffeq", "JAX")},
     ),
     "rollouts": Section(
         "Rollouts",
-        """The same network through the same steps, all states kept, as `run.rollout` has them; in JAX a
-whole rollout is jitted. diffrax takes steps of one size with the classical tableau as its solver.""",
+        """The same network and steps with all states kept, as in `run.rollout`. JAX jits the whole
+rollout; diffrax takes constant steps with the classical tableau.""",
         lambda repeats: table([*works.rollouts(repeats)], "1,440 steps [ms]"),
         7,
         works.NEEDS,
     ),
     "filter": Section(
         "The filter",
-        """Two bodies with J2, a position after every step, float64: microseconds for one step of one
-member. `ahnn` is the filter with the flow of `system=molniya`, 17 stages of order eight in the library
-that is compiled once for a machine. The others take one Runge-Kutta step: `torch` is the same filter with
-a flow that somebody wrote in torch, `compiled` that through `torch.compile`, as dynamax and cuthbert have it
-jitted. The floor is the compiled flow alone on all sigma points. cuthbert's filter is put together from
-its quadrature and its update by roots; filterpy knows one member.""",
+        """Two bodies with J2, a position after every step, float64. `ahnn` is the filter with the compiled
+flow of `system=molniya`, 17 stages of order eight. The others take one Runge-Kutta step: `torch` is the
+same filter with a flow in torch, `compiled` that through `torch.compile`; dynamax and cuthbert are
+jitted. The floor is the compiled flow on all sigma points. filterpy has one member.""",
         lambda repeats: filter_works.table([*filter_works.filters(repeats)]),
         7,
         filter_works.NEEDS,
     ),
     "generation": Section(
         "Generation",
-        """A day of 2,500 Molniya orbits about an oblate planet, a state a minute, in CPU seconds. heyoka
-integrates by Taylor series, a vector of orbits at a time, its compilation not counted; DOP853 does five
-orbits, and its time is that of as many as the others. Errors are of positions, beside heyoka at tolerance
-1e-18.""",
+        """A day of 2,500 Molniya orbits about an oblate planet, a state a minute. heyoka integrates by
+vectorised Taylor series, without compilation; DOP853 integrates five orbits, and its time is scaled.
+Errors of positions are relative to heyoka at tolerance 1e-18.""",
         bench_generation.generation,
         5,
         bench_generation.NEEDS,
     ),
     "second_order": Section(
         "Levenberg-Marquardt",
-        """A step in float64 beside its matrix products alone (the floor), and beside a jitted step of
-optimistix on as many residuals of the same network.
-With one core times are CPU time, with two those of a clock, which mean something on a machine that does
-nothing else.""",
+        """A step in float64. The floor is its matrix products; optimistix takes a jitted step on as many
+residuals of the same network. Times on two cores are wall clock and need an idle machine.""",
         bench_second_order.steps,
         3,
         bench_second_order.NEEDS,
     ),
     "lightning": Section(
         "Through Lightning",
-        f"""Steps of a fit of {STEPS} with the default callbacks and TensorBoard, networks of three layers
-of 128, batches of 256. `barebones` is Lightning's own trainer of that name, without callbacks, logger and
-checkpoints: what its loop costs alone. The bare loop has the same batches and the optimiser of ahnn, plain
-AdamW that of torch with its defaults.""",
+        f"""A fit of {STEPS} steps with the default callbacks and TensorBoard, networks of three layers of
+128, batches of 256. `barebones` is Lightning's trainer without callbacks, logger and checkpoints. The
+bare loop has the same batches and the optimiser of ahnn; plain AdamW has torch's defaults.""",
         lambda repeats: table([*bench_training_step.measured(STEPS, repeats)], "one step [ms]"),
         3,
         {},
     ),
     "epoch": Section(
         "One epoch end to end",
-        f"""{WINDOWS:,} windows of the spring in batches of 256, trajectories in memory. ahnn is the whole
-fit: Lightning, a validation of 256 windows, logger and checkpoint. The plain loop has none of these: a
-DataLoader takes one window after another from a dataset, the field is `autograd.grad` of the same network
-with its graph, the optimiser AdamW with its defaults.""",
+        f"""{WINDOWS:,} windows of the spring in batches of 256, trajectories in memory. ahnn is the whole fit
+with a validation of 256 windows, logger and checkpoint. The plain loop has a per-sample DataLoader, the
+field as `autograd.grad` of the same network, and AdamW with its defaults.""",
         lambda repeats: table([*bench_epoch.measured(WINDOWS, repeats)], "one epoch [s]", 1.0),
         3,
         {},
     ),
     "accuracy": Section(
         "Time to a given accuracy",
-        f"""Wall clock until rollouts of 25 validation trajectories are as good as the paper's AHNN5: the
-default recipe, and the plain way (one-step loss, AdamW at batch 256 from a per-sample DataLoader,
-gradient by autograd), which is stopped at {CAP:g} times our time. Both learn the same structure from the
-same trajectories, once.""",
+        f"""Wall clock until rollouts of 25 validation trajectories reach the paper's AHNN5: the default
+recipe, and the plain way (one-step loss, AdamW at batch 256 from a per-sample DataLoader, autograd),
+stopped at {CAP:g} times our time.""",
         lambda _: bench_time_to_accuracy.race(CAP),
         1,
         {},
     ),
     "startup": Section(
         "Start-up",
-        """Whole processes with all that they start. The first optimiser step is that of the defaults,
-with trajectories and compiled parts in their caches; the process ends after it. Peers take one step of
-AdamW on random numbers and read neither a configuration nor data.""",
+        """Whole processes that end after their first optimiser step, with trajectories and compiled parts
+cached. Peers take one step of AdamW on random numbers, without configuration or data.""",
         bench_startup.startup,
         5,
         bench_startup.NEEDS,
@@ -158,8 +146,8 @@ def text(section: Section, repeats: int) -> str:
     found = section.measure(repeats)
     print(found, flush=True)
     times = "once" if repeats == 1 or section is SECTIONS["accuracy"] else f"{repeats} repeats"
-    end = f"Measured by {page.machine(load)}; {times}."
-    end += f" Left out, since not installed: {', '.join(absent)}." if absent else ""
+    end = f"Measured on {page.machine(load)}; {times}."
+    end += f" Not installed: {', '.join(absent)}." if absent else ""
     return f"{section.about}\n\n{found}\n{end}"
 
 

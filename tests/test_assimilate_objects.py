@@ -131,3 +131,36 @@ def test_a_mistake_is_one_message_and_leaves_nothing(place, capsys, words):
 def test_states_without_objects_are_refused(capsys):
     assert assimilate(GIVEN[0], *GIVEN[2:], "states=a.csv") == 2
     assert "states: expected objects=COLUMN beside it" in capsys.readouterr().err
+
+
+def test_shards_are_together_what_one_worker_does_bit_for_bit(place, caplog, capsys):
+    caplog.set_level("INFO", "ahnn")
+    lines = Path("fixes.csv").read_text().splitlines(keepends=True)
+    lines[5] = "never,S1,1,2,3\n"
+    Path("fixes.csv").write_text("".join(lines))
+    assert assimilate(*GIVEN, "output=whole.csv", "states=last.csv") == 0
+    assert "1 bad" in caplog.text
+    parts, states, bad = [], [], 0
+    for k in (1, 2):
+        caplog.clear()
+        made = f"output=part-{k}.csv", f"states=last-{k}.csv", f"state=part-{k}.state"
+        assert assimilate(*GIVEN, f"shard={k}/2", *made) == 0
+        head, *rows = Path(f"part-{k}.csv").read_text().splitlines()
+        parts += rows
+        states += Path(f"last-{k}.csv").read_text().splitlines()[1:]
+        bad += "1 bad" in caplog.text
+    assert bad == 1
+    assert len(rows) not in (0, len(parts))
+    whole = Path("whole.csv").read_text().splitlines()
+    assert [head, *sorted(parts, key=lambda row: int(row.partition(",")[0]))] == whole
+    assert sorted(states) == sorted(Path("last.csv").read_text().splitlines()[1:])
+    assert assimilate(*GIVEN, "shard=1/2", *made) == 2
+    assert "start: expected the 3 objects of part-2.state; received others" in capsys.readouterr().err
+
+
+def test_what_is_no_shard_is_refused(place, capsys):
+    for wrong in ("0/2", "3/2", "1/2/3", "a/b"):
+        assert assimilate(*GIVEN, f"shard={wrong}") == 2
+        assert "shard: expected NUMBER/WORKERS, such as 2/8" in capsys.readouterr().err
+    assert assimilate(*GIVEN, "shard=7/64") == 2
+    assert "shard: expected some of the 4 objects of the start" in capsys.readouterr().err

@@ -28,6 +28,7 @@ from ahnn.systems.truth import exact_flow
 
 ROOT = Path(__file__).parents[1]
 ELSEWHERE = ROOT / "docs" / "extending.md"  # tests/test_extending.py installs its package and runs it
+TUTORIAL = ROOT / "docs" / "tutorials" / "own_system_and_model.md"
 DOCUMENTS = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
@@ -121,10 +122,10 @@ def test_a_snippet_runs(text, tmp_path, monkeypatch):
         exec(compile(text, "snippet", "exec"), vars(module))
 
 
-def test_the_system_of_the_readme_moves_as_its_energy_says(monkeypatch):
+def test_the_system_of_the_tutorial_moves_as_its_energy_says(monkeypatch):
     module = ModuleType("snippet")
     monkeypatch.setitem(sys.modules, "snippet", module)
-    shown = FENCE.findall((ROOT / "README.md").read_text())
+    shown = FENCE.findall(TUTORIAL.read_text())
     exec(next(text for _, text in shown if "class Quartic" in text), vars(module))
     system = module.Quartic(name="quartic", dt=0.01, steps=1000)
     states = rollout(exact_flow(system), system.initial_states(5, generator(0)), 0.01, 101)
@@ -140,10 +141,10 @@ EXAMPLES = sorted(path for path in (ROOT / "examples").glob("*.py") if path.name
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.name)
-def test_an_example_runs_and_the_readme_shows_it(path):
+def test_an_example_runs_and_a_document_shows_it(path):
     with untouched():
         exec(compile(path.read_text(), str(path), "exec"), {"__name__": "__main__"})
-    shown = (ROOT / "README.md").read_text()
+    shown = (ROOT / "README.md").read_text() + (ROOT / "docs" / "data.md").read_text()
     for line in path.read_text().split('"""\n')[1].splitlines():
         assert line in shown or line.startswith("print"), line
 
@@ -190,9 +191,9 @@ SHOWN = {
 @pytest.mark.parametrize(
     "title", ["central_body on molniya", pytest.param("ahnn5 on mass_spring", marks=pytest.mark.slow)]
 )
-def test_a_command_prints_what_the_readme_shows(title, tmp_path, monkeypatch, capsys):
-    readme = (ROOT / "README.md").read_text()
-    (printed,) = (text for kind, text in FENCE.findall(readme) if f"\n{title}" in text)
+def test_a_command_prints_what_a_document_shows(title, tmp_path, monkeypatch, capsys):
+    documents = (ROOT / "README.md").read_text() + (ROOT / "docs" / "floors.md").read_text()
+    (printed,) = (text for kind, text in FENCE.findall(documents) if f"\n{title}" in text)
     monkeypatch.chdir(tmp_path)
     small = ["data.trajectories=40", "data.windows_per_epoch=5000", "trainer.accelerator=cpu"]
     assert call("ahnn.train", *SHOWN[title], "trainer.max_epochs=1", *small) == 0
@@ -208,8 +209,8 @@ def shape(line):
 
 @pytest.fixture(scope="module")
 def places(tmp_path_factory):
-    """A folder for each section, with scripts, the README's own system, and the run of its first command."""
-    made, shown = {}, FENCE.findall((ROOT / "README.md").read_text())
+    """A folder for each section: scripts, the tutorial's own system, and the README's first run."""
+    made, shown = {}, FENCE.findall(TUTORIAL.read_text())
     system = next(text for _, text in shown if "class Quartic" in text)
     yaml = next(text for kind, text in shown if kind == "yaml")
 

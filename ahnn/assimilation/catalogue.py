@@ -82,7 +82,7 @@ class Catalogue:
             if objects is not None:
                 self.objects.enrol(names, state, moments)
         self.begun = _spelled(start, names, moments)
-        updates = MemberUpdates(self.models, self.columns)
+        updates = MemberUpdates(self.models, self.columns, start.chol)
         self._rounds = CatalogueRounds(self.objects, updates, self.limits)
 
     @torch.no_grad()

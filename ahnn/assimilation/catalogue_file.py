@@ -83,7 +83,7 @@ def read_catalogue(
         message = f"state: expected a file written by save; received {path} ({error})"
         raise UserError(message) from error
     if about["of"] != identity:
-        expected = "one of this model, process noise, sensors and window"
+        expected = "one of this model, process noise, gate, sensors and window"
         message = f"state: expected {expected}; received {path} of others. {OTHERS}"
         raise UserError(message)
     if names is not None and names != about["names"]:

@@ -13,7 +13,7 @@ from ahnn.assimilation.online import absurd_numbers, lost_filter
 from ahnn.assimilation.reading_table import FATES, Array, CatalogueEstimates, Places, ReadingTable
 from ahnn.estimation.member_steps import member_rows
 
-TAKEN, REJECTED, PREDICTED, REPEATED, LATE, AHEAD, BAD, GONE = range(len(FATES) - 1)
+TAKEN, REOPENED, REJECTED, PREDICTED, REPEATED, LATE, AHEAD, BAD, GONE = range(len(FATES) - 1)
 
 
 class Limits(NamedTuple):
@@ -102,11 +102,11 @@ class CatalogueRounds:
         """Filter readings, replay later ones, keep valid results, and record the innovations."""
         _, times, sensors, values, deviations = readings
         given = MeasuredRows(times, sensors, values, deviations).at(chosen.rows)
-        told, targets = self._step(chosen.slots, chosen.since, given)
+        told, targets = self._step(chosen.numbers, chosen.slots, chosen.since, given)
         statuses = told.statuses.numpy()
         chains = {j: [_kept(given, j, int(targets[j]))] for j in chosen.later if not statuses[j]}
         faults = {j: _kept(given, j, -1) for j in np.flatnonzero(statuses).tolist()}
-        self._replay(chosen.later, chains, statuses, faults)
+        self._replay(chosen, chains, statuses, faults)
         for j, by in faults.items():
             self._fail(int(chosen.rows[j]), int(chosen.numbers[j]), int(statuses[j]), by, found)
         sound = np.flatnonzero(statuses == 0)
@@ -114,17 +114,17 @@ class CatalogueRounds:
         place, own = chosen.rows[sound], torch.from_numpy(sound)
         empty = np.isnan(given.values[sound]).all(1)
         fates = np.where(told.rejected.numpy()[sound], REJECTED, np.where(empty, PREDICTED, TAKEN))
-        found.fates[place] = fates
+        found.fates[place] = np.where(told.reopened.numpy()[sound], REOPENED, fates)
         into = found.residuals, found.deviations, found.nis, found.measured
-        for whole, part in zip(into, told[3:], strict=True):
+        for whole, part in zip(into, told[4:], strict=True):
             whole[torch.from_numpy(place)] = part[own]
         for j in chains:
             found.replayed[chosen.rows[j]] = len(chosen.later[j])
 
-    def _step(self, slots: Places, since: Array, given: MeasuredRows) -> tuple[Told, Places]:
+    def _step(self, numbers: Places, slots: Places, since: Array, given: MeasuredRows) -> tuple[Told, Places]:
         """Filter readings; return the innovations, and the rows of posterior beliefs for valid members."""
         objects = self.objects
-        told = self.updates.filtered(objects.state, slots, since, given)
+        told = self.updates.filtered(objects.state, numbers, slots, since, given)
         sound = told.statuses.numpy() == 0
         targets = objects.take(len(slots)) if self.limits.window else slots
         if sound.all():
@@ -137,17 +137,17 @@ class CatalogueRounds:
 
     def _replay(
         self,
-        later: dict[int, list[KeptRow]],
+        chosen: Candidates,
         chains: dict[int, list[KeptRow]],
         statuses: Places,
         faults: dict[int, KeptRow],
     ) -> None:
         """Replay later readings, one per object at a time; failed members release their rows."""
-        wave = 0
+        wave, later = 0, chosen.later
         while live := [j for j in chains if wave < len(later[j])]:
             again, last = [later[j][wave] for j in live], [chains[j][-1] for j in live]
             slots, since = np.array([one.slot for one in last]), np.array([one.time for one in last])
-            told, targets = self._step(slots, since, _rows_of(again))
+            told, targets = self._step(chosen.numbers[live], slots, since, _rows_of(again))
             for k, j in enumerate(live):
                 if status := int(told.statuses[k]):
                     statuses[j], faults[j] = status, again[k]

@@ -14,6 +14,7 @@ from ahnn.assimilation.catalogue import Catalogue
 from ahnn.assimilation.catalogue_rows import CatalogueRows
 from ahnn.assimilation.line_parser import Layout
 from ahnn.assimilation.lines import Lines
+from ahnn.assimilation.object_shard import ObjectShard
 from ahnn.assimilation.parquet_stream import ParquetParts, ParquetRows
 from ahnn.assimilation.reading_table import FATES, CatalogueEstimates
 from ahnn.assimilation.stream_clock import StreamClock
@@ -30,7 +31,7 @@ NAMED = 1000
 
 
 class CatalogueSession(StreamSession):
-    """Session for many objects; arguments as in `StreamSession`, plus the column of object names.
+    """Session for many objects; arguments as in `StreamSession`, plus the column of object names and a shard.
 
     The state is saved after each table, so that a restart forms the same tables and reproduces results
     bitwise.
@@ -50,8 +51,9 @@ class CatalogueSession(StreamSession):
         clock: StreamClock | None = None,
         *,
         objects: str,
+        shard: ObjectShard = ObjectShard(),  # noqa: B008 - a tuple
     ) -> None:
-        self.objects, self.unknown = objects, set[str]()
+        self.objects, self.shard, self.unknown = objects, shard, set[str]()
         super().__init__(filtering, lines, rows, output, state, every, clock)
 
     def run(self) -> None:
@@ -63,7 +65,7 @@ class CatalogueSession(StreamSession):
         """
         try:
             for parsed in self._tables():
-                self._take(parsed)
+                self._take(self.shard.lines(parsed))
                 self._count()
                 self._save()
             self._end()
@@ -146,6 +148,7 @@ WORDS = {
     "repeated": "was counted before: not counted again",
     "ahead": "lies further ahead than a gap may be: not counted",
     "rejected": "rejected by the gate",
+    "reopened": "reopened the gate, which had refused those before it: its covariance was widened",
 }
 
 

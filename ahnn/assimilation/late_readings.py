@@ -15,13 +15,14 @@ TIME = attrgetter("time")
 
 
 class KeptReading(NamedTuple):
-    """Accepted reading with its innovation, the state after it, and the controls from its time on."""
+    """A reading that counted, what it told, state and controls behind it, and whether the gate reopened."""
 
     time: float
     reading: Reading
     state: EstimatorState
     innovation: Innovation
     controls: Held
+    opened: bool = False
 
 
 class ReadingWindow(NamedTuple):

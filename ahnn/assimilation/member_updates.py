@@ -40,6 +40,7 @@ class Told(NamedTuple):
     Attributes:
         state: states after the readings; invalid for failed members.
         statuses: (B,) int64, 0 for valid members, `FAULT` for an invalid measurement.
+        reopened: (B,) bool, the belief was widened until the gate took the reading.
         rejected: (B,) bool, whether the gate rejected the reading.
         residuals: (B, W) measurement minus prediction, NaN where missing.
         deviations: (B, W) standard deviations of the residuals.
@@ -49,6 +50,7 @@ class Told(NamedTuple):
 
     state: FilterState
     statuses: Tensor
+    reopened: Tensor
     rejected: Tensor
     residuals: Tensor
     deviations: Tensor
@@ -60,9 +62,9 @@ class Told(NamedTuple):
         """Allocate results of B readings without measurements."""
         wide = torch.full((2, count, width), torch.nan, dtype=torch.float64)
         whole = torch.zeros(2, count, dtype=torch.int64)
-        rejected = torch.zeros(count, dtype=torch.bool)
+        gate = torch.zeros(2, count, dtype=torch.bool)
         nis = torch.full((count,), torch.nan, dtype=torch.float64)
-        return cls(empty_rows(like, count), whole[0], rejected, wide[0], wide[1], nis, whole[1])
+        return cls(empty_rows(like, count), whole[0], gate[0], gate[1], wide[0], wide[1], nis, whole[1])
 
 
 class MemberUpdates:
@@ -71,17 +73,22 @@ class MemberUpdates:
     Args:
         models: process and sensors.
         columns: names of the W numbers of all sensors.
+        spreads: (N, d, d) factors of the covariances with which objects began, or (1, d, d) for all.
     """
 
-    def __init__(self, models: StreamModels, columns: tuple[str, ...]) -> None:
+    def __init__(self, models: StreamModels, columns: tuple[str, ...], spreads: Tensor) -> None:
+        self.spreads = spreads
         self.models, self.width, self.names = models, len(columns), [*models.sensors]
         own = [[columns.index(name) for name in one.columns] for one in models.sensors.values()]
         self.places = [torch.tensor(places) for places in own]
 
-    def filtered(self, state: FilterState, slots: Places, since: Array, given: MeasuredRows) -> Told:
-        """Process readings for rows of a state with individual times (B,)."""
+    def filtered(
+        self, state: FilterState, numbers: Places, slots: Places, since: Array, given: MeasuredRows
+    ) -> Told:
+        """Return what readings of objects (B,) make of rows of a state, each of which has its time (B,)."""
         told = Told.room(state, len(slots), self.width)
         rows, begun = torch.from_numpy(slots), torch.from_numpy(since)
+        own = torch.from_numpy(np.minimum(numbers, len(self.spreads) - 1))
         times, _, values, deviations = (torch.from_numpy(part) for part in given)
         blocks = [
             (sensor, block)
@@ -97,7 +104,8 @@ class MemberUpdates:
                 put_rows(told.state, block, predicted)
                 told.statuses[block] = predicted.status
             else:
-                self._update(sensor, block, predicted, (end, values[block], deviations[block]), told)
+                measured = end, values[block], deviations[block], self.spreads[own[block]]
+                self._update(sensor, block, predicted, measured, told)
 
         each(work, blocks, state.status.device)
         return told
@@ -107,16 +115,24 @@ class MemberUpdates:
         sensor: int,
         block: Tensor,
         before: FilterState,
-        given: tuple[Tensor, Tensor, Tensor],
+        given: tuple[Tensor, Tensor, Tensor, Tensor],
         told: Told,
     ) -> None:
         """Update a block of members with one sensor and store the results."""
         name, own = self.names[sensor], self.places[sensor]
         times, y, deviations = given[0], given[1][:, own], given[2][:, own]
         model = measured_at(self.models.seen[name], times)
-        after, innovation = self.models.process.estimator.update(
-            before, y, model, self._noise(name, deviations)
-        )
+        noise = self._noise(name, deviations)
+        after, innovation = self.models.process.estimator.update(before, y, model, noise)
+        if bool((lost := self.models.beyond_patience(after, innovation)).any()):
+            own_noise = self._noise(name, deviations[lost])
+            part = y[lost], measured_at(self.models.seen[name], times[lost]), own_noise
+            wide, found, opened = self.models.reopened(member_rows(before, lost), *part, given[3][lost])
+            where = lost.nonzero()[opened, 0]
+            put_rows(after, where, member_rows(wide, opened))
+            for whole, one in zip(innovation, found, strict=True):
+                whole[where] = one[opened]
+            told.reopened[block[where]] = True
         fault = self.models.at_fault(name, (before, after), innovation, y, model)
         put_rows(told.state, block, after)
         told.statuses[block] = torch.where(fault, FAULT, after.status)

@@ -23,10 +23,9 @@ from ahnn.errors import UserError
 from ahnn.estimation import Belief, EstimatorState, Innovation, Status, load_notes, load_state, save_state
 from ahnn.estimation.process_model import Process
 
-Outcome = Literal["taken", "rejected", "predicted", "repeated", "late", "ahead"]
-"""Outcomes of a reading: accepted, rejected by the gate, empty, duplicate, too late, or too far ahead. The
-last three leave the estimate unchanged.
-"""
+Outcome = Literal["taken", "reopened", "rejected", "predicted", "repeated", "late", "ahead"]
+"""What became of a reading: it counted, it counted in a wider belief, the gate refused it, it was empty, it
+was there already, it came too late, or it lies too far ahead. The last three leave the estimate as it was."""
 
 
 class Estimate(NamedTuple):
@@ -88,7 +87,7 @@ class Assimilation:
             raise UserError(message)
         self.sensors, self.span, self.lines = dict(sensors), window, lines
         self.gap = FURTHEST * process.max_step if gap is None else gap
-        self.size = start.mean.shape[-1]
+        self.size, self.spread = start.mean.shape[-1], start.chol
         self.controls = StreamControls.of(process.flow, controls, time)
         with torch.inference_mode():
             self.models = StreamModels(process, sensors)
@@ -125,10 +124,10 @@ class Assimilation:
         place = len(after.entries)
         for one in (reading, *(entry.reading for entry in later)):
             after = self._added(after, one)
-        innovation = after.entries[place].innovation
+        innovation, opened = after.entries[place].innovation, after.entries[place].opened
         self.window = after.kept(self.span, self.lines)
         outcome = "rejected" if bool(innovation.rejected) else "predicted" if reading.is_empty else "taken"
-        return self._estimate(outcome, innovation, len(later))
+        return self._estimate("reopened" if opened else outcome, innovation, len(later))
 
     @property
     def biases(self) -> dict[str, list[tuple[float, float]]]:
@@ -188,8 +187,8 @@ class Assimilation:
         """Return the settings of a saved state that differ from ours, for messages; "" if none."""
         if notes["of"] != self.identity:
             return (
-                f"state: expected one of this model, process noise, sensors and window; received {path} of "
-                "others. Go on with the same command, or remove it and its output to begin again"
+                f"state: expected one of this model, process noise, gate, sensors and window; received "
+                f"{path} of others. Go on with the same command, or remove it and its output to begin again"
             )
         if notes["controls"] != self.controls.hash_before(time):
             return (
@@ -225,25 +224,31 @@ class Assimilation:
         held = window.controls
         controls = self.controls.between(held, window.time, reading.time)
         state = self.process.advanced(window.state, window.time, reading.time, controls)
-        innovation = Innovation.of_nothing(state.moments.mean[:, :0])
+        innovation, opened = Innovation.of_nothing(state.moments.mean[:, :0]), False
         if reading.values:
-            state, innovation = self._updated(state, reading)
+            state, innovation, opened = self._updated(state, reading)
         if status := int(state.status):
             raise Diverged(lost_filter(status, reading.time, reading.sensor))
-        entry = KeptReading(reading.time, reading, state, innovation, self.controls.after(held, reading))
+        controls = self.controls.after(held, reading)
+        entry = KeptReading(reading.time, reading, state, innovation, controls, opened)
         return window._replace(entries=(*window.entries, entry))
 
-    def _updated(self, before: EstimatorState, reading: Reading) -> tuple[EstimatorState, Innovation]:
-        """Condition the state on a reading at its time; return state and innovation; raises BadLine."""
+    def _updated(self, before: EstimatorState, reading: Reading) -> tuple[EstimatorState, Innovation, bool]:
+        """Return the state given a reading, what that told, and whether the gate reopened; raises BadLine."""
         own, model = reading.deviations, self.models.seen[reading.sensor]
         factor = self._factors[reading.sensor] if own is None else self.sensors[reading.sensor].factor(own)
         y = torch.tensor([reading.values], dtype=torch.float64)
         state, innovation = self.process.estimator.update(before, y, model, factor)
+        opened = False
+        if bool(self.models.beyond_patience(state, innovation)):
+            wide, told, taken = self.models.reopened(before, y, model, factor, self.spread)
+            if opened := bool(taken):
+                state, innovation = wide, told
         if bool(self.models.at_fault(reading.sensor, (before, state), innovation, y, model)):
             columns = self.sensors[reading.sensor].columns
             said = [f"{name} {value:g}" for name, value in zip(columns, reading.values, strict=True)]
             raise BadLine(absurd_numbers(said, reading.deviations or ()))
-        return state, innovation
+        return state, innovation, opened
 
     def _estimate(
         self, outcome: Outcome, innovation: Innovation | None = None, replayed: int = 0

@@ -14,11 +14,11 @@ from ahnn.assimilation.online import Outcome
 Fate = Outcome | Literal["bad", "lost", "unknown"]
 """Outcomes of a reading: those for one object, or no finite estimate, lost object, or unknown object."""
 FATES: tuple[Fate, ...] = (
-    *("taken", "rejected", "predicted", "repeated", "late", "ahead"),
+    *("taken", "reopened", "rejected", "predicted", "repeated", "late", "ahead"),
     *("bad", "lost", "unknown"),
 )
 """Outcomes in the order of their codes."""
-COUNTED = 3
+COUNTED = 4
 """Number of leading outcomes for which an output row is written."""
 
 Array = NDArray[np.float64]
@@ -26,7 +26,7 @@ Places = NDArray[np.int64]
 
 
 class ReadingTable(NamedTuple):
-    """Table of K readings.
+    """Table of Table of K readings.
 
     Attributes:
         objects: names of the measured objects.

@@ -68,7 +68,7 @@ class Session(StreamSession):
             log.info("line %d: %s; skipped", number, error)
             return
         except Diverged as error:
-            message = f"line {number}: {error}. Begin again with another start, a wider gate or more noise"
+            message = f"line {number}: {error}. Begin again with another start, or more noise"
             raise TrainingError(message) from error
         self.counts[estimate.outcome] += 1
         if estimate.innovation is None:
@@ -81,6 +81,9 @@ class Session(StreamSession):
             if estimate.outcome == "rejected":
                 told = number, reading.label, nis, dof
                 log.info("line %d: %s rejected, NIS %.3g of %d numbers", *told)
+            elif estimate.outcome == "reopened":
+                words = "reopened the gate, which had refused those before it: its covariance was widened"
+                log.info("line %d: %s %s", number, reading.label, words)
             elif dof:
                 self.nis, self.numbers = self.nis + nis, self.numbers + dof
         if watch is not None:

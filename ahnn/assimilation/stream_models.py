@@ -5,14 +5,19 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
+from typing import Any, cast
 
 import torch
 from torch import Tensor
 
 from ahnn.assimilation.stream_sensor import StreamSensor, plain
-from ahnn.estimation import EstimatorState, Innovation, Status
+from ahnn.estimation import EstimatorState, Gate, Innovation, Status
+from ahnn.estimation.covariances import Covariance
+from ahnn.estimation.member_filter import MemberFilter
 from ahnn.estimation.process_model import Process
+from ahnn.estimation.reopening import reopened
 from ahnn.estimation.sensor_error import SensorError
+from ahnn.estimation.state import MemberState
 from ahnn.measurements import Measurement
 
 HOPELESS = 1e16
@@ -74,6 +79,20 @@ class StreamModels:
         y = torch.where(expected.isfinite(), expected, torch.nan)
         usual, _ = self.process.estimator.update(before, y, model, noise)
         return suspect & ~_lost(usual)
+
+    def beyond_patience(self, state: EstimatorState, innovation: Innovation) -> Tensor:
+        """Return the members, (B,) bool, whose gate has refused as many readings in a row as it may."""
+        gate: Gate | None = getattr(self.process.estimator, "gate", None)
+        if gate is None or not gate.reopens:
+            return torch.zeros_like(innovation.rejected)
+        return innovation.rejected & (cast(MemberState, state).rejections >= gate.patience)
+
+    def reopened(
+        self, before: EstimatorState, y: Tensor, model: Measurement, noise: Covariance, spread: Tensor
+    ) -> tuple[EstimatorState, Innovation, Tensor]:
+        """Return what readings make of beliefs that are widened for them; see `ahnn.estimation.reopening`."""
+        filtering = cast("MemberFilter[Any]", self.process.estimator)
+        return reopened(filtering, cast(MemberState, before), y, model, noise, spread)
 
     def _seen(self, name: str, sensor: StreamSensor) -> Measurement:
         """Return the measurement model of a sensor for the augmented state."""

@@ -63,12 +63,13 @@ class StreamSensor(NamedTuple):
 
 
 def plain(thing: Any) -> Any:
-    """Return the defining properties of an object as plain values: its class and attributes."""
+    """Return what determines an object, as plain values: its class and its `about`, or all that it holds."""
     if thing is None or isinstance(thing, bool | int | float | str):
         return thing
     if isinstance(thing, list | tuple):
         return [plain(one) for one in thing]
     if isinstance(thing, Tensor):
         return thing.tolist()
-    held = thing if isinstance(thing, dict) else getattr(thing, "__dict__", {})
+    about = getattr(thing, "about", None)
+    held = thing if isinstance(thing, dict) else about or getattr(thing, "__dict__", {})
     return [type(thing).__name__, {str(name): plain(value) for name, value in held.items()}]

@@ -31,14 +31,16 @@ log = logging.getLogger("ahnn")
 
 FEW = 30
 """Number of measured values below which consistency is not judged."""
+MANY = 0.05
+"""Fraction of refused measurements that outliers alone seldom are."""
 REMEDIES = {
     "none": "Add lines",
     "bad": "The lines above say what is wrong with them",
     "late": "They are before the start: set epoch= and time=, at which it holds, or window=",
     "ahead": "They are far behind the start: set epoch= and time=, at which it holds, or gap=",
-    "rejected": "Set start= and start_sd=, or epoch= and time=, at which it holds, or plugins.{name}.gate",
+    "rejected": "Set start= and start_sd=, or epoch= and time=, at which it holds, or gate=",
     "repeated": "They come twice: leave state= out or begin another",
-    "lost": "Their filters have failed: set start= and start_sd=, or plugins.{name}.gate",
+    "lost": "Their filters have failed: set start= and start_sd=, or gate=",
     "unknown": "Their objects have no start: name the table of them, start=FILE, or one for all, start=[..]",
     "predicted": "Their numbers are missing: fill the columns of the sensor, or set measurement=",
 }
@@ -148,11 +150,17 @@ class StreamSession:
         mean, (low, high) = self.nis / self.numbers, band(1, self.numbers)
         text = f"mean NIS of a number {mean:.3g}; {low:.3g} to {high:.3g} where a filter is consistent"
         if mean > high:
-            name = self.filter.process.estimator.name
-            text += (
-                f": it trusts its model or the measurements too much, or took outliers (plugins.{name}.gate)"
-            )
-        return text + (": it trusts them too little" if mean < low else "")
+            text += ": it trusts its model or the measurements too much, or took outliers (gate=)"
+        return text + (": it trusts them too little" if mean < low else "") + self._of_the_gate()
+
+    def _of_the_gate(self) -> str:
+        """Return what a mean of what was taken does not show: how much was refused; "" where it is little."""
+        refused, opened = self.counts["rejected"], self.counts["reopened"]
+        fraction = refused / (refused + opened + self.counts["taken"])
+        if not opened and fraction < MANY:
+            return ""
+        times = f", and opened again {opened:,} times after too many in a row" if opened else ""
+        return f"; the gate refused {100 * fraction:.2g} % of the measurements{times}"
 
     def close(self) -> None:
         """Close the files; unsaved lines are processed again on resumption.
@@ -186,12 +194,11 @@ class StreamSession:
         """
         assert self.layout is not None
         asks = self.counts["predicted"] and self.layout.asks
-        if self.counts["taken"] or asks:
+        if self.counts["taken"] or self.counts["reopened"] or asks:
             return
         most, count = max(self.counts.items(), key=lambda item: item[1], default=("none", 0))
         received = f"{count:,} of {self.counts.total():,} {most}" if count else "no line behind the header"
-        remedy = REMEDIES[most].format(name=self.filter.process.estimator.name)
-        message = f"measurements: expected one that counts; received {received}. {remedy}"
+        message = f"measurements: expected one that counts; received {received}. {REMEDIES[most]}"
         raise TrainingError(message)
 
     def _output(self, known: Notes | None) -> Any:

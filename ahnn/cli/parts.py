@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 SIMULATION = ("trajectories", "seed", "cache")
 """Keys of `data` for the number of simulated trajectories and their cache."""
 SENSOR = {"measured": None, "noise": None, "every": 1, "stride": 1, "gaps": 0, "outliers": 0}
+SENSOR |= {"bias_sd": None, "correlation": None}
 """Keys of `data` for the sensor of training, with values without effect."""
 
 
@@ -64,7 +65,8 @@ def build_recorded(options: dict[str, Any], source: Recordings) -> Recorded | No
     Raises:
         UserError: positions without their noise, or options of simulated measurements only.
     """
-    measured, noise, stride = (options.pop(name) for name in ("measured", "noise", "stride"))
+    kept = {name: options.pop(name) for name in ("measured", "noise", "stride", "bias_sd", "correlation")}
+    measured, noise = kept["measured"], kept["noise"]
     drawn = [f"data.{name}={value}" for name, value in options.items() if value not in (None, SENSOR[name])]
     if drawn or not (measured is None or isinstance(measured, str)):
         message = (
@@ -83,7 +85,7 @@ def build_recorded(options: dict[str, Any], source: Recordings) -> Recorded | No
         )
         raise UserError(message)
     kind = measured or ("position" if source.positions_only else "state")
-    options = {"measured": kind, "noise": noise, "stride": stride}
+    options = {**kept, "measured": kind}
     check_arguments("data", Recorded, options, ("space", "every", "gaps", "outliers", "seed"))
     return Recorded(source.space, **options)
 

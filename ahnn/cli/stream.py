@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from functools import cache
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from omegaconf import DictConfig, ListConfig, OmegaConf
@@ -14,10 +14,12 @@ from torch import Tensor
 from ahnn.arguments import check_arguments, nearest
 from ahnn.assimilation import Assimilation, Catalogue, Process, StreamSensor
 from ahnn.assimilation.assimilation_record import require_orbit
+from ahnn.assimilation.object_shard import ObjectShard
 from ahnn.assimilation.start import begin, belief_of
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.cli.build import blaming, build, build_all, plain_config
 from ahnn.cli.compose import composed
+from ahnn.cli.orbit_following import read_following
 from ahnn.cli.parts import build_sensor, build_source
 from ahnn.cli.reevaluation import GROUPS, KEYS, NODES, OWN, Request, run_config
 from ahnn.cli.unused_keys import refuse, unread_online
@@ -26,6 +28,7 @@ from ahnn.data.files.epochs import spelled
 from ahnn.data.reference import Reference
 from ahnn.data.starts import of_one_state, starts
 from ahnn.errors import UserError
+from ahnn.estimation import Gate
 from ahnn.evaluation import Case, EvaluationPlugin
 from ahnn.evaluation.make_case import make_case
 from ahnn.jobs.assimilation_request import AssimilationRequest, Stream, require_places
@@ -37,6 +40,8 @@ from ahnn.systems import System
 
 BIAS = re.compile(r"^(?=sensors\.[^.=]+\.bias_(sd|memory)=)")
 """Keys of a sensor not set by options of the group measurement."""
+GATE = 0.999999
+"""What a stream takes where nobody says otherwise: of a million good measurements one is refused."""
 FILTER, OF_MEASUREMENTS = "plugins=ukf", "plugins=ukf_parameter_error"
 """Default filters of a run without plugin; the second if least observable parameters were saved."""
 
@@ -47,6 +52,8 @@ def read_stream(arguments: list[str], usage: str) -> Stream:
     Raises:
         UserError: a missing run, occupied output paths, or incompatible options.
     """
+    if any(text.startswith("orbit=") for text in arguments):
+        return read_following(arguments, usage)
     options, nodes, request = asked(arguments, usage)
     run = load(request.source, request.ckpt)
     cfg = run_config(run.folder, with_filter(request, run))
@@ -126,8 +133,10 @@ def _numbers(given: Any) -> Any:
     return OmegaConf.to_container(given) if isinstance(given, ListConfig | DictConfig) else given
 
 
-def build_process(cfg: DictConfig, run: Run, case: Callable[[], Case]) -> Process:
-    """Build the online process of the only plugin that supports it.
+def build_process(
+    cfg: DictConfig, run: Run, case: Callable[[], Case], gate: float | Literal["none"] | None
+) -> Process:
+    """Build the online process of the one plugin that has one, with a gate that opens again.
 
     Raises:
         UserError: no plugin does, or several do.
@@ -141,7 +150,16 @@ def build_process(cfg: DictConfig, run: Run, case: Callable[[], Case]) -> Proces
     ((name, plugin),) = online.items()
     with blaming(f"plugins.{name}"):
         novelty = None if run.domain is None else run.novelty
-        return plugin.online(run.dynamics, run.dt, run.space, case, novelty, run.uncertainty)
+        process = plugin.online(run.dynamics, run.dt, run.space, case, novelty, run.uncertainty)
+    if not hasattr(process.estimator, "gated"):
+        if gate is not None:
+            message = f"gate: expected null, as plugins={name} has no gate of its own; received {gate}"
+            raise UserError(message)
+        return process
+    patience = getattr(plugin, "patience", Gate().patience)
+    own = getattr(process.estimator, "gate", None) or Gate(GATE, patience)
+    chosen = None if gate == "none" else own if gate is None else Gate(gate, patience)
+    return process.gated(chosen and chosen._replace(reopens=True))
 
 
 def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictConfig, run: Run) -> Stream:
@@ -187,13 +205,16 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
 
     belief = belief_of(found, deviations, run.space, carry, many=asked.objects is not None)
     limits = {"window": asked.window, "lines": asked.lines, "gap": asked.gap}
-    process = build_process(cfg, run, case)
+    process = build_process(cfg, run, case, asked.gate)
     if asked.objects is None:
         filtering = Assimilation(process, sensors, belief, time=time, controls=controls, **limits)
     else:
         names = None if of_one_state(asked.start) else found.names
-        times = time + found.times - found.times[0]
+        times, shard = time + found.times - found.times[0], ObjectShard.of(asked.shard)
+        if names is not None:
+            names, belief, times = shard.starts(names, belief, times)
         filtering = Catalogue(process, sensors, belief, names, times=times, **limits)
+        filtering.begun |= {} if asked.shard is None else {"shard": asked.shard}
     name = asked.object or (found.names[0] if isinstance(asked.start, str) else "UNKNOWN")
     return Stream(asked, run.space, filtering, clock, reference, name, control_names(run))
 

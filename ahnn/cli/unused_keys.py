@@ -121,7 +121,7 @@ def unread_online(nodes: DictConfig, *, covariance: bool, named: bool = False) -
         covariance: whether the covariance of the weights is known.
         named: whether sensors are named, instead of that of the run.
     """
-    yield from unread_of_plugins(nodes)
+    yield from (found for found in unread_of_plugins(nodes) if not found[0].endswith(".patience"))
     noises = [options.get("process_noise") for _, options in of_plugins(nodes)]
     if named and not any(_is_fitted(noise, covariance=covariance) for noise in noises):
         yield "measurement", "sensors.NAME says what each one measures"

@@ -139,6 +139,8 @@ class WindowDataModule(LightningDataModule):
         if self.sensor is None:
             some = self.trajectories("train").spread()
             return remark_on(some.states, some.times, self.source.space.components, None)
+        if self.sensor.unknown.sizes:
+            return None
         stated = None if self.stages is None else self.sensor.deviations
         return remark_on(*self.measured("train"), self.sensor.measurement.names, stated)
 

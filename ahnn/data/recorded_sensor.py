@@ -13,6 +13,8 @@ class Recorded(Sensor):
     The truth is unknown, also for test trajectories.
     """
 
+    draws = False
+
     def measure(self, truth: Trajectories, part: int) -> Observations:
         """Return the recorded values (B, T, M), NaN where missing; angles are unwrapped."""
         del part

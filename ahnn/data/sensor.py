@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import torch
 
 from ahnn.arguments import Count, Seed, Within, checked
 from ahnn.errors import UserError
-from ahnn.measurements import Instrument, Locating, Observations, State, noise_deviations, observe, reading
+from ahnn.measurements import (
+    Biases,
+    Instrument,
+    Locating,
+    Observations,
+    State,
+    UnknownNoise,
+    noise_deviations,
+    observe,
+    reading,
+)
 from ahnn.memory import require_memory
 from ahnn.types import Space, Trajectories
 
@@ -27,11 +37,15 @@ class Sensor:
         space: description of the state components.
         measured: `state`, `position`, or a measurement model.
         noise: standard deviations in measurement units: a common number, one for positions and one for
-            momenta, one per component, or those of one of several stations.
+            momenta, one per component, or those of one of several stations; of recorded measurements also
+            `estimate`: the training finds them.
         every: number of trajectory samples between measurements.
         stride: maximum number of trajectory samples per integrator step; each step ends at a measurement.
         gaps: fraction of randomly missing measurements.
         outliers: fraction of measured values that are off by 50 standard deviations.
+        bias_sd: standard deviations of constant biases, as `Biases.of` takes them: they are drawn, and the
+            training estimates them; None for none.
+        correlation: whether the training estimates how noise correlates in time.
         seed: seed of all random draws.
 
     Raises:
@@ -39,16 +53,20 @@ class Sensor:
             cannot be estimated.
     """
 
+    draws: ClassVar[bool] = True
+
     def __init__(
         self,
         space: Space,
         *,
         measured: Literal["state", "position"] | Any,
-        noise: float | list[float],
+        noise: float | list[float] | Literal["estimate"],
         every: Count = 1,
         stride: Count = 1,
         gaps: Share = 0.0,
         outliers: Share = 0.0,
+        bias_sd: float | list[float] | None = None,
+        correlation: Literal["estimate"] | None = None,
         seed: Seed = 0,
     ) -> None:
         self.space = space
@@ -64,7 +82,18 @@ class Sensor:
             )
             raise UserError(message)
         measured_by: Any = self.measurement
-        self.deviations = noise_deviations(measured_by, noise, "data.noise")
+        sizes = noise == "estimate"
+        if sizes and self.draws:
+            message = (
+                "data.noise: expected standard deviations of what is simulated; received estimate. It is for "
+                "recorded measurements: sensor=recorded"
+            )
+            raise UserError(message)
+        stated = 1.0 if isinstance(noise, str) else noise  # differences of the samples take their place
+        self.deviations = noise_deviations(measured_by, stated, "data.noise")
+        biases = Biases.of(measured_by, bias_sd, None, "data.")
+        prior = None if biases is None else torch.tensor(biases.deviations, dtype=torch.float64)
+        self.unknown = UnknownNoise(sizes, correlation is not None, prior)
         self.every, self.stride, self.gaps, self.outliers, self.seed = every, stride, gaps, outliers, seed
 
     @property
@@ -86,6 +115,10 @@ class Sensor:
         generator = torch.Generator().manual_seed((self.seed * 1_000_003 + part) % 2**63)
         draw: dict[str, Any] = {"generator": generator, "dtype": torch.float64}
         values = values + torch.randn(values.shape, **draw) * self.deviations
+        if self.unknown.bias_sd is not None:
+            own = torch.Generator().manual_seed(self.seed)  # one bias for all parts
+            shape = self.unknown.bias_sd.shape
+            values = values + self.unknown.bias_sd * torch.randn(shape, generator=own, dtype=torch.float64)
         off = torch.rand(values.shape, **draw) < self.outliers
         sign = torch.where(torch.rand(values.shape, **draw) < 0.5, -1.0, 1.0)
         values = torch.where(off, values + OUTLIER * sign * self.deviations, values)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any, Literal
 
 from torch import Tensor
 
 from ahnn.data.fingerprints import recognised, remembered
+from ahnn.data.noise_floor import differences_level, looked_at
 from ahnn.data.sensor import Sensor
 from ahnn.data.sources import Source
 from ahnn.errors import UserError
@@ -108,7 +110,27 @@ class SplitData:
         """Return the instrument, and the integrator step between its measurements, in samples."""
         assert self.sensor is not None
         spacing = sampling_interval(self["test"])
-        return self.sensor.instrument(float(spacing.nanmedian()) if isinstance(spacing, Tensor) else spacing)
+        found = self.sensor.instrument(float(spacing.nanmedian()) if isinstance(spacing, Tensor) else spacing)
+        return found._replace(deviations=self.level_of_noise) if self.sensor.unknown.sizes else found
+
+    @cached_property
+    def level_of_noise(self) -> Tensor:
+        """Standard deviations (M,) of the noise that differences of the training measurements show.
+
+        Raises:
+            UserError: these disagree.
+        """
+        assert self.sensor is not None
+        level = differences_level(*looked_at(*self.measured("train")))
+        if not bool((level > 0).all()):
+            names = zip(self.sensor.measurement.names, level.tolist(), strict=True)
+            message = (
+                "data.noise: expected samples so dense that their differences show the noise to begin with; "
+                f"received others of {', '.join(name for name, sd in names if not sd > 0)}. Give standard "
+                "deviations"
+            )
+            raise UserError(message)
+        return level
 
 
 def check_fractions(fractions: list[float]) -> None:

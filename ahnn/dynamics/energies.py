@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor, nn
 
+from ahnn.dynamics.energy_levels import divide_units
 from ahnn.dynamics.hessians import is_closed, network_derivatives, point_mass_derivatives
 from ahnn.dynamics.inputs import InputMap, slopes
 from ahnn.dynamics.networks import make_network
@@ -88,6 +89,7 @@ class NetworkEnergy(nn.Module):
         """Set the input map, the energy unit of the network's output, and R."""
         self.inputs.fit(statistics)
         self.unit.copy_(energy_units(statistics)[self.block])
+        divide_units(self.network, (self.inputs,), statistics)
         if self.falloff:
             self.nearest.copy_(statistics.radius[0])
 

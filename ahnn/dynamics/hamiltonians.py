@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from ahnn.arguments import Count, NonNegative, Positive, checked
 from ahnn.dynamics import fused_steps
 from ahnn.dynamics.energies import CentralBody, Energy, NetworkEnergy, Quadratic, energy_units
+from ahnn.dynamics.energy_levels import divide_units
 from ahnn.dynamics.gradients import Layers
 from ahnn.dynamics.hessians import BothInputs, is_closed, network_derivatives
 from ahnn.dynamics.inputs import Cartesian, InputName, ScaledStates, position_inputs
@@ -49,6 +50,7 @@ class GenericHamiltonian(ScaledStates):
         super().fit(statistics)
         potential, kinetic = energy_units(statistics)
         self.unit.copy_((kinetic * potential).sqrt())
+        divide_units(self.network, (self.positions, self.momenta), statistics)
 
     def seen(self, x: Tensor) -> Tensor:
         """Return the inputs of the network, shape (..., F)."""

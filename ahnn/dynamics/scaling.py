@@ -7,7 +7,6 @@ a scaling per component, which is not canonical by itself in more than one dimen
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Literal
 
 import torch
@@ -21,21 +20,8 @@ Kind = Literal["minmax", "block", "none"]
 
 UNEVEN = 1e3
 """Ratio of the ranges of two components above which a shared scale makes the smaller negligible."""
-
-
-def remark_on_scale(kind: str | None, minimum: Tensor, maximum: Tensor, names: Sequence[str]) -> str:
-    """Return a remark on components made negligible by a shared scale of positions or momenta, or ""."""
-    if kind != "block":
-        return ""
-    ranges = (maximum - minimum).unflatten(0, (2, -1))
-    small = (ranges * UNEVEN < ranges.amax(1, keepdim=True)).flatten()
-    few = [name for name, is_small in zip(names, small.tolist(), strict=True) if is_small]
-    if not few:
-        return ""
-    return (
-        f"scaling block: {', '.join(few)} vary less than others of their kind, by a factor of {UNEVEN:.0f} "
-        "and more, and the network hardly sees them: scaling=minmax gives each component a scale"
-    )
+ROUNDING = 1e-9
+"""Ratio at which a component is taken to be constant but for rounding."""
 
 
 @checked
@@ -44,7 +30,8 @@ class Affine(nn.Module):
 
     Args:
         kind: `minmax` maps each component to [-1, 1] (the paper); `block` uses one scale for all positions
-            and one for all momenta; `none` is the identity.
+            and one for all momenta, but for those that vary a thousand times less than others, and would not
+            be seen; `none` is the identity.
         size: number of components.
     """
 
@@ -67,7 +54,8 @@ class Affine(nn.Module):
             return
         half = (maximum - minimum) / 2
         if self.kind == "block":
-            half = half.max().expand_as(half)
+            share = half / half.max()
+            half = torch.where((share > ROUNDING) & (share * UNEVEN < 1), half, half.max())
         if not bool((half > 0).all()):
             message = (
                 f"scaling {self.kind}: expected components that vary over the training split; "

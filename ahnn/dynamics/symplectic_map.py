@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from ahnn.arguments import Within
 from ahnn.dynamics.networks import make_network
 from ahnn.dynamics.step_map import StepMap
+from ahnn.statistics import Statistics
 from ahnn.types import TimeStep
 
 Conformal = Literal["block", "none"]
@@ -67,6 +68,12 @@ class SymplecticMap(StepMap):
     def __init__(self, dof: int, scaling: Conformal, layers: Iterable[SymplecticLayer]) -> None:
         super().__init__(dof, scaling)
         self.layers = nn.ModuleList(layers)
+
+    def fit(self, statistics: Statistics) -> None:
+        """Set the time step, one scale for positions, and one for momenta, from the training split."""
+        super().fit(statistics)
+        for block in (self.positions, self.momenta):
+            block.affine.scale.fill_(block.affine.scale.max())
 
     def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the increment, shape (B, D), as a sum of layer increments, which avoids cancellation.

@@ -63,7 +63,8 @@ def checked_sensor(
     chol_r = chol_r.to(device).expand(batch, width, width)
     if gate is None:
         return SensorModel(measurement, chol_r)
-    return SensorModel(measurement, chol_r, thresholds(gate, width, device), gate.patience)
+    patience = torch.inf if gate.reopens else gate.patience
+    return SensorModel(measurement, chol_r, thresholds(gate, width, device), patience)
 
 
 def checked_rows(values: Numbers, who: str, shape: tuple[int | str, ...], device: torch.device) -> Tensor:

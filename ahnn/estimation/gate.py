@@ -17,10 +17,12 @@ class Gate(NamedTuple):
     Attributes:
         probability: a row is rejected when its NIS exceeds this quantile of the chi-square distribution.
         patience: number of consecutive rejections that lead to `Status.DIVERGED`.
+        reopens: they end in nothing, but streams widen the belief then, see `ahnn.estimation.reopening`.
     """
 
     probability: float = 0.9999
     patience: int = 5
+    reopens: bool = False
 
 
 def check_gate(gate: Gate | None, who: str) -> None:

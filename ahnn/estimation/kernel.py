@@ -46,11 +46,16 @@ def update(
 ) -> tuple[FilterState, Updated, Tensor]:
     """Condition the state on the row y (B, M); return state, update, and gate rejections."""
     updated, rounding = kernel.update(state.belief, y, sensor, float(state.time)), kernel.rounding
-    nothing_refuses = sensor.thresholds is None and rounding.crowding is None
-    if updated.sound and nothing_refuses and not bool(state.status.any()):
+    nothing_refuses = rounding.crowding is None and not bool(state.status.any())
+    if updated.sound and nothing_refuses and _within_gate(updated, sensor):
         return taken(state, updated), updated, torch.zeros_like(updated.singular)
     after, accepted, rejected = decided(state, updated, y, sensor, rounding)
     return after.where(~accepted, state._replace(belief=updated.belief)), updated, rejected
+
+
+def _within_gate(updated: Updated, sensor: SensorModel) -> bool:
+    """Return whether every member is so near to its row that no gate refuses it, of whatever size it is."""
+    return sensor.thresholds is None or bool((updated.nis <= sensor.thresholds[1]).all())
 
 
 def propagate(flow: Flow, points: Tensor, dt: float) -> Tensor:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import torch
 from torch import Tensor
@@ -13,7 +13,8 @@ from ahnn.controls import ControlTable
 from ahnn.dynamics.flow_at_time import steered
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.covariances import Covariance, Factor, covariance_factor
-from ahnn.estimation.estimator import RecursiveEstimator, S
+from ahnn.estimation.estimator import Estimator, RecursiveEstimator, S
+from ahnn.estimation.gate import Gate
 from ahnn.estimation.member_steps import MemberFlow, member_rows, put_rows
 from ahnn.measurements import Measurement
 from ahnn.substeps import substeps, substeps_of_each
@@ -46,6 +47,11 @@ class Process(NamedTuple):
     lifted: Callable[[Belief], Belief] = same
     seen: Callable[[Measurement], Measurement] = same
     about: dict[str, Any] = {}  # noqa: RUF012 - never written to
+
+    def gated(self, gate: Gate | None) -> Process:
+        """Return the same with another gate of its estimator, which must have one; None takes all."""
+        estimator = cast("Estimator[Any]", self.estimator).gated(gate)
+        return self._replace(estimator=estimator, about={**self.about, **estimator.about})
 
     def advanced(self, state: S, since: float, time: float, controls: ControlTable | None = None) -> S:
         """Propagate the state from the time `since` to a later one.

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from ahnn.dynamics.flow_at_time import at
 from ahnn.errors import UserError
-from ahnn.estimation.belief import Belief
+from ahnn.estimation.belief import Belief, choose
 from ahnn.estimation.estimator import SensorModel
 from ahnn.estimation.kernel import checked_prediction, decided, measured, propagate
 from ahnn.estimation.member_filter import MemberFilter
@@ -129,6 +129,10 @@ class SampleFilter(MemberFilter[SampleState]):
         state = state._replace(updates=state.updates + 1)
         images = measured(sensor.measurement, state.points, float(state.time))
         proposed, told = self.conditioned(state, images, y, sensor)
+        if sensor.thresholds is not None:  # what the gate refuses may leave no sample with a weight
+            refused = told.nis > sensor.thresholds[(~y.isnan()).sum(-1)]
+            belief = choose(refused, state.belief, told.belief)
+            told = told._replace(belief=belief, singular=told.singular & ~refused)
         after, accepted, rejected = decided(state, told, y, sensor, Rounding())
         return after.where(~accepted, proposed), told, rejected
 

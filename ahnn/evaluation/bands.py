@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any, NamedTuple, cast
 
 import torch
@@ -12,6 +13,7 @@ from torch import Tensor
 from ahnn.dynamics import Dynamics
 from ahnn.evaluation import style
 from ahnn.evaluation.case import Case
+from ahnn.evaluation.independent_directions import DirectionTest, direction_test
 from ahnn.labels import quantity
 from ahnn.metrics import errors
 from ahnn.types import Space
@@ -21,8 +23,8 @@ SIGMAS = (1, 2, 3)
 """Half-widths of the bands, in standard deviations."""
 NORMAL = tuple(math.erf(k / math.sqrt(2)) for k in SIGMAS)
 """Coverage of the bands for normal errors."""
-DRAWS, MIDDLE = 200, 0.95
-"""Number of simulated trainings for the expected coverage, and the central fraction reported."""
+ROWS = 20_000
+"""Times of all trajectories whose errors are tested, about: neighbouring ones say the same."""
 
 
 class Band(NamedTuple):
@@ -31,7 +33,7 @@ class Band(NamedTuple):
     Attributes:
         deviations: (B, T, D) standard deviations.
         coverage: fractions of components of unseen states within 1, 2 and 3 standard deviations.
-        right: limits of the coverage of calibrated bands in the central 95 % of trainings.
+        test: of their width, along the independent directions of the errors.
         expected: expected rms norms of position and velocity errors.
         bound: expected errors from noise alone: the Cramer-Rao bound of the regularised parameters.
         efficiency: rms norms of the errors in units of that bound.
@@ -39,7 +41,7 @@ class Band(NamedTuple):
 
     deviations: Tensor
     coverage: tuple[float, ...]
-    right: tuple[tuple[float, float], ...]
+    test: DirectionTest
     expected: tuple[float, float]
     bound: tuple[float, float]
     efficiency: tuple[float, float]
@@ -48,15 +50,21 @@ class Band(NamedTuple):
         """Return the finding as a note under the table."""
         return (
             f"its bands of 1, 2 and 3 standard deviations hold {percent(self.coverage)} % of unseen states "
-            f"({right_bands(self.right)}); "
+            f"({self.test.sentence()}); "
             f"the error is {self.efficiency[0]:.2f} (position) and {self.efficiency[1]:.2f} "
             f"({quantity(space, 'velocity')[0]}) of the noise bound"
         )
 
+    def verdict(self) -> str:
+        """Return whether the bands are right, for the verdict; "" where too few directions tell."""
+        told = self.test.verdict
+        return f"bands: {told} (errors are {self.test.scatter:.2g} of them)" if "few" not in told else ""
+
     def numbers(self) -> dict[str, Any]:
         """Return plain values for metrics.json."""
-        found = {name: list(value) for name, value in self._asdict().items() if name != "deviations"}
-        return {"sigmas": list(SIGMAS), "of_normal_errors": list(NORMAL), **found}
+        found = {name: list(getattr(self, name)) for name in ("coverage", "expected", "bound", "efficiency")}
+        normal = {"sigmas": list(SIGMAS), "of_normal_errors": list(NORMAL)}
+        return {**normal, **found, "test": self.test.numbers()}
 
 
 def banded(case: Case, uncertainty: Uncertainty, prediction: Tensor) -> Band:
@@ -65,13 +73,18 @@ def banded(case: Case, uncertainty: Uncertainty, prediction: Tensor) -> Band:
     lengths = torch.as_tensor(case.dt, dtype=torch.float64).expand(count, samples - 1)
     dynamics, start = cast(Dynamics, case.flow), case.test.states[:, 0]
     off, spread = errors(prediction, case.test.states), uncertainty.spread
-    there, draws = off.isfinite(), imagined(spread.shape[1])
-    parts, within, first = [], torch.zeros(len(SIGMAS), DRAWS, dtype=torch.int64), 0
-    for moved in rollout_sensitivities(dynamics, start, lengths, spread):
-        rows, first = slice(first, first + len(moved)), first + len(moved)
-        parts.append((moved.double().square().sum(-1), moved[..., :-1].double().square().sum(-1)))
-        for own, seen in zip(moved[:, 1:], there[rows, 1:], strict=True):
-            within += held(own[seen] @ draws, own[seen].norm(dim=-1, keepdim=True))
+    there, parts = off.isfinite(), list[tuple[Tensor, Tensor]]()
+    stride = 1 + count * samples // ROWS
+
+    def tested() -> Iterator[tuple[Tensor, Tensor]]:
+        first = 0
+        for moved in rollout_sensitivities(dynamics, start, lengths, spread):
+            rows, first = slice(first, first + len(moved)), first + len(moved)
+            parts.append((moved.double().square().sum(-1), moved[..., :-1].double().square().sum(-1)))
+            seen = there[rows, 1::stride]
+            yield off[rows, 1::stride][seen], moved[:, 1::stride][seen]
+
+    test = direction_test(tested())
     deviations, alone = (torch.cat(some).sqrt() for some in zip(*parts, strict=True))
     alone = alone / uncertainty.inflation**0.5  # the last column is the offset; both are inflated
     bound = norms(alone.where(there, torch.nan), case.space.divisor)
@@ -80,37 +93,11 @@ def banded(case: Case, uncertainty: Uncertainty, prediction: Tensor) -> Band:
     return Band(
         deviations=deviations,
         coverage=tuple(float((later <= k * band)[there[:, 1:]].double().mean()) for k in SIGMAS),
-        right=middle(within / int(there[:, 1:].sum())),
+        test=test,
         expected=norms(deviations.where(there, torch.nan), case.space.divisor),
         bound=bound,
         efficiency=(real[0] / bound[0], real[1] / bound[1]),
     )
-
-
-def imagined(columns: int) -> Tensor:
-    """Draw `DRAWS` samples of independent standard normal causes, (columns, DRAWS)."""
-    return torch.randn(columns, DRAWS, generator=torch.Generator().manual_seed(0))
-
-
-def held(off: Tensor, sd: Tensor) -> Tensor:
-    """Count errors (n, DRAWS) with deviations (n, 1) within the bands for each draw, (3, DRAWS).
-
-    Errors of one training are correlated: if a single direction dominates, a calibrated band contains nearly
-    all or few of them.
-    """
-    return torch.stack([(off.abs() <= k * sd).sum(0) for k in SIGMAS])
-
-
-def middle(shares: Tensor) -> tuple[tuple[float, float], ...]:
-    """Return the central 95 % interval of fractions (3, DRAWS)."""
-    ends = torch.tensor([(1 - MIDDLE) / 2, (1 + MIDDLE) / 2], dtype=torch.float64)
-    return tuple((float(low), float(high)) for low, high in torch.quantile(shares.double(), ends, dim=1).mT)
-
-
-def right_bands(right: tuple[tuple[float, float], ...]) -> str:
-    """Format the coverage of calibrated bands."""
-    ends = ", ".join(f"{100 * low:.3g} to {100 * high:.3g}" for low, high in right)
-    return f"right ones {ends} % in 19 draws of 20"
 
 
 def percent(shares: tuple[float, ...]) -> str:

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from ahnn.integrators import Integrator
-from ahnn.measurements import Segment
+from ahnn.measurements import NoiseEstimate, Segment
 from ahnn.metrics import Scores, score
 from ahnn.shooting.robust import RobustName
 from ahnn.systems import System
@@ -55,6 +55,7 @@ class Case:
         novelty: distance (...) of states (..., D) from the training data, if available.
         fitted: (B, D) starts that best fit the measurements of the test trajectories, if no states are known;
             `test` then contains measurements, NaN where unmeasured.
+        noise: of the measurements, where the training estimated any.
         remark: remark on the test trajectories; "" for those of the training.
     """
 
@@ -77,6 +78,7 @@ class Case:
     uncertainty: Uncertainty | None = None
     novelty: Callable[[Tensor], Tensor] | None = None
     fitted: Tensor | None = None
+    noise: NoiseEstimate | None = None
     remark: str = ""
 
     def starts(self) -> dict[Start, Tensor]:
@@ -154,6 +156,8 @@ class Findings:
 
     Attributes:
         notes: findings without a row, attached to the first row of the evaluation.
+        faults: findings that ask for a remedy, for the verdict.
+        highlights: further findings for the verdict.
     """
 
     rows: list[Row] = field(default_factory=list)
@@ -161,11 +165,15 @@ class Findings:
     arrays: dict[str, Tensor] = field(default_factory=dict)
     figures: dict[str, Figure] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)
+    highlights: list[str] = field(default_factory=list)
 
-    def tell(self, finding: str) -> None:
-        """Add a finding to the note of the first row; "" is ignored."""
+    def tell(self, finding: str, also: list[str] | None = None) -> None:
+        """Add a finding to the note of the first row, and to `faults` or `highlights`; "" adds nothing."""
         row = self.rows[0]
         self.rows[0] = row._replace(note="\n".join(part for part in (row.note, finding) if part))
+        if also is not None and finding:
+            also.append(finding)
 
 
 @runtime_checkable
@@ -182,7 +190,7 @@ class EvaluationPlugin(Protocol):
 
 
 def perturbations(system: System, count: int, seed: int) -> Tensor:
-    """Draw initial errors N(0, P0), shape (count, D), with P0 from the system's default noise."""
+    """Draw initial errors N(0, P0), shape (count, D), with with P0 from the system's default noise."""
     generator = torch.Generator().manual_seed(seed)
     noise = torch.randn(count, 2 * system.dof, generator=generator, dtype=torch.float64)
     return noise * system.deviations()

@@ -125,7 +125,7 @@ def information_of(system: System, names: Sequence[str], start: Tensor, segment:
         copies = len(x) // len(start)
         states = varied_rollout(system, names, constants, x, gaps.repeat(copies, 1))
         again = segment.rows(torch.arange(len(start)).repeat(copies))
-        return again.residuals(states).flatten(1)
+        return again.white_residuals(states).flatten(1)
 
     of_constants, of_start = derivatives(residuals, constants_of(system, names), start)
     return information(of_constants, of_start)

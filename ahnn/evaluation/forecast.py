@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from ahnn.dynamics import Dynamics, HasField
-from ahnn.evaluation.bands import DRAWS, NORMAL, SIGMAS, held, imagined, middle, percent, right_bands
+from ahnn.evaluation.bands import NORMAL, SIGMAS, percent
 from ahnn.evaluation.goodness_of_fit import OUTLYING, fit_to, trial_of, without_outliers
 from ahnn.measurements import Segment
 from ahnn.numbers import in_percent
@@ -23,6 +23,9 @@ from ahnn.shooting.quadrature import coarse
 from ahnn.shooting.robust import RobustName
 from ahnn.types import Trajectories
 from ahnn.uncertainty import forecast_columns
+
+DRAWS, MIDDLE = 200, 0.95
+"""Draws of all causes that tell what right bands hold, and the middle fraction of these that is told."""
 
 
 class Forecast(NamedTuple):
@@ -56,10 +59,19 @@ class Forecast(NamedTuple):
             f"hold {percent(self.coverage)} % of the measured numbers"
         )
         if self.states is not None:
-            text += f" and {percent(self.states)} % of the true states ({right_bands(self.right)})"
+            text += (
+                f" and {percent(self.states)} % of the true states ({right_bands(self.states, self.right)})"
+            )
         text += f"; the parameters have {in_percent(self.parameters)} of the variance of a state"
         text += f"; {in_percent(self.outliers)} left out as outliers" if self.outliers else ""
         return text + (f"; first halves not fitted: {self.lost}" if self.lost else "")
+
+    def verdict(self) -> str:
+        """Return the coverage of the bands, for the verdict."""
+        return (
+            f"bands: {100 * self.coverage[1]:.3g} % of unseen measurements lie within 2 standard deviations "
+            f"of their forecast ({100 * NORMAL[1]:.3g} % if the bands are right)"
+        )
 
     def numbers(self) -> dict[str, Any]:
         """Return plain values for metrics.json."""
@@ -103,12 +115,12 @@ def forecast(
     there = later.expand_as(states[:, steps.ends])
     true = None if truth is None else at(truth, met, part.times)
     there = there if true is None else there & true.isfinite()
-    causes = forecast_columns(dynamics, states, steps, here, early, spread)
+    causes = forecast_columns(dynamics, states, steps, here, early, spread, part.whitening)
     variances = Variances.of(causes, here.of_state, there, spread.shape[1])
     standard = variances.states.sqrt()
     of_true = None if true is None else shares(((states[:, steps.ends] - true) / standard)[there])
     ahead, total = later & ~part.values.isnan(), 1 + variances.values
-    off, width = (here.residuals / total.sqrt())[ahead], total[ahead]
+    off, width = (part.residuals(states[:, steps.ends]) / total.sqrt())[ahead], total[ahead]
     counted = torch.ones_like(off, dtype=torch.bool) if robust == "none" else ~(off.abs() > OUTLYING)
     return Forecast(
         coverage=shares(off[counted]),
@@ -166,6 +178,36 @@ class Variances(NamedTuple):
                 within += held(off[own], of_states[j][own].sqrt().float().unsqueeze(-1))
         states, parameters, values = (torch.cat(part) for part in zip(*parts, strict=True))
         return cls(states, parameters, values, within)
+
+
+def imagined(columns: int) -> Tensor:
+    """Return `DRAWS` draws of so many independent causes, in their standard deviations, (columns, DRAWS)."""
+    return torch.randn(columns, DRAWS, generator=torch.Generator().manual_seed(0))
+
+
+def held(off: Tensor, sd: Tensor) -> Tensor:
+    """Return how many of n errors (n, DRAWS), with deviations (n, 1), each draw has within bands, (3, DRAWS).
+
+    Errors of one training move together: where nearly all of them are one direction, a right band holds
+    nearly all or few.
+    """
+    return torch.stack([(off.abs() <= k * sd).sum(0) for k in SIGMAS])
+
+
+def middle(shares: Tensor) -> tuple[tuple[float, float], ...]:
+    """Return the ends of the middle 95 % of shares (3, DRAWS)."""
+    ends = torch.tensor([(1 - MIDDLE) / 2, (1 + MIDDLE) / 2], dtype=torch.float64)
+    return tuple((float(low), float(high)) for low, high in torch.quantile(shares.double(), ends, dim=1).mT)
+
+
+def right_bands(shares: tuple[float, ...], right: tuple[tuple[float, float], ...]) -> str:
+    """Return what right bands hold and what follows, as text; where halves would do, nothing follows."""
+    if right[1][0] <= NORMAL[0]:
+        return "too few independent directions to tell"
+    ends = ", ".join(f"{100 * low:.3g} to {100 * high:.3g}" for low, high in right)
+    low, high = right[1]
+    verdict = "too narrow" if shares[1] < low else "too wide" if shares[1] > high else "right"
+    return f"right ones {ends} % in 19 draws of 20: {verdict}"
 
 
 def first_halves(segment: Segment) -> Tensor:

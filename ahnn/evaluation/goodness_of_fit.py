@@ -130,7 +130,7 @@ def explain(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") 
         near, steps_of_half = fitted.starts[met], steps.rows(met).halved()
         again = refine(trial_of(dynamics), near, part, steps_of_half, FOLLOWING, SURE)
         halved = float(again.sums.sum()) / total
-    residuals = part.residuals(fitted.states[met][:, steps.ends])
+    residuals = part.white_residuals(fitted.states[met][:, steps.ends])
     correlation, pairs = serial(residuals.masked_fill(part.values.isnan(), torch.nan))
     # Residuals of a fit have a correlation of about minus the fraction of values spent on unknowns.
     spent = 1 - total / float(part.measured.sum()) if total else 0.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch.nn.functional import pad
@@ -12,11 +13,13 @@ from ahnn.data import SplitData
 from ahnn.data.recorded_sensor import Recorded
 from ahnn.data.segments import whole
 from ahnn.dynamics import Dynamics, HasEnergy
+from ahnn.errors import UserError
 from ahnn.evaluation.case import Case, perturbations
 from ahnn.evaluation.goodness_of_fit import fit_to
-from ahnn.measurements import Segment
+from ahnn.measurements import Instrument, NoiseEstimate, Segment
 from ahnn.shooting.robust import RobustName
 from ahnn.statistics import sampling_interval
+from ahnn.stored import read
 from ahnn.types import Trajectories
 from ahnn.uncertainty import Domain, Uncertainty
 
@@ -31,6 +34,7 @@ def make_case(
     uncertainty: Uncertainty | None = None,
     domain: Domain | None = None,
     robust: RobustName = "none",
+    noise: Any = None,
     remark: str = "",
 ) -> Case:
     """Build the case of learned dynamics on the test trajectories of their data.
@@ -44,9 +48,12 @@ def make_case(
         uncertainty: covariance of the parameters, if available.
         domain: representative training states, if available.
         robust: robust loss of single residuals in the training.
+        noise: of the measurements, where the training estimated any, as it stands beside the weights.
         remark: remark on the data, for the table.
     """
-    source, truth, measured = data.source, data.source.truth, measured_test(data)
+    source, truth = data.source, data.source.truth
+    estimate = None if noise is None or data.sensor is None else read("noise", NoiseEstimate, noise)
+    measured = measured_test(data, estimate)
     fitted, test = None, data["test"]
     if measured is not None and isinstance(data.sensor, Recorded):
         fitted, test = fit_to(dynamics, measured, robust)[0].starts, as_test(measured)
@@ -66,18 +73,19 @@ def make_case(
         folder=folder,
         measured=measured,
         robust=robust,
-        learned_from=None if data.sensor is None else learned_from(data),
+        learned_from=None if data.sensor is None else learned_from(data, estimate),
         uncertainty=uncertainty,
         novelty=None if domain is None else partial(domain.novelty, dynamics),
         fitted=fitted,
+        noise=estimate,
         remark=remark,
     )
 
 
-def learned_from(data: SplitData) -> Segment:
+def learned_from(data: SplitData, noise: NoiseEstimate | None) -> Segment:
     """Return the measurements of the training trajectories."""
     measured = data.measured("train")
-    return Segment(*measured, data.instrument())
+    return Segment(*measured, instrument_of(data, noise))
 
 
 def as_test(measured: Segment) -> Trajectories:
@@ -86,8 +94,26 @@ def as_test(measured: Segment) -> Trajectories:
     return Trajectories(pad(measured.values, (0, missing), value=torch.nan), measured.times)
 
 
-def measured_test(data: SplitData) -> Segment | None:
+def measured_test(data: SplitData, noise: NoiseEstimate | None) -> Segment | None:
     """Return the measurements of whole test trajectories; None if states are known."""
     if data.sensor is None:
         return None
-    return whole(data.measured("test"), data.instrument())
+    return whole(data.measured("test"), instrument_of(data, noise))
+
+
+def instrument_of(data: SplitData, noise: NoiseEstimate | None) -> Instrument:
+    """Return what measured, with the noise that a training found.
+
+    Raises:
+        UserError: the noise is that of another number of columns.
+    """
+    found = data.instrument()
+    if noise is None:
+        return found
+    if len(noise.deviations) != len(found.deviations):
+        message = (
+            f"noise: expected an estimate of {len(found.deviations)} numbers beside the weights; received "
+            f"{len(noise.deviations)}"
+        )
+        raise UserError(message)
+    return noise.applied(found)

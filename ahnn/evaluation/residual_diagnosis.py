@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from ahnn.evaluation.goodness_of_fit import OUTLYING, fit_to
 from ahnn.evaluation.residual_tests import ResidualTests, residual_tests
-from ahnn.measurements import Position, Segment, State
+from ahnn.measurements import NoiseEstimate, Position, Segment, State
 from ahnn.numbers import in_percent
 from ahnn.shooting.robust import RobustName
 
@@ -41,7 +41,7 @@ def remedy(dynamics: nn.Module, segment: Segment, robust: RobustName) -> str:
         return ""
     fitted, steps = fit_to(dynamics, segment, "student")
     states = fitted.states[:, steps.ends]
-    left = segment.residuals(states).masked_fill(segment.values.isnan(), torch.nan)
+    left = segment.white_residuals(states).masked_fill(segment.values.isnan(), torch.nan)
     unknowns = 2 * segment.instrument.dof
     all_of_it = residual_tests(left, states, segment.times, unknowns)
     far = left.abs() > OUTLYING * all_of_it.scale.clamp(min=1)
@@ -51,12 +51,15 @@ def remedy(dynamics: nn.Module, segment: Segment, robust: RobustName) -> str:
     return "; ".join(verdicts(found, segment.instrument.measurement.names, interval, robust))
 
 
-def invisible(dynamics: nn.Module, segment: Segment) -> str:
-    """Return a remark that a common bias of all readings is unobservable; "" if it is observable."""
+def invisible(dynamics: nn.Module, segment: Segment, noise: NoiseEstimate | None = None) -> str:
+    """Return that a bias of all readings would not show, "" where it would or where it was estimated."""
     direct = isinstance(segment.instrument.measurement, (Position, State))
-    if not direct or getattr(dynamics, "anchored", True):
+    if not direct or getattr(dynamics, "anchored", True) or (noise is not None and noise.bias):
         return ""
-    return "a constant bias of the readings would not show: the learned functions move with them"
+    return (
+        "a constant bias of the readings would not show: the learned functions move with them; bands leave "
+        "it out unless data.bias_sd says how large it may be"
+    )
 
 
 def verdicts(found: ResidualTests, names: tuple[str, ...], interval: float, robust: RobustName) -> list[str]:
@@ -100,7 +103,9 @@ def _sizes(scales: Tensor, names: tuple[str, ...]) -> list[str]:
         for name, scale in zip(names, scales.tolist(), strict=True)
         if scale > 0 and not 1 / OFF < scale < OFF
     ]
-    return [f"data.noise is about {', '.join(off)}"] if off else []
+    return (
+        [f"data.noise is about {', '.join(off)}; data.noise=estimate reads it off residuals"] if off else []
+    )
 
 
 def _colour(found: ResidualTests, names: tuple[str, ...], coloured: Tensor, interval: float) -> str:
@@ -111,7 +116,8 @@ def _colour(found: ResidualTests, names: tuple[str, ...], coloured: Tensor, inte
     each = _listed(zip(names, correlation.tolist(), coloured.tolist(), strict=True))
     return (
         f"the noise is coloured: neighbours correlate by {each} (a memory of about {memory:.2g}), and bands "
-        f"are up to {widening:.2g} times too narrow; in filters measurement.bias_memory describes it"
+        f"are up to {widening:.2g} times too narrow; data.correlation=estimate counts it, and in filters "
+        "measurement.bias_memory describes it"
     )
 
 
@@ -126,7 +132,10 @@ def _biases(found: ResidualTests, names: tuple[str, ...], coloured: Tensor) -> l
     said: list[str] = []
     if bool(constant.any()):
         each = _listed(zip(names, found.bias.neg().tolist(), constant.tolist(), strict=True))
-        said.append(f"readings are biased: {each} standard deviations of the noise on average")
+        said.append(
+            f"readings are biased: {each} standard deviations of the noise on average; data.bias_sd=NUMBER "
+            "estimates it with the dynamics"
+        )
     if bool(spreads.any()):
         each = _listed(zip(names, found.spread.tolist(), spreads.tolist(), strict=True)).replace("+", "")
         said.append(

@@ -8,7 +8,7 @@ from typing import Any, cast
 from torch import nn
 
 from ahnn.evaluation.bands import band_figure, banded
-from ahnn.evaluation.baselines import worth
+from ahnn.evaluation.baselines import Worth, worth
 from ahnn.evaluation.case import Case, EvaluationPlugin, Findings, Row
 from ahnn.evaluation.conservation import energy_trend, time_test
 from ahnn.evaluation.force_bound import force_bound
@@ -17,7 +17,9 @@ from ahnn.evaluation.friction_test import friction_test
 from ahnn.evaluation.goodness_of_fit import explain
 from ahnn.evaluation.open_loop import open_loop
 from ahnn.evaluation.residual_diagnosis import invisible, remedy
+from ahnn.evaluation.titles import described
 from ahnn.evaluation.trajectory_figures import open_loop_figures
+from ahnn.evaluation.verdict import verdict
 from ahnn.measurements import Segment
 from ahnn.uncertainty import Uncertainty, learned_constants
 
@@ -34,15 +36,20 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
         figures: whether to draw and keep figures.
     """
     findings = open_loop(case)
-    findings.tell(case.remark)
-    add_verdict(case, findings)
+    findings.faults += [row.note for row in findings.rows if row.note]
+    findings.tell(case.remark, findings.highlights)
+    value = add_worth(case, findings)
     add_constants(case, findings)
     if case.measured is not None:
         flow = cast(Any, case.flow)
+        add_noise(case, case.measured, findings)
         explained = explain(flow, case.measured, case.robust)
-        findings.tell(explained.sentence())
-        findings.tell("" if explained.consistent else remedy(flow, case.measured, case.robust))
-        findings.tell(invisible(flow, case.measured))
+        if explained.consistent:
+            findings.tell(explained.sentence())
+        else:
+            findings.tell(explained.sentence(), findings.faults)
+            findings.tell(remedy(flow, case.measured, case.robust), findings.faults)
+        findings.tell(invisible(flow, case.measured, case.noise), findings.highlights)
         findings.numbers["measurements"] = explained.numbers()
     if figures:
         findings.figures |= open_loop_figures(case, findings.arrays)
@@ -57,33 +64,45 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
     seen = "truth" if case.fitted is None else "measurements"
     findings.arrays |= {seen: case.test.states, "times": case.test.times}
     for name, plugin in plugins.items():
-        more = plugin(case)
-        findings.rows += distinct(more.rows, findings.rows, name)
-        findings.numbers[name] = more.numbers
-        for note in more.notes:
-            findings.tell(note)
-        findings.arrays |= {f"{name}/{key}": value for key, value in more.arrays.items()}
-        findings.figures |= {f"{name}/{key}": drawn for key, drawn in more.figures.items() if figures}
+        add_plugin(case, name, plugin, findings, figures=figures)
+    noisy = case.fitted is not None
+    told = verdict(value, findings.faults, findings.highlights, noisy=noisy)
+    findings.numbers["verdict"] = {"findings": told}
     return findings
 
 
-def add_verdict(case: Case, findings: Findings) -> None:
-    """Add the comparison with baselines, and the conservation tests."""
+def add_plugin(case: Case, name: str, plugin: EvaluationPlugin, findings: Findings, *, figures: bool) -> None:
+    """Add what a plugin finds; remarks on its filters from perturbed starts are faults."""
+    more = plugin(case)
+    findings.rows += distinct(more.rows, findings.rows, name)
+    findings.numbers[name] = more.numbers
+    for who, _, note, _ in more.rows:
+        if note and who.estimator and (who.start, who.span, who.floor) == ("perturbed", "whole", False):
+            findings.faults.append(f"{described(who, case.label)}: {note}")
+    for note in more.notes:
+        findings.tell(note, findings.highlights)
+    findings.arrays |= {f"{name}/{key}": value for key, value in more.arrays.items()}
+    findings.figures |= {f"{name}/{key}": drawn for key, drawn in more.figures.items() if figures}
+
+
+def add_worth(case: Case, findings: Findings) -> Worth:
+    """Add the value of the prediction beside baselines, and whether the data conserve what the model does."""
     found = worth(case, findings.arrays[f"{case.start}_start"])
     findings.tell(found.sentence())
     findings.numbers["worth"] = found.numbers()
     if case.measured is not None:
         beside = friction_test(case.flow, case.measured)
         if beside is not None:
-            findings.tell(beside.sentence(case.space.units.time))
+            findings.tell(beside.sentence(case.space.units.time), findings.faults)
             findings.numbers["friction_test"] = beside._asdict()
-        return
+        return found
     if (trend := energy_trend(case)) is not None:
-        findings.tell(trend.sentence(case.space.units.time))
+        findings.tell(trend.sentence(case.space.units.time), findings.faults)
         findings.numbers["energy_trend"] = trend._asdict()
     if (timed := time_test(case)) is not None:
-        findings.tell(timed.sentence())
+        findings.tell(timed.sentence(), findings.faults)
         findings.numbers["time_test"] = timed._asdict()
+    return found
 
 
 def add_constants(case: Case, findings: Findings) -> None:
@@ -91,8 +110,17 @@ def add_constants(case: Case, findings: Findings) -> None:
     spread = None if case.uncertainty is None else case.uncertainty.spread
     flow: Any = case.flow
     if isinstance(flow, nn.Module) and (found := learned_constants(cast(Any, flow), spread)):
-        findings.tell(f"learned: {', '.join(map(str, found))}")
+        findings.tell(f"learned: {', '.join(map(str, found))}", findings.highlights)
         findings.numbers["constants"] = {one.name: one.numbers() for one in found}
+
+
+def add_noise(case: Case, measured: Segment, findings: Findings) -> None:
+    """Add the noise of the measurements that the training estimated."""
+    if case.noise is not None:
+        seen = measured.instrument.measurement
+        for sentence in case.noise.sentences(seen.names, seen.units):
+            findings.tell(sentence, findings.highlights)
+        findings.numbers["noise"] = case.noise.about()
 
 
 def add_band(case: Case, uncertainty: Uncertainty, findings: Findings, *, figures: bool) -> None:
@@ -104,15 +132,17 @@ def add_band(case: Case, uncertainty: Uncertainty, findings: Findings, *, figure
     findings.arrays["true_start_deviations"] = band.deviations
     if figures:
         findings.figures["band"] = band_figure(case, prediction, band.deviations)
+    findings.highlights += filter(None, [band.verdict()])
 
 
 def add_forecast(case: Case, uncertainty: Uncertainty, measured: Segment, findings: Findings) -> None:
-    """Add the coverage of forecast bands from the first half of unseen measurements."""
+    """Add the coverage of forecasts from the first half of unseen measurements."""
     truth = case.test if case.fitted is None and len(case.test.states) == len(measured.values) else None
     found = forecast(cast(Any, case.flow), measured, uncertainty.spread, case.robust, truth)
     if found is not None:
         findings.tell(found.sentence())
         findings.numbers["forecast"] = found.numbers()
+        findings.highlights.append(found.verdict())
 
 
 def add_force_bound(case: Case, findings: Findings) -> None:

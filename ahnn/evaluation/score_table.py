@@ -38,11 +38,15 @@ def results_table(results: Results, *, detail: bool = False) -> str:
 
     Args:
         results: results of the evaluation.
-        detail: whether to append pooled and component errors.
+        detail: whether all notes, pooled errors and those of each component follow, in place of the verdict.
     """
     head = f"{results.label} on {results.space.name}" + (f": {results.assumes}" if results.assumes else "")
     lines = table_lines(results.rows, results.label)
     parts = [*_wrapped(head), "", *_columns(lines, results), "", *_explanations(results)]
+    brief = None if detail else results.numbers.get("verdict")
+    if brief:
+        parts += ["", *(line for one in brief["findings"] for line in _wrapped(one, hanging=True))]
+        return "\n".join(parts)
     for row in results.rows:
         if row.note:
             parts += _noted(described(row.who, results.label), row.note.splitlines())

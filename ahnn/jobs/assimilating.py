@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import gc
 import logging
+from collections.abc import Sequence
 from contextlib import closing, nullcontext
+from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 from ahnn.assimilation import Catalogue
 from ahnn.assimilation.assimilation_record import read_record, write_ephemeris
 from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.output_rows import Rows
-from ahnn.assimilation.session import Session
+from ahnn.assimilation.session import Session, Watcher
 from ahnn.assimilation.stream_figures import figures_of
 from ahnn.assimilation.view import View, said
 from ahnn.data.estimate_table import described
@@ -39,7 +42,9 @@ def assimilate(stream: Stream) -> None:
         assimilate_objects(stream, filtering)
         return
     state = None if options.state is None else Path(options.state)
-    with closing(Lines(opened(options.measurements, state))) as lines:
+    followed = stream.followed
+    source = opened(options.measurements, state) if followed is None else BytesIO(followed.content)
+    with closing(Lines(source)) as lines:
         kind = options.format or ("json" if Path(options.output).suffix in (".json", ".jsonl") else "csv")
         beside = described(space, stream.reference)
         rows = Rows(space.components, filtering.sensors, kind, beside)
@@ -49,7 +54,8 @@ def assimilate(stream: Stream) -> None:
         gc.collect()
         gc.freeze()  # garbage collection of existing objects must not delay lines
         with view or nullcontext():
-            session.run(view)
+            watchers = [one for one in (view, followed) if one is not None]
+            session.run(told_to(watchers) if watchers else None)
     if filtering.controls.known is not None:
         warn_of_the_end(options.controls, filtering.controls.known, filtering.window.time)
     log.info("%s lines: %s", f"{session.counted:,}", said(session.counts))
@@ -60,7 +66,19 @@ def assimilate(stream: Stream) -> None:
         told = [f"{column} {b:.4g} ± {sd:.2g} {unit}" for column, unit, (b, sd) in own if sd > 0.0]
         if told:
             log.info("bias of %s: %s", name, ", ".join(told))
+    if followed is not None:
+        log.info("%s", "\n".join(followed.lines(filtering.window.state.moments, filtering.window.time)))
     _pictures(stream)
+
+
+def told_to(watchers: Sequence[Watcher]) -> Watcher:
+    """Return a watcher that tells several."""
+
+    def tell(*told: Any) -> None:
+        for one in watchers:
+            one(*told)
+
+    return tell
 
 
 def _pictures(stream: Stream) -> None:

@@ -13,6 +13,7 @@ from ahnn.assimilation import Catalogue
 from ahnn.assimilation.catalogue_rows import OBJECT, CatalogueRows
 from ahnn.assimilation.catalogue_session import CatalogueSession
 from ahnn.assimilation.lines import Lines
+from ahnn.assimilation.object_shard import ObjectShard
 from ahnn.assimilation.output_rows import Format
 from ahnn.assimilation.parquet_stream import ParquetRows
 from ahnn.assimilation.view import said
@@ -45,7 +46,8 @@ def assimilate_objects(stream: Stream, catalogue: Catalogue) -> None:
         rows = CatalogueRows(space.components, catalogue.sensors, _kind(options), beside)
         every = options.every or TOGETHER
         given = options.output, state, every, stream.clock
-        session = CatalogueSession(catalogue, lines, rows, *given, objects=objects)
+        shard = ObjectShard.of(options.shard)
+        session = CatalogueSession(catalogue, lines, rows, *given, objects=objects, shard=shard)
         gc.collect()
         gc.freeze()
         session.run()

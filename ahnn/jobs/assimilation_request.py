@@ -16,6 +16,7 @@ from ahnn.assimilation.stream_figures import NAMES
 from ahnn.data.reference import Reference
 from ahnn.errors import UserError
 from ahnn.evaluation.sinks.figure_files import FORMATS
+from ahnn.jobs.followed_measurements import FollowedMeasurements
 from ahnn.manifest import require_own
 from ahnn.types import Space
 
@@ -25,11 +26,15 @@ class AssimilationRequest:
     """The keys of conf/assimilate.yaml."""
 
     measurements: str
+    orbit: str | None = None
+    folder: str | None = None
+    fitted: Positive | None = None
     output: str
     format: Literal["csv", "json"] | None = None
     state: str | None = None
     every: Count | None = None
     objects: str | None = None
+    shard: str | None = None
     states: str | None = None
     start: str | list[float] | None = None
     start_sd: list[Positive] | None = None
@@ -38,6 +43,7 @@ class AssimilationRequest:
     window: Annotated[float, Within(0)]
     lines: Count
     gap: Positive | None = None
+    gate: Annotated[float, Within(above=0, below=1)] | Literal["none"] | None = None
     watch: bool
     figures: str | None = None
     oem: str | None = None
@@ -60,6 +66,7 @@ class Stream(NamedTuple):
         reference: reference of the estimates.
         name: name of the tracked object.
         controls: names of the model's controls.
+        followed: measurements of an orbit determination, in place of lines elsewhere.
     """
 
     asked: AssimilationRequest
@@ -69,6 +76,7 @@ class Stream(NamedTuple):
     reference: Reference
     name: str
     controls: tuple[str, ...] = ()
+    followed: FollowedMeasurements | None = None
 
 
 def require_places(options: AssimilationRequest) -> None:
@@ -93,9 +101,10 @@ def require_places(options: AssimilationRequest) -> None:
 def require_together(options: AssimilationRequest) -> None:
     """Raise UserError for options of single-object streams combined with those of many objects."""
     if options.objects is None:
-        if options.states is not None:
-            message = f"states: expected objects=COLUMN beside it; received states={options.states} alone"
-            raise UserError(message)
+        for key in ("states", "shard"):
+            if (value := getattr(options, key)) is not None:
+                message = f"{key}: expected objects=COLUMN beside it; received {key}={value} alone"
+                raise UserError(message)
         return
     one = {key: getattr(options, key) for key in ("figures", "oem", "object", "controls")}
     one["watch"] = options.watch or None

@@ -19,9 +19,10 @@ from ahnn.evaluation.results import FILE, load_results
 from ahnn.evaluation.sinks import TensorBoardSink
 from ahnn.jobs.prepared import Prepared
 from ahnn.loading import load, made, weights_path
+from ahnn.measurements import UnknownNoise
 from ahnn.training import Shooting
+from ahnn.training.estimated_noise import conclude_with_noise
 from ahnn.training.fitted_paths import fitted_states
-from ahnn.training.laplace import conclude
 from ahnn.uncertainty import find_domain, save_uncertainty
 
 log = logging.getLogger("ahnn")
@@ -36,11 +37,19 @@ def conclude_on_measurements(prepared: Prepared) -> float:
     after = f" after at most {steps} last steps" if steps else ""
     log.info("what all measurements leave open%s: prior and covariance of the weights", after)
     train = data.whole("train")
-    found = conclude(dynamics, train, data.whole("val"), steps, robust)
+    unknown = None if data.sensor is None else data.sensor.unknown
+    found, noise = conclude_with_noise(
+        dynamics, train, data.whole("val"), steps, robust, unknown or UnknownNoise()
+    )
     if found is not None:
         learned, _ = found.taken(dynamics)
-        loss = Shooting(None, robust).validation(learned, next(iter(data.val_dataloader())))["loss"]
-        about: dict[str, Any] = {"val_loss": float(loss)}
+        batch, about = next(iter(data.val_dataloader())), dict[str, Any]()
+        if noise is not None:
+            about["noise"] = noise.about()
+            train, batch = (
+                part._replace(instrument=noise.applied(part.instrument)) for part in (train, batch)
+            )
+        about["val_loss"] = float(Shooting(None, robust).validation(learned, batch)["loss"])
         if len(states := fitted_states(dynamics, train, robust)) > 1:
             about["domain"] = find_domain(dynamics, states).about()
         replace_weights(best, dynamics.state_dict(), about)
@@ -69,7 +78,7 @@ def judge(prepared: Prepared, seconds: float) -> float:
         "val_loss": loss,
     }
     named = {"label": prepared.label, "seed": plan.seed, "folder": folder, "domain": run.domain}
-    learned = {"uncertainty": run.uncertainty, "robust": prepared.robust}
+    learned = {"uncertainty": run.uncertainty, "robust": prepared.robust, "noise": run.about.get("noise")}
     case = make_case(run.dynamics, data.splits, **learned, **named)
     boards = [logger for logger in trainer.loggers if isinstance(logger, TensorBoardLogger)]
     sinks = [TensorBoardSink(board, plan.searched) for board in boards]

@@ -28,6 +28,7 @@ from ahnn.tracking.orbit_tables import (
     unknowns_csv,
 )
 from ahnn.tracking.residual_table import SHOWN, coverage, pooled, residual_rows, table_lines
+from ahnn.tracking.satellite_arc import SatelliteArc
 
 log = logging.getLogger("ahnn")
 
@@ -69,7 +70,7 @@ def determine(asked: OrbitRequest) -> None:
     lines = [*headline(asked.title, fit), *table_lines(residual_rows(fit, ready.problem.used)), *totals(fit)]
     lines += learned_lines(ready, fit)
     if asked.setup.compare is not None:
-        lines += compared(ready, fit, asked.folder / asked.setup.compare)
+        lines += compared(ready, fit.point.arc, asked.folder / asked.setup.compare)
     if asked.setup.held_out:
         lines += unseen_lines(ready, asked.setup.held_out)
     show("\n".join(lines))
@@ -82,7 +83,8 @@ def headline(title: str, fit: OrbitFit) -> list[str]:
     data = fit.problem.model.data
     count = int(np.isfinite(fit.point.residuals[fit.problem.used]).sum())
     ended = "converged" if fit.converged else "NOT converged"
-    hours = (data.times[-1] - data.times[0]) / 3600
+    times = data.times[fit.problem.used]
+    hours = (times[-1] - times[0]) / 3600
     name = f"{title}: {data.object}" if data.object else title
     stations = f"{len(data.stations)} station{'s' if len(data.stations) > 1 else ''}"
     free = int(fit.problem.unknowns.free.sum())
@@ -148,14 +150,14 @@ def unseen_lines(ready: PreparedOrbit, fraction: float) -> list[str]:
     return lines
 
 
-def compared(ready: PreparedOrbit, fit: OrbitFit, path: Path) -> list[str]:
-    """Compare the orbit with a predicted one (CPF) over their common time span.
+def compared(ready: PreparedOrbit, arc: SatelliteArc, path: Path) -> list[str]:
+    """Return how far an orbit is from that of a prediction (CPF), where both are known.
 
     Raises:
         UserError: another format, or no common time span.
     """
     content = read_cpf(path)
-    data, arc = fit.problem.model.data, fit.point.arc
+    data = ready.problem.model.data
     assert content.epoch is not None
     scale, second = unit(content.units.position).size / 1e3, unit(content.units.time).size
     track = content.tracks[0]
@@ -167,7 +169,7 @@ def compared(ready: PreparedOrbit, fit: OrbitFit, path: Path) -> list[str]:
     states, turns = arc.states(times[inside]), ready.rotation.matrices(times[inside])
     theirs = np.einsum("tji,tj->ti", turns, scale * np.asarray(track.values)[inside, :3])
     off = 1e3 * (states[:, :3] - theirs)
-    axes = np.stack([orbital_axes(state[:3], state[3:]) for state in states])
+    axes = orbital_axes(states[:, :3], states[:, 3:])
     radial, along, normal = np.sqrt(np.mean(np.einsum("tij,ti->tj", axes, off) ** 2, axis=0))
     size = np.linalg.norm(off, axis=1)
     return [

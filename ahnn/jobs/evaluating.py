@@ -58,6 +58,7 @@ def evaluate(asked: Reevaluation) -> None:
     remark = "" if note == SAME else f"test data: {note}"
     training = load_results(run.folder).training if (run.folder / "metrics.json").exists() else {}
     learned = {"uncertainty": run.uncertainty, "domain": run.domain, "robust": robust}
+    learned["noise"] = run.about.get("noise")
     named = {"label": asked.label, "seed": asked.seed, "remark": remark}
     if remark:
         log.warning(remark)

@@ -7,12 +7,10 @@ import math
 import time
 
 from ahnn.checkpoints import read_checkpoint, require_same
-from ahnn.dynamics.scaling import remark_on_scale
 from ahnn.files import write_atomically
 from ahnn.jobs.prepared import Prepared
 from ahnn.loading import load
 from ahnn.models import AbstractModel
-from ahnn.statistics import Statistics
 from ahnn.training.cuda_graph import RecordedStep, can_record
 from ahnn.training.runtime_estimate import expected_seconds
 from ahnn.uncertainty import find_domain
@@ -23,9 +21,9 @@ log = logging.getLogger("ahnn")
 def fit(prepared: Prepared) -> float:
     """Train and return the duration of the steps in seconds."""
     trainer = prepared.trainer
-    statistics = calibrate(prepared)
+    calibrate(prepared)
     if trainer.is_global_zero:
-        announce(prepared, statistics)
+        announce(prepared)
         # Steps without any effect have been rejected before.
         write_atomically(prepared.folder / "config.yaml", prepared.config)
     started = time.monotonic()
@@ -33,8 +31,8 @@ def fit(prepared: Prepared) -> float:
     return time.monotonic() - started
 
 
-def calibrate(prepared: Prepared) -> Statistics:
-    """Fit a model's scalings to the training split, return its statistics, and record metadata."""
+def calibrate(prepared: Prepared) -> None:
+    """Fit a model's scalings to the training split, and note what it is."""
     data, model, trainer = prepared.data, prepared.model, prepared.trainer
     statistics = data.statistics()
     model.calibrate(statistics)
@@ -47,7 +45,6 @@ def calibrate(prepared: Prepared) -> Statistics:
     model.learns_from(dt=dt, domain=domain, seen=data.splits.seen())
     if prepared.recorded and can_record(trainer, model):
         model.step_by(RecordedStep(len(data.train_dataloader().batches()[0])))
-    return statistics
 
 
 def begin_at(model: AbstractModel, run: str) -> None:
@@ -61,12 +58,10 @@ def begin_at(model: AbstractModel, run: str) -> None:
     model.dynamics.load_state_dict(trained.state_dict())
 
 
-def announce(prepared: Prepared, statistics: Statistics) -> None:
+def announce(prepared: Prepared) -> None:
     """Log remarks on the data, the remaining optimiser steps, and the runtime estimate."""
     data, model, trainer = prepared.data, prepared.model, prepared.trainer
-    scaling = model.about["settings"]["model"].get("scaling")
-    scaled = remark_on_scale(scaling, statistics.minimum, statistics.maximum, data.source.space.components)
-    for remark in filter(None, (data.remark(), scaled)):
+    if remark := data.remark():
         log.warning(remark)
     done = 0 if prepared.checkpoint is None else read_checkpoint(prepared.checkpoint)["global_step"]
     per_epoch = -(-len(data.train_dataloader()) // trainer.accumulate_grad_batches)

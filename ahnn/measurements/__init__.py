@@ -7,11 +7,12 @@ A model maps states to measurements and defines their differences. It is any obj
 from __future__ import annotations
 
 from ahnn.measurements.angles import continuous, nearest, periods, residual, wrap
-from ahnn.measurements.base import Locating, Measurement, Sighted, Time, observe
+from ahnn.measurements.base import Locating, Measurement, Sighted, Sloped, Time, observe
 from ahnn.measurements.biases import Biases
 from ahnn.measurements.gnss import GnssRange
 from ahnn.measurements.ground_station import GroundStation
 from ahnn.measurements.noise import noise_deviations
+from ahnn.measurements.noise_estimate import NoiseEstimate, UnknownNoise
 from ahnn.measurements.observations import Observations
 from ahnn.measurements.readings import Position, State, reading
 from ahnn.measurements.schedule import Schedule, every, schedule
@@ -25,14 +26,17 @@ __all__ = [
     "Instrument",
     "Locating",
     "Measurement",
+    "NoiseEstimate",
     "Observations",
     "Position",
     "Schedule",
     "Segment",
     "Several",
     "Sighted",
+    "Sloped",
     "State",
     "Time",
+    "UnknownNoise",
     "continuous",
     "every",
     "nearest",

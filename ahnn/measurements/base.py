@@ -53,6 +53,15 @@ class Locating(Protocol):
         ...
 
 
+@runtime_checkable
+class Sloped(Protocol):
+    """A measurement model that knows its derivatives, and need not be differentiable by torch."""
+
+    def slope(self, x: Tensor, t: Time) -> Tensor:
+        """Return the derivatives (B, M, D) by the states x (B, D) at time t."""
+        ...
+
+
 def observe(measurement: Measurement, x: Tensor, t: Time) -> Tensor:
     """Return the measurements (..., M) of a sensor, NaN for states outside its field of view.
 

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from ahnn.measurements.angles import residual
 from ahnn.measurements.base import Measurement
+from ahnn.measurements.coloured_noise import Colour, Whitening
 
 
 class Instrument(NamedTuple):
@@ -21,6 +22,9 @@ class Instrument(NamedTuple):
         dof: degrees of freedom n of the motion.
         inertia: factor m of p = m dq/dt, for momenta from measured positions.
         width: number of samples on either side within which the motion is cubic up to the noise.
+        bias: (M,) what readings are more than what is true; None for nothing.
+        bias_sd: (M,) standard deviations of what is not known of that, 0 where all is; None for zeros.
+        colour: of the noise; None for white noise.
     """
 
     measurement: Measurement
@@ -29,6 +33,9 @@ class Instrument(NamedTuple):
     dof: int
     inertia: float | Tensor
     width: int = 2
+    bias: Tensor | None = None
+    bias_sd: Tensor | None = None
+    colour: Colour | None = None
 
 
 class Segment(NamedTuple):
@@ -64,7 +71,20 @@ class Segment(NamedTuple):
         Args:
             states: (B, K + 1, D) predicted states at the measurement times.
         """
-        measurement = self.instrument.measurement
-        difference = -residual(measurement, self.values, measurement(states, self.times))
+        measurement, bias = self.instrument.measurement, self.instrument.bias
+        predicted = measurement(states, self.times)
+        predicted = predicted if bias is None else predicted + bias.to(predicted)
+        difference = -residual(measurement, self.values, predicted)
         scaled = difference / self.instrument.deviations.to(states)
         return torch.where(self.values.isnan(), torch.zeros_like(scaled), scaled)
+
+    @property
+    def whitening(self) -> Whitening | None:
+        """What makes white residuals of coloured ones; None where they are white."""
+        colour = self.instrument.colour
+        return None if colour is None else Whitening.of(colour, self.times, ~self.values.isnan())
+
+    def white_residuals(self, states: Tensor) -> Tensor:
+        """Return `residuals` whose noise is white, (B, K + 1, M)."""
+        whitening, rows = self.whitening, self.residuals(states)
+        return rows if whitening is None else whitening(rows)

@@ -66,9 +66,10 @@ class Linearised(NamedTuple):
 
     Attributes:
         jacobians: Jacobians of the path's steps, (B, N, D, D).
-        residuals: (B, K + 1, M) predicted - measured in standard deviations, times the square root of their
-            weights.
-        of_state: (B, K + 1, M, D) their derivative with respect to the state at their time.
+        residuals: (B, K + 1, M) predicted - measured in standard deviations, whitened where their noise is
+            coloured, times the square root of their weights.
+        of_state: (B, K + 1, M, D) their derivative with respect to the state at their time; where they are
+            whitened, that of what they were before.
         of_start: (B, K + 1, M, D) derivative with respect to the initial state.
     """
 
@@ -107,10 +108,15 @@ def linearised(trial: Trial, states: Tensor, segment: Segment, steps: Steps) -> 
     """Return the residuals of paths (B, N + 1, D), and their derivatives."""
     jacobians = trial.jacobians(states[:, :-1], steps.lengths)
     measured = states[:, steps.ends]
-    plain = segment.residuals(measured)
-    weight = trial.robust.weight(plain).sqrt()
-    of_state = pointwise_jacobian(segment.residuals, measured) * weight.unsqueeze(-1)
+    plain, whitening = segment.residuals(measured), segment.whitening
+    of_state = pointwise_jacobian(segment.residuals, measured)
     moved = transitions(jacobians.to(states))[:, steps.ends]
+    if whitening is not None:
+        white, of_start = whitening(plain), whitening(of_state @ moved)
+        weight = trial.robust.weight(white).sqrt()
+        return Linearised(jacobians, white * weight, of_state, of_start * weight.unsqueeze(-1))
+    weight = trial.robust.weight(plain).sqrt()
+    of_state = of_state * weight.unsqueeze(-1)
     return Linearised(jacobians, plain * weight, of_state, of_state @ moved)
 
 
@@ -120,7 +126,7 @@ def followed(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> Fit
     states = torch.cat(
         each(lambda part: path(trial.exact, start[part], steps.lengths[part]), halves, start.device)
     )
-    sums = trial.robust.cost(segment.residuals(states[:, steps.ends])).sum((1, 2))
+    sums = trial.robust.cost(segment.white_residuals(states[:, steps.ends])).sum((1, 2))
     return Fitted(states, sums.nan_to_num(nan=torch.inf, posinf=torch.inf))
 
 
@@ -198,7 +204,7 @@ def refit(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> Fitted
     design = linearised(trial, fitted.states, segment, steps).of_start.flatten(1, 2)
     damping = start.new_full((len(start),), SURE)
     for _ in range(REFITS):
-        residuals = segment.residuals(fitted.states[:, steps.ends])
+        residuals = segment.white_residuals(fitted.states[:, steps.ends])
         rows = (residuals * trial.robust.weight(residuals).sqrt()).flatten(1)
         after = followed(trial, fitted.starts + damped_moves(design, rows, damping), segment, steps)
         better = after.sums <= fitted.sums

@@ -41,7 +41,7 @@ class PreparedOrbit(NamedTuple):
     """Orbit determination problem with auxiliary data.
 
     Attributes:
-        problem: problem with all measurements.
+        problem: problem problem with all measurements.
         rotation: Earth rotation.
         learned: learned acceleration and index of its first unknown, or None.
     """
@@ -51,17 +51,18 @@ class PreparedOrbit(NamedTuple):
     learned: tuple[AccelerationOfTime, int] | None
 
 
-def prepared_orbit(setup: OrbitSetup, folder: Path) -> PreparedOrbit:
+def prepared_orbit(setup: OrbitSetup, folder: Path, data: TrackingData | None = None) -> PreparedOrbit:
     """Build the problem of a setup.
 
     Args:
         setup: user's setup.
         folder: base folder of file names.
+        data: in place of the measurements that the setup names.
 
     Raises:
         UserError: an invalid file or station.
     """
-    data = measured(setup, folder)
+    data = measured(setup, folder) if data is None else data
     at = (start_moment(setup) - data.epoch) / epochs.SECOND
     first, last = min(at, data.times[0]) - MARGIN, max(at, data.times[-1]) + MARGIN
     rows = read_bulletins([folder / name for name in setup.orientation]) if setup.orientation else None

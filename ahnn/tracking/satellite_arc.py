@@ -35,17 +35,26 @@ class Forces:
         return tuple(name for term in self.terms for name in term.parameters)
 
     def acceleration(self, t: float, state: Array, p: Array) -> tuple[Array, Array, Array]:
-        """Return the acceleration (3,), with derivatives in the state (3, 6) and the parameters (3, P)."""
-        value, by_state, by_parameters, at = np.zeros(3), np.zeros((3, 6)), [], 0
+        """Return accelerations (..., 3), their derivatives by states (..., 3, 6), by parameters (..., 3, P).
+
+        Args:
+            t: seconds after the epoch.
+            state: (..., 6).
+            p: parameters, (P,), or (..., P) of each state.
+        """
+        lead, at = state.shape[:-1], 0
+        value, by_state = np.zeros((*lead, 3)), np.zeros((*lead, 3, 6))
+        by_parameters = [np.empty((*lead, 3, 0))]
         for term in self.terms:
-            own = p[at : at + len(term.parameters)]
-            one = term(t, state[:3], state[3:], own)
-            at += len(own)
+            own = p[..., at : at + len(term.parameters)]
+            one = term(t, state[..., :3], state[..., 3:], own)
+            at += len(term.parameters)
             value += one.value
-            by_state[:, :3] += one.by_position
-            by_state[:, 3:] += one.by_velocity
-            by_parameters.append(one.by_parameters)
-        return value, by_state, np.concatenate(by_parameters, axis=1)
+            by_state[..., :3] += one.by_position
+            by_state[..., 3:] += one.by_velocity
+            if term.parameters:
+                by_parameters.append(one.by_parameters)
+        return value, by_state, np.concatenate(by_parameters, axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +110,7 @@ def satellite_arc(
 
     Args:
         forces: forces on the satellite.
-        start: initial state (6,) in GCRF, km and km/s.
+        start: initial initial state (6,) in GCRF, km and km/s.
         p: parameters of the forces, (P,).
         at: time of the initial state.
         first: begin of the arc, at or before the start.

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ahnn.data.files import epochs
+from ahnn.errors import UserError
 
 Kind = Literal["range", "azimuth", "elevation", "range_rate", "right_ascension", "declination"]
 """Kinds of measurements: km, rad or km/s; a range is half the two-way light time, times c."""
@@ -51,3 +54,28 @@ class TrackingData:
     def kinds(self) -> tuple[Kind, ...]:
         """Kinds measured at least once."""
         return tuple(k for k, column in zip(KINDS, self.values.T, strict=True) if np.isfinite(column).any())
+
+
+def joined(one: TrackingData, other: TrackingData) -> tuple[TrackingData, NDArray[np.bool_]]:
+    """Return two sets of measurements of one satellite as one, with the epoch of the first.
+
+    Returns:
+        The measurements, and which of them are of the first, (N,).
+
+    Raises:
+        UserError: their times tag different events.
+    """
+    if one.event != other.event:
+        message = f"measurements: expected times of {one.event}, as before; received those of {other.event}"
+        raise UserError(message)
+    times = np.concatenate((one.times, other.times + (other.epoch - one.epoch) / epochs.SECOND))
+    order = np.argsort(times, kind="stable")
+    stations = tuple(dict.fromkeys((*one.stations, *other.stations)))
+    place = np.array([stations.index(name) for part in (one, other) for name in part.stations])
+    station = place[np.concatenate((one.station, other.station + len(one.stations)))]
+    both = {
+        name: np.concatenate((getattr(one, name), getattr(other, name)))[order]
+        for name in ("values", "weather", "wavelength", "deviations")
+    }
+    whole = replace(one, times=times[order], stations=stations, station=station[order], **both)
+    return whole, order < len(one.times)

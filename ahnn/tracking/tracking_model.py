@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ from ahnn.tracking.atmospheric_delay import (
 )
 from ahnn.tracking.earth_rotation import EarthRotation
 from ahnn.tracking.light_path import LightPath, light_path
-from ahnn.tracking.satellite_arc import SatelliteArc
 from ahnn.tracking.sun_and_moon import MOON_MU, SUN_MU, SunAndMoon
 from ahnn.tracking.tracking_data import TrackingData
 from ahnn.tracking.tracking_station import EARTH_MU, TrackingStation, tidal_displacement
@@ -46,6 +45,14 @@ class Corrections:
     solid_tides: bool = False
     shapiro: bool = False
     centre_of_mass: float = 0.0
+
+
+class Path(Protocol):
+    """Where a satellite is."""
+
+    def states(self, times: Array) -> Array:
+        """Return its states (T, 6) in GCRF, km and km/s, at times (T,)."""
+        ...
 
 
 class PredictedTracking(NamedTuple):
@@ -86,6 +93,10 @@ class TrackingModel:
         self.data, self.stations, self.corrections = data, stations, corrections
         self._rotation, self._bodies = rotation, bodies
 
+    def of(self, stations: tuple[TrackingStation, ...], data: TrackingData) -> TrackingModel:
+        """Return the model of other measurements."""
+        return TrackingModel(data, stations, self.corrections, self._rotation, self._bodies)
+
     def site(self, station: TrackingStation, times: Array) -> Array:
         """Return the position of a station in GCRF at times (T,), (T, 3) km."""
         turns, place = self._rotation.matrices(times), np.broadcast_to(station.position, (len(times), 3))
@@ -95,7 +106,7 @@ class TrackingModel:
                 place = place + tidal_displacement(station.position, body, mu)
         return np.einsum("tji,tj->ti", turns, place)
 
-    def __call__(self, arc: SatelliteArc) -> PredictedTracking:
+    def __call__(self, arc: Path) -> PredictedTracking:
         """Predict the measurements of a satellite on an arc."""
         n = len(self.data.times)
         found = PredictedTracking(np.full((n, 6), np.nan), np.zeros((n, 6, 6)), np.empty(n), np.empty(n))
@@ -106,9 +117,7 @@ class TrackingModel:
                     target[rows] = part
         return found
 
-    def _of_station(
-        self, arc: SatelliteArc, station: TrackingStation, rows: NDArray[np.bool_]
-    ) -> PredictedTracking:
+    def _of_station(self, arc: Path, station: TrackingStation, rows: NDArray[np.bool_]) -> PredictedTracking:
         path = light_path(
             lambda t: arc.states(t)[:, :3],
             lambda t: self.site(station, t),
@@ -145,9 +154,7 @@ class TrackingModel:
             delay += laser_delay(elevation, air, wavelength, *place)
         return delay + shapiro(path) if chosen.shapiro else delay
 
-    def _range_rate(
-        self, arc: SatelliteArc, station: TrackingStation, path: LightPath
-    ) -> tuple[Array, Array]:
+    def _range_rate(self, arc: Path, station: TrackingStation, path: LightPath) -> tuple[Array, Array]:
         """Return the range rate at reception, (T,) km/s, and its derivatives in the state, (T, 6)."""
         drift = (self.site(station, path.receive + 0.5) - self.site(station, path.receive - 0.5)) / 1.0
         relative = arc.states(path.bounce)[:, 3:] - drift
@@ -170,7 +177,7 @@ def directions(line: Array, *, azimuth: bool) -> tuple[Array, Array]:
     """Return two angles of lines (T, 3) in east, north, up axes, and their derivatives (T, 2, 3).
 
     Args:
-        line: vector from the station to the satellite.
+        line: vector vector from the station to the satellite.
         azimuth: whether the angle runs from the second axis to the first, from 0 to 2 pi; else from the first
             to the second, as right ascension.
     """

@@ -47,5 +47,5 @@ def accelerated(
 
 def _length(step: Tensor, blocks: Sequence[Block]) -> float:
     """Return the length of a step in the metric of the damping, D."""
-    squares = (metric(block.matrix) @ step[block.columns].square() for block in blocks)
+    squares = (metric(block) @ step[block.columns].square() for block in blocks)
     return sum(float(square) for square in squares) ** 0.5

@@ -55,7 +55,7 @@ def whole_step(
     """
     if arrived(start):
         return None
-    begin = here = start.moved(start.theta, start.loss, problem.gradient(start.theta))
+    begin = here = start.moved(start.theta, start.loss, problem.reduced(problem.gradient(start.theta)))
     best: Taken | None = None
     for _ in range(MATRICES):
         found = lowest(problem if best is None else best.problem, dynamics, begin.theta, here)
@@ -96,7 +96,7 @@ def lowest(problem: WideProblem, dynamics: Dynamics, origin: Tensor, here: Poste
         problem, weights = after(problem, wide), parameters_to_vector(wide.parameters()).detach()
         if problem.lost:
             break
-        there = here.moved(theta, problem.cost, problem.gradient(weights)[own])
+        there = here.moved(theta, problem.cost, problem.reduced(problem.gradient(weights)[own]))
         places.append(there)
         if best is None or there.objective < best.place.objective:
             best = Taken(wide, problem, weights, there)

@@ -32,9 +32,10 @@ from ahnn.training.functions import ARRIVED, whole_step
 from ahnn.training.least_observable import least_told
 from ahnn.training.length_scales import choose_lengths
 from ahnn.training.levenberg_marquardt import ATTEMPTS, LARGEST, SUFFICIENT, adapted
+from ahnn.training.limited_segments import freedom
 from ahnn.training.maximum_posterior import PosteriorPoint, WideProblem, after, whole_problem, with_prior
 from ahnn.training.normal_equations import Equations, damped_step, promised_decrease
-from ahnn.training.shooting import freedom
+from ahnn.training.shared_bias import spread_over
 from ahnn.uncertainty import Uncertainty
 
 DAMPING = 1e-6
@@ -84,10 +85,23 @@ def _concluded(
     taken = whole_step(problem, dynamics, here)
     if taken is None:
         there = here.left(gained) if gained <= ARRIVED * here.determined else here
-        return uncertainty(there, others, names, noise)
+        return with_biases(uncertainty(there, others, names, noise), problem)
     wide, there = taken
     others = others._replace(loss=after(unseen, wide).cost)
-    return replace(uncertainty(there, others, names, noise), step=there.theta - here.theta)
+    found = replace(uncertainty(there, others, names, noise), step=there.theta - here.theta)
+    return found if problem.shared is None else with_biases(found, after(problem, wide))
+
+
+def with_biases(found: Uncertainty, problem: WideProblem) -> Uncertainty:
+    """Return what was found with the biases of the sensor and their standard deviations, where unknown."""
+    if problem.shared is None:
+        return found
+    size = len(problem.batch.instrument.deviations)
+    pull = problem.pull(problem.fitted.rows(problem.kept))
+    best = problem.shared.best(pull, found.factor, found.inflation)
+    named = zip(("bias", "bias_sd"), best, strict=True)
+    biases = {name: spread_over(values, problem.shared.places, size).tolist() for name, values in named}
+    return replace(found, about=found.about | biases)
 
 
 def approached(
@@ -162,7 +176,7 @@ class Noise(NamedTuple):
     def of(cls, problem: WideProblem, theta: Tensor) -> Noise:
         """Estimate the noise of a problem at theta, shape (P,)."""
         fitted = problem.refitted(theta)
-        residuals = problem.batch.residuals(fitted.states[:, problem.steps.ends])
+        residuals = problem.batch.white_residuals(fitted.states[:, problem.steps.ends])
         sums = problem.limit.cost(fitted.sums)
         return cls(variance(problem.robust, residuals), scatter(sums, freedom(problem.batch)))
 

@@ -10,6 +10,7 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 from torch.optim import Optimizer
 
 from ahnn.arguments import Positive, checked
+from ahnn.dynamics.energy_levels import units_of
 from ahnn.errors import UserError
 from ahnn.training.acceleration import Bends, accelerated
 from ahnn.training.least_squares import LeastSquaresProblem
@@ -79,6 +80,8 @@ class LevenbergMarquardt(Optimizer):
         loss, degrees, blocks = problem.equations(theta, [p.numel() for p in group["params"]])
         if not blocks:  # no residual depends on the parameters; another batch may differ
             return loss / degrees
+        if (units := units_of(group["params"])) is not None:
+            blocks = [block._replace(units=units[block.columns]) for block in blocks]
         group["gradient_norm"] = 2 * gradient_norm(blocks) / degrees  # mean square
         other: Tensor | None = None  # held-out loss, computed on demand
         for _ in range(ATTEMPTS):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple, cast
 
 import torch
@@ -10,18 +11,68 @@ from torch import Tensor
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.measurements import Segment
-from ahnn.shooting.initial_states import FOLLOWING, SURE, refine
+from ahnn.shooting.initial_states import FOLLOWING, SURE, Fitted, refine
 from ahnn.shooting.quadrature import coarse
 from ahnn.shooting.robust import Robust
 from ahnn.training.evidence import Prior, determined, posterior_factor
-from ahnn.training.normal_equations import Block
-from ahnn.training.shooting import Limit, ShootingProblem, freedom
+from ahnn.training.limited_segments import Limit, freedom
+from ahnn.training.normal_equations import Block, Equations
+from ahnn.training.shared_bias import SharedBias, columns_of, eliminated, of_biases, pull_of
+from ahnn.training.shooting import ShootingProblem
 
 
 class WideProblem(ShootingProblem):
-    """Shooting problem with float64 normal equations, which preserve poorly determined directions."""
+    """Shooting problem with float64 normal equations, which preserve poorly determined directions.
+
+    Unknown biases of the sensor are eliminated from them; `shared` has these once equations are found.
+    """
 
     precision = torch.float64
+    shared: SharedBias | None = None
+
+    @torch.no_grad()
+    def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
+        """Return loss and normal equations, starts and biases eliminated."""
+        found = super().equations(theta, sizes)
+        if self.batch.instrument.bias_sd is None or not found.blocks:
+            return found
+        found, self.shared = eliminated(found, self.batch.instrument)
+        return found
+
+    def with_more(self, of_theta: Tensor, here: Fitted, part: slice) -> Tensor:
+        """Return derivatives of residuals (B, K + 1, M, P) with columns of unknown biases."""
+        segment = self.batch.rows(part)
+        if segment.instrument.bias_sd is None:
+            return of_theta
+        weight = self.robust.weight(segment.white_residuals(here.states[:, self.steps.ends])).sqrt()
+        columns = columns_of(of_biases(segment) * weight, segment.instrument)
+        return torch.cat((of_theta, columns.to(of_theta)), dim=-1)
+
+    @property
+    def cost(self) -> Tensor:
+        """The sum of squared residuals at the parameters of the dynamics, of the best biases."""
+        return self._with_best_biases(super().cost, self.fitted.rows(self.kept))
+
+    @torch.no_grad()
+    def loss(self, theta: Tensor) -> Tensor:
+        """Return the sum of squared residuals, each segment from its best start, of the best biases."""
+        plain = super().loss(theta)
+        return self._with_best_biases(plain, self.refitted(theta)) if len(self.starts) else plain
+
+    def _with_best_biases(self, loss: Tensor, fitted: Fitted) -> Tensor:
+        return loss if self.shared is None else loss - self.shared.gain(self.pull(fitted))
+
+    def pull(self, fitted: Fitted) -> Tensor:
+        """Return the gradient (K,) in the biases, of segments from the starts that fit them best."""
+        rows = self.batch.white_residuals(fitted.states[:, self.steps.ends])
+        weight = self.robust.weight(rows) * self.limit.weight(fitted.sums)[:, None, None]
+        return pull_of(rows * weight, self.batch)
+
+    def reduced(self, gradient: Tensor) -> Tensor:
+        """Return what biases leave of a gradient (P,) at the parameters of the dynamics."""
+        if self.shared is None:
+            return gradient
+        return self.shared.gradient(gradient, self.pull(self.fitted.rows(self.kept)))
 
     @torch.no_grad()
     def follow(self, theta: Tensor) -> None:
@@ -29,7 +80,11 @@ class WideProblem(ShootingProblem):
         near = self.refitted(theta).starts
         fitted = refine(self.trial(theta), near, self.batch, self.steps, FOLLOWING, SURE)
         self._linear = None
-        self.starts, self.limit = fitted.starts, Limit.of(fitted.sums, freedom(self.batch))
+        self.fitted, self.starts, self.limit = (
+            fitted,
+            fitted.starts,
+            Limit.of(fitted.sums, freedom(self.batch)),
+        )
 
 
 def whole_problem(dynamics: Dynamics, batch: Segment, robust: Robust) -> WideProblem:
@@ -44,7 +99,9 @@ def whole_problem(dynamics: Dynamics, batch: Segment, robust: Robust) -> WidePro
 def after(problem: WideProblem, dynamics: Dynamics) -> WideProblem:
     """Build the problem of the same segments for similar dynamics."""
     quartered = problem.steps.quartered
-    return WideProblem(dynamics, problem.batch, problem.robust, starts=problem.starts, quartered=quartered)
+    found = WideProblem(dynamics, problem.batch, problem.robust, starts=problem.starts, quartered=quartered)
+    found.shared = problem.shared
+    return found
 
 
 @torch.no_grad()
@@ -76,7 +133,7 @@ class PosteriorPoint(NamedTuple):
 
     Attributes:
         theta: (P,) parameters.
-        loss, degrees, block: quantities of the residuals, as in `Equations`.
+        loss, degrees, block: quantities quantities of the residuals, as in `Equations`.
         prior: prior of maximum evidence at the beginning of function-space steps.
         factor: L, (P, P); L L^T is the inverse of the matrix of residuals and prior.
         determined: number of parameters that the data determine.

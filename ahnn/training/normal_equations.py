@@ -30,11 +30,13 @@ class Block(NamedTuple):
         columns: indices of the parameters, shape (K,).
         matrix: J^T J, shape (K, K).
         gradient: J^T r, shape (K,).
+        units: of the parameters, shape (K,), by which sizes of steps compare; None for ones.
     """
 
     columns: Tensor
     matrix: Tensor
     gradient: Tensor
+    units: Tensor | None = None
 
 
 class Equations(NamedTuple):
@@ -168,10 +170,11 @@ def gradient_norm(blocks: Sequence[Block]) -> float:
     return math.hypot(*(float(block.gradient.norm()) for block in blocks))
 
 
-def metric(matrix: Tensor) -> Tensor:
-    """Return D, shape (K,): the diagonal of J^T J, shape (K, K), plus a thousandth of its mean."""
-    diagonal = matrix.diagonal()
-    return diagonal + 1e-3 * diagonal.mean()
+def metric(block: Block) -> Tensor:
+    """Return D, shape (K,): the diagonal of J^T J plus a thousandth of its mean in the units."""
+    squares = 1.0 if block.units is None else block.units.square()
+    diagonal = block.matrix.diagonal() * squares
+    return (diagonal + 1e-3 * diagonal.mean()) / squares
 
 
 def damped_step(blocks: Sequence[Block], damping: float, theta: Tensor) -> Tensor | None:
@@ -180,20 +183,20 @@ def damped_step(blocks: Sequence[Block], damping: float, theta: Tensor) -> Tenso
     D is the `metric`. Returns None if a block is not positive definite.
     """
     step = torch.zeros_like(theta)
-    for columns, matrix, gradient in blocks:
-        damped = matrix.clone()
-        damped.diagonal().add_(damping * metric(matrix))
+    for block in blocks:
+        damped = block.matrix.clone()
+        damped.diagonal().add_(damping * metric(block))
         factor, info = torch.linalg.cholesky_ex(damped)
         if int(info) != 0:
             return None
-        step[columns] = -torch.cholesky_solve(gradient.unsqueeze(-1), factor).squeeze(-1)
+        step[block.columns] = -torch.cholesky_solve(block.gradient.unsqueeze(-1), factor).squeeze(-1)
     return step
 
 
 def promised_decrease(blocks: Sequence[Block], step: Tensor) -> Tensor:
     """Return r^T r - |r + J s|^2 of a step s, shape (P,), by the linear model of the residuals."""
     decrease = step.new_zeros(())
-    for columns, matrix, gradient in blocks:
-        own = step[columns]
-        decrease = decrease - (2 * gradient @ own + own @ (matrix @ own))
+    for block in blocks:
+        own = step[block.columns]
+        decrease = decrease - (2 * block.gradient @ own + own @ (block.matrix @ own))
     return decrease

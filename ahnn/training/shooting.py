@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar, NamedTuple, cast
+from typing import ClassVar, cast
 
 import torch
 from torch import Tensor
@@ -41,6 +41,7 @@ from ahnn.shooting.initial_states import (
 from ahnn.shooting.normal_points import normal_points
 from ahnn.shooting.path_sensitivities import adjoints, path, sensitivities, steps_between
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
+from ahnn.training.limited_segments import Limit, freedom, near
 from ahnn.training.normal_equations import Equations, ResidualRows, accumulated
 
 CELLS = 2.5e7
@@ -51,8 +52,6 @@ UNMET = 1e4
 """Mean squared residual at which a validation abandons a trajectory, to save time."""
 PATHS = 20
 """Approximate number of paths of a problem, for deciding whether to record the flow."""
-TIMES_TYPICAL = 5.0
-"""Multiple of the median chi-square beyond which the cost of a segment grows logarithmically."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +115,7 @@ class ShootingProblem:
         steps: integrator steps between measurements.
         lost: number of segments that did not converge.
         count: degrees of freedom, without subtraction of parameters.
-        precision: dtype of the products in the normal equations.
+        precision: dtype dtype of the products in the normal equations.
 
     Raises:
         UserError: dynamics without a field.
@@ -210,16 +209,25 @@ class ShootingProblem:
 
         Initial states compensate most of the effect of parameters on a path: float32 would lose the rest.
         """
-        now, ends = normal_points(now, self.steps.ends)
+        ends, whitening = self.steps.ends, self.batch.rows(part).whitening
+        if whitening is None and self.batch.instrument.bias_sd is None:
+            now, ends = normal_points(now, ends)
         steps, limit = self.steps.rows(part)._replace(ends=ends), self.limit.rows(part)
         forcing = self.forcing(theta, here.states).to(theta)
-        of_theta = (now.of_state @ sensitivities(now.jacobians.to(theta), forcing, steps)).flatten(1, 2)
+        of_theta = now.of_state @ sensitivities(now.jacobians.to(theta), forcing, steps)
+        of_theta = of_theta if whitening is None else whitening(of_theta)
+        of_theta = self.with_more(of_theta, here, part).flatten(1, 2)
         basis = torch.linalg.qr(now.of_start.flatten(1, 2)).Q
         rows, weight = now.residuals.flatten(1), limit.weight(here.sums).sqrt()
         rows = rows - (basis @ (basis.mT @ rows.unsqueeze(-1))).squeeze(-1)
         of_theta = (of_theta - basis @ (basis.mT @ of_theta)) * weight[:, None, None]
         jacobian = of_theta.flatten(0, 1).to(self.precision)
         return ResidualRows(limit.cost(here.sums).sum(), (rows * weight[:, None]).flatten(), jacobian)
+
+    def with_more(self, of_theta: Tensor, here: Fitted, part: slice) -> Tensor:
+        """Return derivatives of residuals (B, K + 1, M, P) with columns of unknowns beside the parameters."""
+        del here, part
+        return of_theta
 
     @torch.no_grad()
     def gradient(self, theta: Tensor) -> Tensor:
@@ -232,12 +240,12 @@ class ShootingProblem:
         """Return J^T r_vv, as in `ahnn.training.acceleration.Bends`; initial states follow the step."""
         steps, segment, starts = self.steps, self.batch, self.starts
         here, now = self._linearised(theta)
-        weight = self.robust.weight(segment.residuals(here.states[:, steps.ends])).sqrt()
+        weight = self.robust.weight(segment.white_residuals(here.states[:, steps.ends])).sqrt()
 
         def rows(share: float, from_starts: Tensor) -> Tensor:
             trial = self.trial(theta + share * step)
             measured = path(trial.exact, from_starts, steps.lengths)[:, steps.ends]
-            return (segment.residuals(measured) * weight).flatten(1)
+            return (segment.white_residuals(measured) * weight).flatten(1)
 
         basis, triangle = torch.linalg.qr(now.of_start.flatten(1, 2))
         slope = (rows(reach, starts) - rows(-reach, starts)) / (2 * reach)
@@ -252,7 +260,9 @@ class ShootingProblem:
         basis = torch.linalg.qr(now.of_start.flatten(1, 2)).Q
         rows = rows - (basis @ (basis.mT @ rows.unsqueeze(-1))).squeeze(-1)
         rows = rows * self.limit.weight(here.sums)[:, None]
-        pulls = torch.einsum("bkm,bkmd->bkd", rows.view_as(now.residuals), now.of_state)
+        rows, whitening = rows.view_as(now.residuals), self.batch.whitening
+        rows = rows if whitening is None else whitening.transposed(rows)
+        pulls = torch.einsum("bkm,bkmd->bkd", rows, now.of_state)
         pulls = adjoints(now.jacobians.to(here.states), pulls, self.steps)
         field = parametrised(self._exact.dynamics, cast(HasField, self._exact.dynamics).field, theta.dtype)
 
@@ -260,41 +270,3 @@ class ShootingProblem:
             return vjp(lambda parameters: field(parameters, here.states[part]), theta)[1](pulls[part])[0]
 
         return torch.stack(each(back, self._parts(NUMBERS), theta.device)).sum(0)
-
-
-def freedom(batch: Segment) -> Tensor:
-    """Return the degrees of freedom of each segment, (B,): measured values minus the 2n initial ones."""
-    return (batch.measured - 2 * batch.instrument.dof).double()
-
-
-def near(sums: Tensor, degrees: Tensor, hopeless: float = HOPELESS) -> Tensor:
-    """Return the mask of usable segments, (B,) bool: converged and not beyond `hopeless`."""
-    return (sums <= hopeless * degrees) & (degrees > 0)
-
-
-class Limit(NamedTuple):
-    """Cost limit of single segments, which would dominate all others where dynamics are inaccurate.
-
-    Attributes:
-        most: (B,) sum of squares up to which the cost is linear, and logarithmic beyond.
-    """
-
-    most: Tensor
-
-    @classmethod
-    def of(cls, sums: Tensor, degrees: Tensor) -> Limit:
-        """Compute limits from sums of squares and degrees of freedom of segments, (B,)."""
-        typical = (sums / degrees).median().clamp(min=1.0) if len(sums) else 1.0
-        return cls(TIMES_TYPICAL * typical * degrees)
-
-    def rows(self, part: slice) -> Limit:
-        """Return the limits of selected segments."""
-        return Limit(self.most[part])
-
-    def cost(self, sums: Tensor) -> Tensor:
-        """Return the limited cost of sums of squares (B,)."""
-        return torch.where(sums <= self.most, sums, self.most * (1 + (sums / self.most).log()))
-
-    def weight(self, sums: Tensor) -> Tensor:
-        """Return the derivative of the cost, (B,)."""
-        return (self.most / sums).clamp(max=1.0)

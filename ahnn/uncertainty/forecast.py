@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from ahnn.dynamics import Dynamics
+from ahnn.measurements.coloured_noise import Whitening
 from ahnn.shooting.initial_states import Linearised
 from ahnn.shooting.path_sensitivities import Steps, transitions
 from ahnn.uncertainty.bands import path_sensitivities
@@ -22,7 +23,13 @@ from ahnn.uncertainty.bands import path_sensitivities
 
 @torch.no_grad()
 def forecast_columns(
-    dynamics: Dynamics, states: Tensor, steps: Steps, here: Linearised, fitted: Tensor, factor: Tensor
+    dynamics: Dynamics,
+    states: Tensor,
+    steps: Steps,
+    here: Linearised,
+    fitted: Tensor,
+    factor: Tensor,
+    whitening: Whitening | None = None,
 ) -> Iterator[tuple[Tensor, Tensor]]:
     """Yield the effect of one standard deviation of each cause on forecasts, in batches.
 
@@ -36,10 +43,13 @@ def forecast_columns(
         here: derivatives of steps and measurements along the paths.
         fitted: (B, K + 1) bool, times of the fitted measurements.
         factor: L, shape (P, R); L L^T is the covariance of the parameters.
+        whitening: of the residuals, where their noise is coloured.
     """
     later, jacobians = ~fitted[..., None, None], here.jacobians.to(states)
     orthogonal, root = torch.linalg.qr(here.of_start.masked_fill(later, 0.0).flatten(1, 2))
-    pulls = here.of_state.masked_fill(later, 0.0).mT @ orthogonal.unflatten(1, here.of_state.shape[1:3])
+    rows = orthogonal.unflatten(1, here.of_state.shape[1:3])
+    rows = rows if whitening is None else whitening.transposed(rows)
+    pulls = here.of_state.masked_fill(later, 0.0).mT @ rows
     carried = transitions(jacobians)[:, steps.ends]
     noise = torch.linalg.solve_triangular(root.unsqueeze(1), carried, upper=True, left=False)
     first = 0

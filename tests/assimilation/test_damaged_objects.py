@@ -116,7 +116,7 @@ def test_a_bad_header_leaves_nothing_behind(tmp_path, text):
 def test_states_of_others_and_damaged_ones_are_refused(tmp_path):
     names = tmp_path / "out.csv", tmp_path / "state"
     session(TEXT, *names).run()
-    with pytest.raises(UserError, match="expected one of this model, process noise, sensors and window"):
+    with pytest.raises(UserError, match="of this model, process noise, gate, sensors and window"):
         session(TEXT, *names, window=3.0)
     with pytest.raises(UserError, match=r"start: expected the 7 objects of .* received others"):
         session(TEXT, *names, names=NAMES[:3])

@@ -9,7 +9,9 @@ import torch
 from cases import Learned, drop, make_case
 
 from ahnn.evaluation import evaluate
-from ahnn.evaluation.bands import NORMAL, banded, held, imagined, norms
+from ahnn.evaluation.bands import NORMAL, banded, norms
+from ahnn.evaluation.forecast import held, imagined, right_bands
+from ahnn.evaluation.independent_directions import DirectionTest, direction_test
 from ahnn.rollouts import rollout
 from ahnn.uncertainty import Uncertainty
 
@@ -58,15 +60,58 @@ def test_absent_samples_do_not_count(tmp_path):
     cut[:, 0] = False
     band = banded(drop(case, cut), found, prediction(case))
     assert band.coverage == (1, 1, 1)
-    assert band.right == banded(case, found, prediction(case)).right  # one direction: all or none
+    assert band.test.directions == 1
     assert all(math.isfinite(value) for value in (*band.expected, *band.bound, *band.efficiency))
 
 
-def test_right_bands_of_one_direction_hold_all_or_nothing(tmp_path):
+def test_one_direction_refutes_bands_that_are_too_narrow_and_else_says_nothing(tmp_path):
     case = case_of(tmp_path, known(0.02))
-    band = banded(case, known(0.02), prediction(case))
-    assert list(band.right[:2]) == [(0, 1), (0, 1)]  # 4.6 % of trainings are beyond 2
-    assert band.right[2][1] == 1
+    few, narrow = (banded(case, known(sd), prediction(case)).test for sd in (0.02, 0.004))
+    assert (few.directions, few.verdict) == (1, "too few independent directions to tell")
+    assert few.scatter == pytest.approx(0.5, rel=0.02)
+    assert narrow.scatter == pytest.approx(2.5, rel=0.02)
+    assert narrow.verdict == "too narrow"
+    assert few.sentence() == "along 1 independent directions errors are 0.50 of them: " + few.verdict
+
+
+def drawn_errors(directions, rows, width):
+    """Errors of 200 trainings as right bands have them, times a width, and the verdicts on them."""
+    generator = torch.Generator().manual_seed(0)
+    moved = torch.randn(rows, directions, generator=generator, **DOUBLE)
+    moved *= 1 + 9 * torch.rand(rows, 1, generator=generator, **DOUBLE)
+    errors = width * (moved @ torch.randn(directions, 200, generator=generator, **DOUBLE))
+    return [direction_test([(one[:50], moved[:50]), (one[50:], moved[50:])]) for one in errors.mT]
+
+
+@pytest.mark.parametrize(
+    ("width", "verdict", "least"), [(1.0, "right", 0.9), (0.5, "too wide", 0.8), (2.0, "too narrow", 0.9)]
+)
+def test_errors_that_move_together_are_judged_by_as_many_directions_as_there_are(width, verdict, least):
+    tests = drawn_errors(12, 4000, width)
+    assert all(11 <= test.directions <= 12 for test in tests)
+    assert sum(test.verdict == verdict for test in tests) >= least * len(tests)
+
+
+def test_right_bands_are_refused_in_one_training_of_twenty():
+    """200 trainings, by the binomial distribution 3 to 19 of them in 99.9 %."""
+    assert 3 <= sum(test.verdict != "right" for test in drawn_errors(12, 400, 1.0)) <= 19
+
+
+def test_the_interval_is_that_of_chi_square():
+    assert DirectionTest(10, 1.0).right == pytest.approx(
+        ((3.247 / 10) ** 0.5, (20.483 / 10) ** 0.5), rel=1e-4
+    )
+    assert DirectionTest(7, 0.2).verdict == "too few independent directions to tell"
+    assert DirectionTest(8, 0.2).verdict == "too wide"
+
+
+def test_forecasts_whose_right_bands_could_be_half_as_wide_are_not_judged():
+    shares = (0.68, 0.95, 1.0)
+    assert right_bands(shares, ((0.1, 1), (0.6, 1), (0.9, 1))) == "too few independent directions to tell"
+    interval = ((0.6, 0.7), (0.94, 0.97), (0.98, 1))
+    assert right_bands(shares, interval).endswith("19 draws of 20: right")
+    assert right_bands((0.5, 0.8, 0.9), interval).endswith("too narrow")
+    assert right_bands((0.9, 0.99, 1.0), interval).endswith("too wide")
 
 
 def test_right_bands_of_many_directions_hold_what_normal_errors_have():
@@ -92,9 +137,9 @@ def test_an_evaluation_tells_and_draws_the_band(tmp_path):
         .note.splitlines()[1]
         .startswith("its bands of 1, 2 and 3 standard deviations hold 100, 100, 100 %")
     )
-    assert "(right ones 0 to 100, 0 to 100, " in findings.rows[0].note
+    assert "errors are 0.50 of them: too few independent directions to tell)" in findings.rows[0].note
     assert findings.numbers["uncertainty"]["coverage"] == [1, 1, 1]
-    assert findings.numbers["uncertainty"]["right"][0] == (0, 1)
+    assert findings.numbers["uncertainty"]["test"]["directions"] == 1
     assert findings.numbers["uncertainty"]["determined"] == 1.0
     assert "band" in findings.figures
     assert findings.arrays["true_start_deviations"].shape == findings.arrays["true_start"].shape

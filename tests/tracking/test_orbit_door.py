@@ -8,20 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
-from earth import EPOCH, LAST, REAL, bodies
+from earth import EPOCH, REAL
 from entry import call
-from simulated import STATIONS, TRUE, data
+from orbit_folder import orbit_folder
+from simulated import TRUE
 
 from ahnn.cli.pairs import divided
-from ahnn.data.files import epochs
 from ahnn.data.files.messages import read_oem
-from ahnn.systems.gravity import eigen6s
-from ahnn.tracking.accelerations.earth_gravity import EarthGravity
-from ahnn.tracking.earth_rotation import EarthRotation
-from ahnn.tracking.formats.finals import installed_orientation
-from ahnn.tracking.satellite_arc import Forces, satellite_arc
-from ahnn.tracking.tracking_model import Corrections, TrackingModel
 
 pytest.importorskip("erfa")
 pytest.importorskip("de421")
@@ -32,38 +25,7 @@ SETUPS = Path(__file__).parents[2] / "docs" / "orbits"
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A folder with the measurements of a known orbit and a setup."""
-    place = tmp_path_factory.mktemp("orbit")
-    rotation = EarthRotation(EPOCH, -LAST, LAST, installed_orientation())
-    arc = satellite_arc(
-        Forces([EarthGravity(eigen6s().cut(2, 0), rotation)]), TRUE, np.empty(0), 0.0, -2.0, 2e4
-    )
-    taken = data(count=60)
-    model = TrackingModel(taken, STATIONS, Corrections(), rotation, bodies())
-    rng, lines = np.random.default_rng(1), []
-    for n, values in enumerate(model(arc).values):
-        when = epochs.spelled(EPOCH + round(taken.times[n] * 1e12), utc=True)
-        station, noise = taken.stations[taken.station[n]], rng.standard_normal(3)
-        lines.append(f"{when} RANGE {station} {values[0] + 0.01 * noise[0]:.9f}")
-        angles = np.degrees(values[1:3]) + 0.01 * noise[1:]
-        lines.append(f"{when} AZ_EL {station} {angles[0]:.9f} {angles[1]:.9f}")
-    (place / "seen.aer").write_text("\n".join(lines) + "\n")
-    setup = {
-        "measurements": "seen.aer",
-        "stations": {
-            one.name: [float(np.degrees(one.latitude)), float(np.degrees(one.longitude)), 1e3 * one.height]
-            for one in STATIONS
-        },
-        "start": {
-            "epoch": "2016-02-13T16:00:00",
-            "position": [float(x) for x in TRUE[:3] + 5.0],
-            "velocity": [float(x) for x in TRUE[3:]],
-        },
-        "forces": {"gravity": {"degree": 2, "order": 0}, "sun": False, "moon": False},
-        "noise": {"range": 0.01, "azimuth": 0.01, "elevation": 0.01},
-    }
-    (place / "seen.yaml").write_text("units: {RANGE: km, AZ_EL: deg}\n")
-    (place / "setup.yaml").write_text(yaml.safe_dump(setup))
-    return place
+    return orbit_folder(tmp_path_factory.mktemp("orbit"))
 
 
 def test_an_orbit_is_found_and_written(folder, tmp_path, capsys):

@@ -20,6 +20,7 @@ from ahnn.tracking.accelerations.earth_tide import LOVE, RADIUS, EarthTide
 from ahnn.tracking.accelerations.radiation_pressure import RadiationPressure, lit_fraction
 from ahnn.tracking.accelerations.relativity import LIGHT, SchwarzschildTerm
 from ahnn.tracking.accelerations.third_body import ThirdBody
+from ahnn.tracking.satellite_arc import Forces
 
 pytest.importorskip("erfa")
 R, V = np.array([7526.99, -9646.31, 1464.11]), np.array([3.033, 1.715, -4.447])
@@ -64,6 +65,24 @@ def test_derivatives_are_differences(term):
             slope = (values[0] - values[1]) / (2 * size)
             most = max(np.abs(by).max(), 1e-9 * np.abs(found.value).max())
             assert slope == pytest.approx(by[:, k], abs=2e-5 * most)
+
+
+def test_many_states_at_once_are_one_after_the_other():
+    forces, rng = Forces(terms()), np.random.default_rng(0)
+    states = np.concatenate((R, V)) * rng.uniform(0.6, 1.0, (5, 1)) + rng.normal(size=(5, 6)) * [
+        9,
+        9,
+        9,
+        0,
+        0,
+        0,
+    ]
+    states[0, :3] = -7000.0 * BODY / np.linalg.norm(BODY)  # in the shadow
+    p = rng.uniform(0.5, 1.5, (5, len(forces.parameters)))
+    whole = forces.acceleration(300.0, states, p)
+    for k in range(5):
+        for many, one in zip(whole, forces.acceleration(300.0, states[k], p[k]), strict=True):
+            assert many[k] == pytest.approx(one, rel=1e-12, abs=1e-13 * np.abs(one).max())
 
 
 @pytest.mark.parametrize("field", [ggm05c(), eigen6s(), eigen6s().cut(9, 3)], ids=["8", "12", "9x3"])

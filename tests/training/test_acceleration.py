@@ -77,7 +77,7 @@ def test_three_quarters_of_the_step_are_the_most_that_a_bend_may_ask_for(share, 
     squares = torch.tensor([1e4, 1.0], **DOUBLE)
     parts = [torch.tensor([0]), torch.tensor([1])] if split else [torch.arange(2)]
     blocks = [Block(part, torch.diag(squares[part]), 0 * squares[part]) for part in parts]
-    diagonal = torch.cat([metric(block.matrix) for block in blocks])
+    diagonal = torch.cat([metric(block) for block in blocks])
     step = torch.tensor([1.0, 0.0], **DOUBLE)
     turn = torch.zeros(2, **DOUBLE)
     turn[axis] = share * (diagonal[0] / diagonal[axis]).sqrt()

@@ -2,8 +2,7 @@
 
 TEME is rotated to the terrestrial frame by the sidereal time of 1982, as SGP4 defines it (Vallado et al.,
 AIAA 2006-6753), and from there into GCRF by IAU 2006/2000A (IERS Conventions 2010). Polar motion and UT1 -
-UTC are neglected: they do not affect the transformation from TEME, and docs/data.md quantifies the effect for
-ITRF.
+UTC are left out: of the turn from TEME they are no part, and for ITRF docs/frames.md lists the errors.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from ahnn.tracking.accelerations.contract import NONE, Acceleration, Array
+from ahnn.tracking.accelerations.contract import NONE, Acceleration, Array, inner
 
 Axes = Literal["inertial", "orbital"]
 LETTERS: dict[str, str] = {"inertial": "XYZ", "orbital": "RTN"}
@@ -78,13 +78,14 @@ class AccelerationOfTime:
     def __call__(self, t: float, r: Array, v: Array, p: Array) -> Acceleration:
         """Return the acceleration at a state; derivatives neglect the rotation of orbital axes."""
         values = self.basis.unit * self.basis(np.array([t]))[0]
-        frame = np.eye(3) if self.axes == "inertial" else orbital_axes(r, v)
-        by_parameters = (frame[:, :, None] * values).reshape(3, -1)
-        return Acceleration(by_parameters @ p, NONE, NONE, by_parameters)
+        inertial = self.axes == "inertial"
+        frame = np.broadcast_to(np.eye(3), (*r.shape, 3)) if inertial else orbital_axes(r, v)
+        by_parameters = (frame[..., None] * values).reshape(*frame.shape[:-1], -1)
+        return Acceleration((by_parameters @ p[..., None])[..., 0], NONE, NONE, by_parameters)
 
 
 def orbital_axes(r: Array, v: Array) -> Array:
-    """Return radial, along-track and cross-track unit vectors as columns, (3, 3)."""
-    outward, normal = r / np.linalg.norm(r), np.cross(r, v)
-    normal = normal / np.linalg.norm(normal)
-    return np.column_stack((outward, np.cross(normal, outward), normal))
+    """Return the unit vectors outward, along the track and along the momentum as columns, (..., 3, 3)."""
+    normal = np.cross(r, v)
+    outward, normal = (one / np.sqrt(inner(one, one)) for one in (r, normal))
+    return np.stack((outward, np.cross(normal, outward), normal), axis=-1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ahnn.tracking.accelerations.contract import Acceleration, Array
+from ahnn.tracking.accelerations.contract import Acceleration, Array, inner, outer
 
 ROTATION = 7.292115e-5
 """Rotation rate of the Earth, rad/s (IERS Conventions 2010, table 1.2)."""
@@ -46,19 +46,20 @@ class AtmosphericDrag:
     def __call__(self, t: float, r: Array, v: Array, p: Array) -> Acceleration:
         """Return the acceleration at a state; heights are above a sphere. See `AccelerationTerm`."""
         del t
-        distance = np.linalg.norm(r)
-        density, scale = atmosphere(float(distance) - RADIUS)
+        distance = np.sqrt(inner(r, r))
+        density, scale = atmosphere(distance - RADIUS)
         spin = ROTATION * np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-        wind = v + spin @ r
-        speed = np.linalg.norm(wind)
-        unit = -self.strength * density * speed * wind
-        by_wind = -self.strength * density * (speed * np.eye(3) + np.outer(wind, wind) / speed)
-        by_position = by_wind @ spin - np.outer(unit, r) / (distance * scale)
-        return Acceleration(p[0] * unit, p[0] * by_position, p[0] * by_wind, unit[:, None])
+        wind = v + r @ spin.T
+        speed, dense = np.sqrt(inner(wind, wind)), -self.strength * density
+        unit, strength = dense * speed * wind, p[..., :1]
+        by_wind = dense[..., None] * (speed[..., None] * np.eye(3) + outer(wind / speed, wind))
+        by_position = by_wind @ spin - outer(unit / (distance * scale), r)
+        slopes = strength[..., None] * by_position, strength[..., None] * by_wind
+        return Acceleration(strength * unit, *slopes, unit[..., None])
 
 
-def atmosphere(height: float) -> tuple[float, float]:
-    """Return density in kg/m^3 and scale height in km at a height in km; the lowest layer is extrapolated."""
-    layer = max(0, int(np.searchsorted(LAYERS[:, 0], height, side="right")) - 1)
-    base, density, scale = LAYERS[layer]
-    return float(density * np.exp((base - height) / scale)), float(scale)
+def atmosphere(height: Array) -> tuple[Array, Array]:
+    """Return densities in kg/m^3 and scale heights in km at heights in km; the lowest is extrapolated."""
+    layer = np.maximum(0, np.searchsorted(LAYERS[:, 0], height, side="right") - 1)
+    base, density, scale = np.moveaxis(LAYERS[layer], -1, 0)
+    return density * np.exp((base - height) / scale), scale

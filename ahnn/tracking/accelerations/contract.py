@@ -12,13 +12,13 @@ NONE = np.zeros((3, 3))
 
 
 class Acceleration(NamedTuple):
-    """Acceleration at one state, in km/s^2 in GCRF, with derivatives.
+    """An acceleration at one state, or at each of several, in km/s^2 and the axes of GCRF.
 
     Attributes:
-        value: (3,) acceleration.
-        by_position: derivatives with respect to position, (3, 3).
-        by_velocity: derivatives with respect to velocity, (3, 3).
-        by_parameters: derivatives with respect to the term's parameters, (3, P).
+        value: (..., 3).
+        by_position: its derivatives by the position, (..., 3, 3).
+        by_velocity: by the velocity, (..., 3, 3); (3, 3) where it is zero.
+        by_parameters: by the term's own parameters, (..., 3, P); (3, 0) where there are none.
     """
 
     value: Array
@@ -38,9 +38,9 @@ class AccelerationTerm(Protocol):
 
         Args:
             t: seconds after the epoch.
-            r: position, (3,) km in GCRF.
-            v: velocity, (3,) km/s.
-            p: parameters, (P,).
+            r: position, (..., 3) km in GCRF.
+            v: velocity, (..., 3) km/s.
+            p: parameters, (..., P).
         """
         ...
 
@@ -48,3 +48,13 @@ class AccelerationTerm(Protocol):
 def known(value: Array, by_position: Array, by_velocity: Array = NONE) -> Acceleration:
     """Build an acceleration without parameters."""
     return Acceleration(value, by_position, by_velocity, np.empty((3, 0)))
+
+
+def inner(a: Array, b: Array) -> Array:
+    """Return the products a b of vectors (..., 3), shape (..., 1)."""
+    return np.asarray((a * b).sum(-1, keepdims=True))
+
+
+def outer(a: Array, b: Array) -> Array:
+    """Return the matrices a b^T of vectors (..., 3), shape (..., 3, 3)."""
+    return a[..., :, None] * b[..., None, :]

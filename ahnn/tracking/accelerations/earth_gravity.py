@@ -34,10 +34,10 @@ class EarthGravity:
         del v, p
         turn = self._rotation.matrices(np.array([t]))[0]
         field = self.field
-        series = harmonics_at(turn @ r, field.radius, self._recursion).view(np.float64) @ self._series
-        value = field.mu / field.radius**2 * series[:3]
-        tensor = field.mu / field.radius**3 * series[3:].reshape(3, 3)
-        return known(turn.T @ value, turn.T @ tensor @ turn)
+        series = harmonics_at(r @ turn.T, field.radius, self._recursion).view(np.float64) @ self._series
+        value = field.mu / field.radius**2 * series[..., :3]
+        tensor = field.mu / field.radius**3 * series[..., 3:].reshape(*r.shape, 3)
+        return known(value @ turn, turn.T @ tensor @ turn)
 
 
 Recursion = tuple[tuple[Array, Array, float], ...]
@@ -58,24 +58,25 @@ def recursion(degree: int, order: int) -> Recursion:
 
 
 def harmonics_at(q: Array, radius: float, factors: Recursion) -> NDArray[np.complexfloating]:
-    """Return V_nm + i W_nm, (K,), at one point (3,).
+    """Return V_nm + i W_nm, (..., K), at points (..., 3).
 
-    `solid_harmonics` processes all points of a batch at once; an arc is integrated point by point, where
-    plain numbers are eight times as fast.
+    `solid_harmonics` is for torch; a path is followed from point to point, where plain numbers are eight
+    times as fast.
     """
-    inverse = 1 / (q @ q)
-    x, y, z = radius * inverse * q
-    across, square = complex(x, y), radius**2 * inverse
-    rows = [np.array([square**0.5 + 0j])]
+    lead = q.shape[:-1]
+    inverse = 1 / (q * q).sum(-1, keepdims=True) if lead else 1 / (q @ q)
+    x, y, z = np.moveaxis((radius * inverse * q)[..., None], -2, 0) if lead else radius * inverse * q
+    across, square = x + 1j * y, radius**2 * inverse
+    rows = [np.sqrt(square) + np.zeros(1, dtype=np.complex128)]
     for n, (along, before, sectoral) in enumerate(factors, 1):
-        last = rows[-1]
-        row = np.empty(len(along) + (sectoral > 0), dtype=np.complex128)
-        inner = row[: len(along)]
-        np.multiply(along * z, last[: len(along)], out=inner)
+        last, count = rows[-1], len(along)
+        row = np.empty((*lead, count + (sectoral > 0)), dtype=np.complex128)
+        np.multiply(along * z, last[..., :count], out=row[..., :count])
         if n > 1:
             older = rows[-2]
-            inner[: len(older)] -= (square * before)[: len(older)] * older[: len(inner)]
+            size = older.shape[-1]
+            row[..., :count][..., :size] -= (square * before)[..., :size] * older[..., :count]
         if sectoral:
-            row[-1] = sectoral * across * last[-1]
+            row[..., -1:] = sectoral * across * last[..., -1:]
         rows.append(row)
-    return np.concatenate(rows)
+    return np.concatenate(rows, axis=-1)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ahnn.tracking.accelerations.contract import Acceleration, Array, known
+from ahnn.tracking.accelerations.contract import Acceleration, Array, inner, known, outer
 
 LOVE = 0.30190
 """Love number k_20 of the elastic Earth (IERS Conventions 2010, table 6.3)."""
@@ -34,8 +34,8 @@ class EarthTide:
         del v, p
         body = self.position(t)
         away = np.linalg.norm(body)
-        e, square = body / away, r @ r
-        s = r @ e
+        e, square = body / away, inner(r, r)
+        s = inner(r, e)
         factor = 0.5 * LOVE * self.mu * RADIUS**5 / away**3
         # Potential factor (3 s^2 / r^5 - 1 / r^3), its gradient and the gradient of that.
         r5 = square**2.5
@@ -43,5 +43,5 @@ class EarthTide:
         value = factor * (c * r + b * e)
         c_slope = -5.0 * c * r / square + (-30.0 * s / square * e + 30.0 * s**2 / square**2 * r) / r5
         b_slope = 6.0 / r5 * (e - 5.0 * s / square * r)
-        tensor = factor * (c * np.eye(3) + np.outer(r, c_slope) + np.outer(e, b_slope))
+        tensor = factor * (c[..., None] * np.eye(3) + outer(r, c_slope) + outer(e, b_slope))
         return known(value, tensor)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ahnn.tracking.accelerations.contract import NONE, Acceleration, Array
+from ahnn.tracking.accelerations.contract import NONE, Acceleration, Array, inner, outer
 
 PRESSURE = 1361.0 / 299792458.0
 """Radiation pressure in N/m^2 at 1 au: total solar irradiance (Kopp & Lean 2011) over the speed of light."""
@@ -34,31 +34,30 @@ class RadiationPressure:
         del v
         sun = self.sun(t)
         line = r - sun
-        distance = np.linalg.norm(line)
-        lit = self.strength * lit_fraction(r, sun)
-        unit = lit * line / distance**3
-        tensor = lit * (np.eye(3) / distance**3 - 3 * np.outer(line, line) / distance**5)
-        return Acceleration(p[0] * unit, p[0] * tensor, NONE, unit[:, None])
+        distance = np.sqrt(inner(line, line))
+        lit = self.strength * lit_fraction(r, sun)[..., None] / distance**3
+        unit, strength = lit * line, p[..., :1]
+        tensor = lit[..., None] * (np.eye(3) - 3 * outer(line / distance**2, line))
+        return Acceleration(strength * unit, strength[..., None] * tensor, NONE, unit[..., None])
 
 
-def lit_fraction(r: Array, sun: Array) -> float:
-    """Return the fraction of the Sun's disk not hidden by the Earth (Montenbruck & Gill, 3.4.2).
+def lit_fraction(r: Array, sun: Array) -> Array:
+    """Return the fraction of the Sun's disk not hidden by the Earth, (...) (Montenbruck & Gill, 3.4.2).
 
     Args:
-        r: satellite, (3,) geocentric position, km.
-        sun: Sun, (3,) geocentric position, km.
+        r: satellite, (..., 3) km from the Earth's centre.
+        sun: (3,), likewise.
     """
     line = sun - r
-    away, distance = float(np.linalg.norm(line)), float(np.linalg.norm(r))
-    a, b = np.arcsin(SUN_RADIUS / away), np.arcsin(min(1.0, EARTH_RADIUS / distance))
-    apart = np.arccos(np.clip(-(r @ line) / (distance * away), -1.0, 1.0))
-    if apart >= a + b:
-        return 1.0
-    if apart <= b - a:
-        return 0.0
-    if apart <= a - b:
-        return float(1 - (b / a) ** 2)
-    x = (apart**2 + a**2 - b**2) / (2 * apart)
+    away, distance = np.sqrt(inner(line, line))[..., 0], np.sqrt(inner(r, r))[..., 0]
+    a, b = np.arcsin(SUN_RADIUS / away), np.arcsin(np.minimum(1.0, EARTH_RADIUS / distance))
+    apart = np.arccos(np.clip(-inner(r, line)[..., 0] / (distance * away), -1.0, 1.0))
+    if bool(np.all(apart >= a + b)):
+        return np.ones_like(apart)
+    # Of disks that do not cross the two points come together.
+    x = (apart**2 + a**2 - b**2) / (2 * np.maximum(apart, 1e-12))
     hidden = a**2 * np.arccos(np.clip(x / a, -1, 1)) + b**2 * np.arccos(np.clip((apart - x) / b, -1, 1))
-    hidden -= apart * np.sqrt(max(0.0, a**2 - x**2))
-    return float(1 - hidden / (np.pi * a**2))
+    hidden = hidden - apart * np.sqrt(np.maximum(0.0, a**2 - x**2))
+    within = np.where(b >= a, 0.0, 1 - (b / a) ** 2)
+    part = np.where(apart <= np.abs(b - a), within, 1 - hidden / (np.pi * a**2))
+    return np.where(apart >= a + b, 1.0, part)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ahnn.tracking.accelerations.contract import Acceleration, Array, known
+from ahnn.tracking.accelerations.contract import Acceleration, Array, inner, known, outer
 
 LIGHT = 299792.458
 """Speed of light, km/s."""
@@ -25,11 +25,13 @@ class SchwarzschildTerm:
     def __call__(self, t: float, r: Array, v: Array, p: Array) -> Acceleration:
         """Return the acceleration at a state; see `AccelerationTerm`."""
         del t, p
-        distance, along = np.linalg.norm(r), r @ v
+        distance, along = np.sqrt(inner(r, r)), inner(r, v)
         factor = self.mu / (LIGHT**2 * distance**3)
-        inner = 4 * self.mu / distance - v @ v
-        value = factor * (inner * r + 4 * along * v)
-        slope = inner * np.eye(3) - 4 * self.mu / distance**3 * np.outer(r, r) + 4 * np.outer(v, v)
-        by_position = factor * slope - 3 * np.outer(value, r) / distance**2
-        by_velocity = factor * (4 * along * np.eye(3) - 2 * np.outer(r, v) + 4 * np.outer(v, r))
+        radial = 4 * self.mu / distance - inner(v, v)
+        value = factor * (radial * r + 4 * along * v)
+        slope = radial[..., None] * np.eye(3) - 4 * self.mu * outer(r / distance**3, r) + 4 * outer(v, v)
+        by_position = factor[..., None] * slope - 3 * outer(value / distance**2, r)
+        by_velocity = factor[..., None] * (
+            4 * along[..., None] * np.eye(3) - 2 * outer(r, v) + 4 * outer(v, r)
+        )
         return known(value, by_position, by_velocity)

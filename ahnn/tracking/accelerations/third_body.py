@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ahnn.tracking.accelerations.contract import Acceleration, Array, known
+from ahnn.tracking.accelerations.contract import Acceleration, Array, inner, known, outer
 
 
 class ThirdBody:
@@ -27,7 +27,8 @@ class ThirdBody:
         del v, p
         body = self.position(t)
         line = body - r
-        distance = np.linalg.norm(line)
+        distance = np.sqrt(inner(line, line))
         value = self.mu * (line / distance**3 - body / np.linalg.norm(body) ** 3)
-        tensor = self.mu * (3 * np.outer(line, line) / distance**5 - np.eye(3) / distance**3)
+        cube = distance[..., None] ** 3
+        tensor = self.mu * (3 * outer(line / distance, line / distance) - np.eye(3)) / cube
         return known(value, tensor)

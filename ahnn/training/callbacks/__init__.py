@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from ahnn.training.callbacks.checkpointing import BestPoint, ResumePoint, require_monitored
+from ahnn.training.callbacks.epoch_mean import EpochMean
 from ahnn.training.callbacks.progress import TrainingProgress
 from ahnn.training.callbacks.rollout import ValidationRollout
 from ahnn.training.callbacks.telemetry import Telemetry
 
 __all__ = [
     "BestPoint",
+    "EpochMean",
     "ResumePoint",
     "Telemetry",
     "TrainingProgress",

@@ -93,11 +93,12 @@ class Horizon:
         days = {kind: days_ahead(ahead, case.label, self.beside.name, kind) for kind in ("true", "fitted")}
         known = len(ahead[0].daily)
         beaten = ", ".join(f"{count} of {known} from the {kind} start" for kind, count in days.items())
-        rows[0] = rows[0]._replace(note=f"days, from the first on, on which {case.label} is nearer: {beaten}")
+        note = f"days, from the first on, on which {case.label} is nearer: {beaten}"
         numbers: dict[str, Any] = {"days": days, "daily": {}}
         for one in ahead:
             numbers["daily"].setdefault(one.start, {})[one.name] = one.daily.tolist()
-        return Findings(rows=rows, numbers=numbers, figures={"ahead": self._figure(ahead, case)})
+        figures = {"ahead": self._figure(ahead, case)}
+        return Findings(rows=rows, numbers=numbers, figures=figures, notes=[note])
 
     def _segment(self, case: Case) -> Segment:
         """Return noisy positions of the first samples of each test trajectory."""

@@ -31,7 +31,7 @@ from ahnn.estimation.results import Predicted, Updated
 from ahnn.estimation.rounding import Rounding
 from ahnn.estimation.smoother import backward_law
 from ahnn.jacobians import pointwise_jacobian
-from ahnn.measurements import residual
+from ahnn.measurements import Sloped, residual
 from ahnn.types import Flow
 
 __all__ = ["ExtendedKalmanFilter", "LinearisedKernel"]
@@ -77,7 +77,10 @@ class LinearisedKernel(NamedTuple):
         model, present = sensor.measurement, ~torch.isnan(y)
         with torch.inference_mode(mode=False):
             at = at.clone() if at.is_inference() else at
-            slope = pointwise_jacobian(lambda x: model(x, time).to(x.dtype), at)
+            if isinstance(model, Sloped):
+                slope = model.slope(at, time)
+            else:
+                slope = pointwise_jacobian(lambda x: model(x, time).to(x.dtype), at)
         predicted = measured(model, at.unsqueeze(1), time)[:, 0]
         # Missing components are filled in, since a residual may mix components.
         innovation = residual(model, torch.where(present, y, predicted), predicted)
@@ -94,7 +97,8 @@ class LinearisedKernel(NamedTuple):
 class ExtendedKalmanFilter(GaussianFilter):
     """Extended Kalman filter with additive noise for a batch of B members, see `GaussianFilter`.
 
-    A flow or a measurement model must be differentiable by torch.
+    A flow or a measurement model must be differentiable by torch, or know its derivatives (`transition`,
+    `ahnn.measurements.Sloped`).
 
     Attributes:
         gate: gate for improbable measurement rows, or None.

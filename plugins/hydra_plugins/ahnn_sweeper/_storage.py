@@ -1,9 +1,10 @@
-"""Storage of a study: a journal file, SQLite or PostgreSQL; with one lock per storage.
+"""Where a study is kept: a journal file, SQLite, PostgreSQL or a proxy of Optuna; and one lock per storage.
 
 The lock makes the creation of a study and the allotment of trials atomic over all processes and machines:
 without it, two processes that create the same empty database crash (SQLite "table already exists", PostgreSQL
 UniqueViolation) and workers overshoot the number of trials. The operating system or the server releases it
-when its holder is killed.
+when its holder is killed. A proxy (`optuna.storages.run_grpc_proxy_server`) has no locks, but it
+numbers trials: there the lock is a queue of trials in a study of its own, and who is killed leaves an orphan.
 """
 
 from __future__ import annotations
@@ -14,11 +15,13 @@ import logging
 import time
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
 
 from ahnn.errors import UserError
+from hydra_plugins.ahnn_sweeper._owner import Lease, is_alive, this_process
 
 if TYPE_CHECKING:
     import optuna
@@ -27,6 +30,8 @@ logger = logging.getLogger(__name__)
 
 JOURNAL = "journal:///"
 SQLITE = "sqlite:///"
+GRPC = "grpc://"
+_QUEUE = "ahnn queue"  # the study whose trials wait for the lock of a proxy
 _ATTEMPTS = 6  # waits of 0.5, 1, 2, 4, 8 s: a database server that is just starting
 _ADVISORY_KEY = 0x61686E6E  # "ahnn" in ASCII: any fixed 64-bit number
 
@@ -35,15 +40,15 @@ def resolved(url: str) -> str:
     """Return the URL with an absolute path, because jobs may run in another working directory.
 
     Raises:
-        UserError: for a scheme that is not journal, sqlite or postgresql.
+        UserError: for a scheme that is not journal, sqlite, postgresql or grpc, or a proxy without its port.
     """
     for scheme in (JOURNAL, SQLITE):
         if url.startswith(scheme):
             return scheme + str(Path(url.removeprefix(scheme)).absolute())
-    if not url.startswith("postgresql"):
+    if not (url.startswith("postgresql") or (url.startswith(GRPC) and _has_port(url))):
         message = (
-            "sweeper storage: expected journal:///PATH, sqlite:///PATH or postgresql+psycopg://HOST/DATABASE"
-            f"; received {url!r}"
+            "sweeper storage: expected journal:///PATH, sqlite:///PATH, postgresql+psycopg://HOST/DATABASE "
+            f"or grpc://HOST:PORT; received {url!r}"
         )
         raise UserError(message)
     return url
@@ -64,7 +69,7 @@ def open_storage(url: str) -> optuna.storages.BaseStorage:
 
     for attempt in range(_ATTEMPTS):
         try:
-            with exclusive(url):
+            with nullcontext() if url.startswith(GRPC) else exclusive(url):
                 return _create(url)
         except (SQLAlchemyError, StorageInternalError, OSError) as error:
             if attempt == _ATTEMPTS - 1:
@@ -88,7 +93,7 @@ def exclusive(url: str) -> Iterator[None]:
     """
     path = _path(url)
     if path is None:
-        with _advisory_lock(url):
+        with _queued(open_storage(url)) if url.startswith(GRPC) else _advisory_lock(url):
             yield
     else:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -107,7 +112,7 @@ def _path(url: str) -> Path | None:
 
 def _create(url: str) -> optuna.storages.BaseStorage:
     from optuna.exceptions import ExperimentalWarning
-    from optuna.storages import JournalStorage, RDBStorage
+    from optuna.storages import GrpcStorageProxy, JournalStorage, RDBStorage
     from optuna.storages.journal import JournalFileBackend
 
     from hydra_plugins.ahnn_sweeper._flock import FileLock
@@ -119,7 +124,51 @@ def _create(url: str) -> optuna.storages.BaseStorage:
             return JournalStorage(JournalFileBackend(path, lock_obj=FileLock(path)))
         if url.startswith(SQLITE):
             return RDBStorage(url, engine_kwargs={"connect_args": {"timeout": 60}})
+        if url.startswith(GRPC):
+            place = urlsplit(url)
+            proxy = GrpcStorageProxy(host=place.hostname or "", port=place.port or 0)
+            proxy.wait_server_ready(timeout=5.0)
+            return proxy
         return RDBStorage(url, engine_kwargs={"pool_pre_ping": True})
+
+
+def _has_port(url: str) -> bool:
+    try:
+        place = urlsplit(url)
+        return bool(place.hostname and place.port)
+    except ValueError:
+        return False
+
+
+@contextmanager
+def _queued(storage: optuna.storages.BaseStorage) -> Iterator[None]:
+    """Hold the lock of a proxy, in the order in which trials of the queue were numbered."""
+    from optuna.exceptions import DuplicatedStudyError, UpdateFinishedTrialError
+    from optuna.study import StudyDirection
+    from optuna.trial import TrialState, create_trial
+
+    with suppress(DuplicatedStudyError):
+        storage.create_new_study([StudyDirection.MINIMIZE], _QUEUE)
+    queue = storage.get_study_id_from_name(_QUEUE)
+    ticket = create_trial(state=TrialState.RUNNING, user_attrs={"run_by": this_process()})
+    own = storage.create_new_trial(queue, ticket)
+    with Lease(storage, [own]):
+        try:
+            while ahead := [t for t in _waiting(storage, queue) if t._trial_id < own]:
+                for orphan in (t for t in ahead if not is_alive(t)):
+                    with suppress(UpdateFinishedTrialError):
+                        storage.set_trial_state_values(orphan._trial_id, TrialState.FAIL)
+                time.sleep(0.02)
+            yield
+        finally:
+            storage.set_trial_state_values(own, TrialState.FAIL)
+
+
+def _waiting(storage: optuna.storages.BaseStorage, queue: int) -> list[optuna.trial.FrozenTrial]:
+    """Return the trials of a queue that hold the lock or wait for it."""
+    from optuna.trial import TrialState
+
+    return storage.get_all_trials(queue, deepcopy=False, states=(TrialState.RUNNING,))
 
 
 @contextmanager

@@ -37,8 +37,8 @@ class AhnnOptunaSweeper(Sweeper):
 
     Args:
         study_name: name of the study in its storage.
-        storage: `journal:///PATH`, `sqlite:///PATH` or `postgresql+psycopg://HOST/DATABASE`; null for a
-            journal file in the sweep folder.
+        storage: `journal:///PATH`, `sqlite:///PATH`, `postgresql+psycopg://HOST/DATABASE` or
+            `grpc://HOST:PORT`, a proxy of Optuna; null for a journal file in the sweep folder.
         direction: `minimize` or `maximize` the value that the job returns.
         n_trials: final number of trials of the study, over all starts and machines.
         batch_size: number of trials passed to the launcher at once.

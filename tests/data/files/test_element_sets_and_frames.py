@@ -173,7 +173,7 @@ def test_what_is_left_out_costs_what_the_document_says():
     erfa, arcsec = pytest.importorskip("erfa"), np.pi / 648000
     exact, document = (
         erfa.c2t06a(2460370.5, 0.3, 2460370.5, 0.3, 0, 0),
-        Path(__file__).parents[3] / "docs" / "data.md",
+        Path(__file__).parents[3] / "docs" / "frames.md",
     )
     for words, (ut1, x, y) in {
         "UT1 - UTC of 0.1 s": (0.1, 0.0, 0.0),

@@ -1,4 +1,4 @@
-"""What docs/search.md prints for Slurm, run on a cluster of one node with small trainings."""
+"""What docs/how_to/cluster.md prints for Slurm, run on a cluster of one node with small trainings."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}; apt-get install slurm-wlm"),
 ]
-SECTION = (ROOT / "docs" / "search.md").read_text().partition("### Slurm\n")[2].partition("\n## ")[0]
+SECTION = (
+    (ROOT / "docs" / "how_to" / "cluster.md").read_text().partition("### Slurm\n")[2].partition("\n## ")[0]
+)
 TRAINING = [*SMALL, "recipe=first_order", "evaluation=scores", "system=mass_spring"]
 SEARCH = [*TRAINING, "model.network.depth=range(1,3)", "hydra.sweeper.study_name=slurm", "seeds=null"]
 

@@ -1,0 +1,69 @@
+"""Which objects of a catalogue one of several workers follows: those whose names hash to its number."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ahnn.assimilation.reading_table import ReadingTable
+from ahnn.assimilation.table_parser import Mask, ParsedLines
+from ahnn.errors import UserError
+from ahnn.estimation import Belief
+
+
+class ObjectShard(NamedTuple):
+    """One of several workers.
+
+    Attributes:
+        number: of the worker, from 1.
+        workers: how many there are.
+    """
+
+    number: int = 1
+    workers: int = 1
+
+    @classmethod
+    def of(cls, text: str | None) -> ObjectShard:
+        """Return the second of eight from `2/8`, and the only one from None; raises UserError."""
+        if text is None:
+            return cls()
+        found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
+        number, workers = map(int, found.groups()) if found else (0, 0)
+        if not 1 <= number <= workers:
+            message = f"shard: expected NUMBER/WORKERS, such as 2/8, from 1/8 to 8/8; received {text!r}"
+            raise UserError(message)
+        return cls(number, workers)
+
+    def holds(self, names: Iterable[str]) -> Mask:
+        """Return which objects are those of this worker, on any machine, (K,) bool."""
+        return np.array([_hash(name) % self.workers == self.number - 1 for name in names], dtype=bool)
+
+    def starts(self, names: Sequence[str], belief: Belief, times: Tensor) -> tuple[list[str], Belief, Tensor]:
+        """Return names, beliefs and times (N,) of its objects; raises UserError where it has none."""
+        own = torch.from_numpy(self.holds(names))
+        if not own.any():
+            received = f"none for worker {self.number} of {self.workers}"
+            message = f"shard: expected some of the {len(names)} objects of the start; received {received}"
+            raise UserError(message)
+        mine = [name for name, is_own in zip(names, own.tolist(), strict=True) if is_own]
+        return mine, Belief(belief.mean[own], belief.chol[own]), times[own]
+
+    def lines(self, parsed: ParsedLines) -> ParsedLines:
+        """Return the readings of its objects; lines that are none are told by one worker each."""
+        if self.workers == 1:
+            return parsed
+        objects, *columns = parsed.table
+        own = np.flatnonzero(self.holds(objects))
+        table = ReadingTable([objects[k] for k in own], *(column[own] for column in columns))
+        bad = {line: why for line, why in parsed.bad.items() if line % self.workers == self.number - 1}
+        return ParsedLines([parsed.lines[k] for k in own], table, bad)
+
+
+def _hash(name: str) -> int:
+    return int.from_bytes(hashlib.blake2b(name.encode(), digest_size=8).digest())

@@ -1,0 +1,82 @@
+"""From a command line with `orbit=FILE.yaml` to a stream that goes on where an orbit is determined."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ahnn.arguments import check_arguments, nearest
+from ahnn.cli.build import build_all, plain_config
+from ahnn.cli.compose import composed
+from ahnn.cli.orbit_file import read_orbit
+from ahnn.cli.unused_keys import refuse, unread_online
+from ahnn.errors import UserError
+from ahnn.estimation import Estimator
+from ahnn.evaluation import EvaluationPlugin
+from ahnn.evaluation.estimators import EstimatorEvaluation
+from ahnn.jobs.assimilation_request import AssimilationRequest, Stream, require_places
+from ahnn.jobs.orbit_stream import OrbitFollowing, orbit_stream
+
+FOREIGN = ("objects", "states", "controls", "sensors", "epoch", "frame", "center", "time_system", "time")
+"""Keys of a stream that an orbit determination says itself, or has no use for."""
+DEFAULT = "plugins=ukf"
+
+
+def read_following(arguments: list[str], usage: str) -> Stream:
+    """Return the stream that a command line asks for.
+
+    Raises:
+        UserError: no such file, an unknown key, or options that do not go together.
+        TrainingError: the start is fitted, and there is no fit.
+    """
+    given = ["watch=true" if argument == "--watch" else argument for argument in arguments]
+    own = composed("assimilate", [])
+    of_orbit, filters, mine = list[str](), list[str](), list[str]()
+    for text in given:
+        key, _, below = text.partition("=")[0].partition(".")
+        if key not in (*own, "plugins"):
+            hint = nearest(key, [*own, "plugins"])
+            message = f"{key}: expected a key that goes with orbit=; received another{hint}"
+            raise UserError(message)
+        chosen = filters if key == "plugins" else of_orbit if key == "orbit" and below else mine
+        chosen.append(text.removeprefix("orbit.") if chosen is of_orbit else text)
+    options = plain_config(composed("assimilate", mine))
+    if foreign := [key for key in FOREIGN if options[key] not in (None, {})]:
+        message = f"{foreign[0]}: expected none beside orbit=, which says it; received {options[foreign[0]]}"
+        raise UserError(message)
+    folder = [] if options["folder"] is None else [f"folder={options['folder']}"]
+    orbit = read_orbit([options["orbit"], *folder, *of_orbit], usage)
+    other = options["measurements"]
+    options["measurements"] = other or str(orbit.folder / orbit.setup.measurements)
+    check_arguments("", AssimilationRequest, options)
+    asked = AssimilationRequest(**options)
+    require_places(asked)
+    estimator, noise = filter_of(filters)
+    place = None if other is None else Path(other).expanduser().resolve()
+    return orbit_stream(asked, OrbitFollowing(orbit.setup, orbit.folder, estimator, noise, place))
+
+
+def filter_of(overrides: list[str]) -> tuple[Estimator[Any], tuple[float, float]]:
+    """Return the estimator that a command line names, and the process noise of a minute.
+
+    Raises:
+        UserError: none, several, or a process noise that is fitted to a model.
+    """
+    texts = overrides if any(text.startswith("plugins=") for text in overrides) else [DEFAULT, *overrides]
+    cfg = composed("train", texts, partly=True)
+    refuse(unread_online(cfg.plugins, covariance=False, named=True), overrides)
+    plugins = build_all(cfg.plugins, "plugins", EvaluationPlugin)
+    filters = [one for one in plugins.values() if isinstance(one, EstimatorEvaluation)]
+    if len(filters) != 1:
+        received = ", ".join(plugins) or "none"
+        message = f"plugins: expected one that filters online, such as {DEFAULT}; received {received}"
+        raise UserError(message)
+    noise = filters[0].process_noise
+    if noise == "fitted":  # the default; known forces leave nothing to fit
+        noise = (0.0, 0.0)
+    if not isinstance(noise, tuple | list):
+        message = (
+            "process_noise: expected [POSITION,VELOCITY], km and km/s that a minute adds; received another"
+        )
+        raise UserError(message)
+    return filters[0].estimator, (noise[0], noise[1])

@@ -1,0 +1,88 @@
+"""Units of a network divided among coordinates whose energies differ by orders of magnitude.
+
+The energy of a coordinate is its rate times its range, one of positions and one of momenta. A force on light
+coordinates is a small slope of a large energy, and each unit of a network that sees both kinds bends it by as
+much as the heavy ones need. Where H = E(heavy) + e F(heavy, light) with a small e, units for F see all
+coordinates and are weighed by e; units for E are moved by light coordinates by no more than e. This is how
+weights begin, and `unit` of a parameter, which second-order steps are measured in, keeps them there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import cast
+
+import torch
+from torch import Tensor, nn
+
+from ahnn.dynamics.inputs import Angles, Cartesian, InputMap
+from ahnn.dynamics.layered import Network
+from ahnn.dynamics.networks import Perceptron
+from ahnn.statistics import Statistics
+
+UNEVEN = 100.0
+"""Ratio of energies from which coordinates have units of their own."""
+ROUNDING = 1e-12
+"""Ratio at which a motion is taken for rounding, which needs none."""
+
+
+def coordinate_energies(statistics: Statistics) -> Tensor:
+    """Return the energies of the n coordinates in the data, potential or kinetic, whichever is larger."""
+    half = (statistics.maximum - statistics.minimum) / 2
+    return (statistics.rate * half.roll(len(half) // 2)).unflatten(0, (2, -1)).amax(0)
+
+
+def levels(energies: Tensor) -> Tensor:
+    """Return for each energy, shape (n,), the largest one of those that are alike, in units of the first."""
+    relative = energies / energies.max()
+    found, top = torch.ones_like(relative), 1.0
+    for k in relative.argsort(descending=True).tolist():
+        if float(relative[k]) > ROUNDING:
+            top = float(relative[k]) if relative[k] * UNEVEN < top else top
+            found[k] = top
+    return found
+
+
+def divide_units(network: Network, inputs: Iterable[InputMap], statistics: Statistics) -> None:
+    """Divide the units of a perceptron of one output among the levels of coordinates, if there are several.
+
+    Args:
+        network: with fresh weights, which are scaled.
+        inputs: maps of which the network sees the outputs, one behind the other.
+        statistics: of the training split.
+    """
+    entering = levels(coordinate_energies(statistics))
+    tops = entering.unique().flip(0)
+    known = [energies_of(part, entering) for part in inputs]
+    if len(tops) == 1 or not isinstance(network, Perceptron) or any(one is None for one in known):
+        return
+    entering = torch.cat([one for one in known if one is not None])
+    for layer in cast("Iterable[nn.Linear]", (*network.hidden, network.output)):
+        own = tops[torch.arange(layer.out_features) % len(tops)]
+        scale(layer.weight, (entering / own.unsqueeze(1)).clamp(max=1))
+        entering = own
+
+
+def energies_of(inputs: InputMap, energies: Tensor) -> Tensor | None:
+    """Return the energy behind each output of an input map; None where outputs mix coordinates."""
+    if isinstance(inputs, Angles):
+        turning = energies[inputs.turning]
+        return torch.cat((turning, turning, energies[inputs.straight]))
+    return energies if isinstance(inputs, Cartesian) else None
+
+
+@torch.no_grad()
+def scale(parameter: Tensor, unit: Tensor) -> None:
+    """Give a parameter a unit for each element, and bring its value into it."""
+    unit = unit.to(parameter)
+    parameter.mul_(unit / getattr(parameter, "unit", 1.0))
+    vars(parameter)["unit"] = unit
+
+
+def units_of(parameters: Iterable[Tensor]) -> Tensor | None:
+    """Return the units of some parameters, one behind the other, shape (P,); None where all are 1."""
+    every = [*parameters]
+    if not any(hasattr(parameter, "unit") for parameter in every):
+        return None
+    units = [getattr(parameter, "unit", torch.ones_like(parameter)) for parameter in every]
+    return torch.cat([unit.detach().flatten() for unit in units])

@@ -1,0 +1,76 @@
+"""A gate that opens again: what has refused many measurements in a row has lost its object, and not they.
+
+The belief gets the covariance with which it began on top, and as many times that as the measurement needs to
+be no surprise: its normalised innovation squared (NIS) at most twice the number of its components. Positions
+and velocities become uncertain together in the proportion of the start, also in directions in which the
+belief had become narrow; biases and parameters, which no manoeuvre changes, keep their covariance.
+"""
+
+from __future__ import annotations
+
+from itertools import count
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from ahnn.estimation.belief import Belief
+from ahnn.estimation.covariances import Covariance
+from ahnn.estimation.estimator import Innovation
+from ahnn.estimation.gate import Gate
+from ahnn.estimation.linalg import tria
+from ahnn.estimation.member_filter import MemberFilter
+from ahnn.estimation.state import Kept
+from ahnn.measurements import Measurement
+
+USUAL = 2.0
+"""NIS of a component at which a measurement surprises nobody."""
+WIDEST = 1e16
+"""Most times the covariance of the start: 1e8 standard deviations away is nothing that was measured."""
+TRIES = 20
+"""Most factors that are tried; three or four do, since the NIS falls as one over the factor in the end."""
+
+
+def reopened(
+    estimator: MemberFilter[Any],
+    before: Kept,
+    y: Tensor,
+    model: Measurement,
+    noise: Covariance,
+    spread: Tensor,
+) -> tuple[Kept, Innovation, Tensor]:
+    """Return the states given a row each, of beliefs that are widened until the row is no surprise.
+
+    Args:
+        estimator: with its gate.
+        before: state of B members before the rows.
+        y: (B, M) rows, NaN where a component is missing.
+        model: of the rows.
+        noise: R.
+        spread: (B, d, d) factors of the covariances of the first d components at the start.
+
+    Returns:
+        The states, what the rows told the wider beliefs, and which members, (B,) bool, took their row: the
+        others mean nothing.
+    """
+    # What is far yet is refused, since some filters break on it.
+    wary, factor = estimator.gated(Gate(0.999999)), torch.ones_like(before.log_likelihood)
+    for tried in count(1):
+        after, told = wary.update(widened(estimator, before, spread, factor), y, model, noise)
+        ratio = told.nis / told.measured
+        far = ratio > USUAL  # not who failed, whose NIS is NaN
+        if tried == TRIES or not bool(far.any()):
+            break
+        factor = torch.where(far, factor * ratio, factor).clamp(max=WIDEST)
+    return after, told, after.alive & ~told.rejected & ~far & (told.measured > 0)
+
+
+def widened(estimator: MemberFilter[Any], state: Kept, spread: Tensor, factor: Tensor) -> Kept:
+    """Return a state whose covariances have so many times that of the start, (B,), on top."""
+    mean, chol = state.belief
+    rows = factor.sqrt()[:, None, None] * spread.mT
+    rows = torch.cat((chol.mT, pad(rows, (0, chol.shape[-1] - spread.shape[-1]))), dim=1)
+    begun = estimator.start(Belief(mean, tria(rows)), float(state.time))
+    kept = {"steps": state.steps, "repairs": state.repairs, "log_likelihood": state.log_likelihood}
+    return begun._replace(**kept, failed_step=state.failed_step, status=state.status)

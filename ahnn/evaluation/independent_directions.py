@@ -1,0 +1,84 @@
+"""Are bands as wide as errors? Errors of one training move together, and count along independent directions.
+
+With W the sensitivities of all states, in their standard deviations, to independent causes of variance 1,
+right bands mean errors W eta with eta ~ N(0, I). Along an eigenvector v of W^T W with the eigenvalue s^2 the
+errors e are z = v^T W^T e / s^2 ~ N(0, 1), independently: the sum of z^2 over k directions is chi-square.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ahnn.numbers import chi_square_quantile
+
+VARIANCE = 0.99
+"""Part of the variance of the bands that the directions have together; the others are hardly seen in them."""
+MIDDLE = 0.95
+"""Of trainings whose bands are right, this fraction is within the interval."""
+HALF = 0.5
+"""An interval that admits bands of half or of twice the right width is no check."""
+
+
+class DirectionTest(NamedTuple):
+    """Errors along the independent directions of bands.
+
+    Attributes:
+        directions: k, how many.
+        scatter: rms of the errors along them, in standard deviations.
+    """
+
+    directions: int
+    scatter: float
+
+    @property
+    def right(self) -> tuple[float, float]:
+        """Interval of the scatter in the middle 95 % of trainings whose bands are right."""
+        low, high = (chi_square_quantile((1 + sign * MIDDLE) / 2, self.directions) for sign in (-1, 1))
+        return (low / self.directions) ** 0.5, (high / self.directions) ** 0.5
+
+    @property
+    def verdict(self) -> str:
+        """What the scatter says of the bands: right, too wide, too narrow, or nothing."""
+        low, high = self.right
+        if self.scatter > high:
+            return "too narrow"
+        if low < HALF:
+            return "too few independent directions to tell"
+        return "too wide" if self.scatter < low else "right"
+
+    def sentence(self) -> str:
+        """Return the finding in words."""
+        low, high = self.right
+        found = f"along {self.directions} independent directions errors are {self.scatter:.2f} of them"
+        if self.verdict.startswith("too few"):
+            return f"{found}: {self.verdict}"
+        return f"{found}, right ones {low:.2f} to {high:.2f} in 19 trainings of 20: {self.verdict}"
+
+    def numbers(self) -> dict[str, object]:
+        """Return plain values for metrics.json."""
+        return {**self._asdict(), "right": list(self.right), "verdict": self.verdict}
+
+
+def direction_test(parts: Iterable[tuple[Tensor, Tensor]]) -> DirectionTest:
+    """Return the test of errors (N,) beside sensitivities (N, R) in the same unit, given in parts."""
+    matrix, pull = torch.zeros(()), torch.zeros(())
+    for errors, moved in parts:
+        sd = moved.norm(dim=-1, keepdim=True)
+        seen = (sd > 0).squeeze(-1) & sd.isfinite().squeeze(-1)
+        rows = moved[seen] / sd[seen]
+        matrix = matrix + (rows.mT @ rows).double()
+        pull = pull + (rows.mT @ (errors[seen] / sd[seen].squeeze(-1)).to(rows)).double()
+    return scatter_of(matrix, pull)
+
+
+def scatter_of(matrix: Tensor, pull: Tensor) -> DirectionTest:
+    """Return the test from W^T W, shape (R, R), and W^T e, shape (R,)."""
+    sizes, vectors = torch.linalg.eigh(matrix)
+    sizes, vectors = sizes.flip(0), vectors.flip(1)
+    count = 1 + int((sizes.cumsum(0) < VARIANCE * sizes.sum()).sum())
+    along = (vectors.mT @ pull)[:count] / sizes[:count]
+    return DirectionTest(count, float(along.square().mean().sqrt()))

@@ -1,0 +1,209 @@
+"""An orbit determination that goes on line by line: its forces, stations and biases in a filter."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ahnn.assimilation import Assimilation, StreamSensor
+from ahnn.assimilation.start import begin, belief_of
+from ahnn.assimilation.stream_clock import StreamClock
+from ahnn.data.files import epochs
+from ahnn.data.reference import Reference
+from ahnn.data.starts import starts
+from ahnn.deviations import state_deviations
+from ahnn.errors import UserError
+from ahnn.estimation import RecursiveEstimator, initial_belief
+from ahnn.estimation.online import WhiteNoise
+from ahnn.estimation.process_model import Process
+from ahnn.jobs.assimilation_request import AssimilationRequest, Stream
+from ahnn.jobs.determining import compared, headline, totals
+from ahnn.jobs.followed_measurements import FollowedMeasurements
+from ahnn.tracking.orbit_belief import OrbitBelief, fitted_belief, prior_belief
+from ahnn.tracking.orbit_fit import OrbitProblem, orbit_fit
+from ahnn.tracking.orbit_problem import PreparedOrbit, measured, prepared_orbit
+from ahnn.tracking.orbit_setup import OrbitSetup, StartChoice
+from ahnn.tracking.satellite_arc import satellite_arc
+from ahnn.tracking.satellite_flow import SIZE, SatelliteFlow
+from ahnn.tracking.station_measurement import StationMeasurement
+from ahnn.tracking.tracking_data import KINDS, Kind, joined
+from ahnn.types import Space, Units
+
+log = logging.getLogger("ahnn")
+
+SPACE = Space("orbit", ("x", "y", "z", "px", "py", "pz"), Units("s", "km", "km/s", "km²/s²"))
+"""Of the states; velocities are momenta of the mass 1, so that tracks are starts of learned models."""
+LONGEST = 3600.0
+"""Longest step of the filter, s; the flow chooses its own within it."""
+MINUTE = 60.0
+"""Over which a given process noise adds up, s."""
+Mask = NDArray[np.bool_]
+
+
+class OrbitFollowing(NamedTuple):
+    """What an online orbit determination is made of.
+
+    Attributes:
+        setup: of the determination.
+        folder: that the names of its files start from.
+        estimator: that follows.
+        noise: standard deviations [position, velocity] that a minute adds, km and km/s.
+        other: file of the measurements that are followed; None follows those of the setup.
+    """
+
+    setup: OrbitSetup
+    folder: Path
+    estimator: RecursiveEstimator[Any]
+    noise: tuple[float, float]
+    other: Path | None = None
+
+
+def orbit_stream(asked: AssimilationRequest, orbit: OrbitFollowing) -> Stream:
+    """Return the stream of measurements that goes on where an orbit is known.
+
+    Raises:
+        UserError: what is wrong with a file or an option.
+        TrainingError: no fit.
+    """
+    ready, belief, rows = fitted_start(asked, orbit) if asked.start == "fit" else given_start(asked, orbit)
+    problem, data = ready.problem, ready.problem.model.data
+    flow = flow_of(problem)
+
+    def beside(mean: NDArray[np.float64], time: float) -> list[str]:
+        if orbit.setup.compare is None:
+            return []
+        arc = satellite_arc(problem.forces, mean[:SIZE], flow.parameters(mean), time, belief.time, time)
+        return compared(ready, arc, orbit.folder / orbit.setup.compare)
+
+    followed = FollowedMeasurements(data, rows, belief.names, beside)
+    start = initial_belief(belief.mean[None, :SIZE], belief.covariance[:SIZE, :SIZE])
+    filtering = Assimilation(
+        process_of(flow, belief, orbit),
+        sensors_of(problem, belief, followed),
+        start,
+        time=belief.time,
+        window=asked.window,
+        lines=asked.lines,
+        gap=asked.gap,
+    )
+    reference = Reference("GCRF", "EARTH", "UTC", data.epoch)
+    name = asked.object or data.object or "SATELLITE"
+    clock = StreamClock("s", data.epoch, "UTC")
+    return Stream(asked, SPACE, filtering, clock, reference, name, followed=followed)
+
+
+def flow_of(problem: OrbitProblem) -> SatelliteFlow:
+    """Return the forces of a problem as a flow of the states of its unknowns."""
+    unknowns, forces = problem.unknowns, slice(SIZE, SIZE + problem.unknowns.forces)
+    return SatelliteFlow(problem.forces, unknowns.mean[forces], unknowns.free[forces])
+
+
+def process_of(flow: SatelliteFlow, belief: OrbitBelief, orbit: OrbitFollowing) -> Process:
+    """Return the estimator with the forces of an orbit, which begins with a belief."""
+    size = len(belief.mean)
+    whole = initial_belief(belief.mean[None], 0.5 * (belief.covariance + belief.covariance.T))
+    noise = torch.zeros(size, size, dtype=torch.float64)
+    noise[:SIZE, :SIZE] = torch.tensor(orbit.noise, dtype=torch.float64).repeat_interleave(3).diag()
+    about = {**orbit.estimator.about, "orbit": repr(orbit.setup), "noise": list(orbit.noise)}
+    return Process(orbit.estimator, flow, WhiteNoise(noise, MINUTE), LONGEST, lambda _: whole, about=about)
+
+
+def sensors_of(
+    problem: OrbitProblem, belief: OrbitBelief, followed: FollowedMeasurements
+) -> dict[str, StreamSensor]:
+    """Return each station as a sensor, with the noise of the fit; biases are components of the state."""
+    places = {name: k for k, name in enumerate(belief.names)}
+    found = {}
+    for s, name in enumerate(problem.model.data.stations):
+        chosen = followed.kinds(s)
+        kinds: tuple[Kind, ...] = tuple(KINDS[k] for k in chosen)
+        biases = tuple(places.get(f"bias {name} {kind}") for kind in kinds)
+        model = StationMeasurement(problem.model, s, kinds, biases)
+        found[name] = StreamSensor(model, tuple(belief.noise[s, chosen].tolist()), kinds)
+    return found
+
+
+def fitted_start(
+    asked: AssimilationRequest, orbit: OrbitFollowing
+) -> tuple[PreparedOrbit, OrbitBelief, Mask]:
+    """Fit the first measurements; return the problem, what is known at the last of them, and the others.
+
+    Raises:
+        UserError: it is not said how many.
+        TrainingError: no fit.
+    """
+    setup, folder = orbit.setup, orbit.folder
+    data = measured(setup, folder)
+    own = np.ones(len(data.times), dtype=bool)
+    count = fitted_count(asked.fitted, setup.held_out, len(own), whole=orbit.other is not None)
+    if orbit.other is not None:
+        data, own = joined(data, measured(replace(setup, measurements=str(orbit.other)), folder))
+    used = own & (np.cumsum(own) <= count)
+    ready = prepared_orbit(setup, folder, data)
+    fit = orbit_fit(replace(ready.problem, used=used))
+    log.info("%s", "\n".join([*headline("start", fit), *totals(fit)]))
+    belief = fitted_belief(fit, float(data.times[used][-1]))
+    return ready, belief, ~used if orbit.other is None else ~own
+
+
+def fitted_count(wanted: float | None, held_out: float, count: int, *, whole: bool) -> int:
+    """Return how many of so many measurements are fitted.
+
+    Args:
+        wanted: number, or fraction below 1; None takes what is not held out.
+        held_out: fraction.
+        count: of all.
+        whole: whether all of them may be.
+
+    Raises:
+        UserError: nobody says how many are left.
+    """
+    if wanted is None and not (held_out or whole):
+        message = (
+            "fitted: expected how many measurements are fitted before the others are followed, a number or a "
+            "fraction; received none, and no orbit.held_out"
+        )
+        raise UserError(message)
+    chosen = 1 - held_out * (not whole) if wanted is None else wanted
+    return min(count, round(chosen if wanted is not None and wanted >= 1 else chosen * count))
+
+
+def given_start(asked: AssimilationRequest, orbit: OrbitFollowing) -> tuple[PreparedOrbit, OrbitBelief, Mask]:
+    """Return the problem that begins with a given start, what is known there, and all measurements.
+
+    Raises:
+        UserError: no start with its covariance, or an unknown of which nothing is known.
+    """
+    setup = orbit.setup
+    if orbit.other is not None:
+        setup = replace(setup, measurements=str(orbit.other))
+    data = measured(setup, orbit.folder)
+    if asked.start is None:
+        covariance = state_deviations(asked.start_sd, SPACE, "start_sd").square().diag()
+    else:
+        ours = Reference("GCRF", "EARTH", "UTC", data.epoch)
+        found = starts(asked.start, SPACE, ours, sd=asked.start_sd, last=True)
+        clock, time, _ = begin(found, ours, asked.time, "s")
+        belief = belief_of(found, None, SPACE, no_carry)
+        epoch = epochs.spelled(clock.after(clock.zero, time), utc=True)
+        position, velocity = belief.mean[0].reshape(2, 3).tolist()
+        setup = replace(setup, start=StartChoice(epoch=epoch, position=position, velocity=velocity))
+        covariance = belief.chol[0] @ belief.chol[0].T
+    ready = prepared_orbit(setup, orbit.folder, data)
+    return ready, prior_belief(ready.problem, covariance.numpy()), np.ones(len(data.times), dtype=bool)
+
+
+def no_carry(states: Tensor, times: Tensor, covariances: Tensor) -> Tensor:
+    """Refuse the covariance of an earlier state."""
+    del states, times, covariances
+    message = (
+        "start: expected the covariance of its last state; received that of an earlier one. Add start_sd="
+    )
+    raise UserError(message)

@@ -1,0 +1,127 @@
+"""What of the noise of measurements is unknown before a training, and what the training found."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from ahnn.arguments import Finite, NonNegative, Positive
+from ahnn.measurements.coloured_noise import Colour
+from ahnn.measurements.segment import Instrument
+
+TOLD = 0.5
+"""A bias whose standard deviation is still so large a fraction of that of its prior was not determined."""
+
+
+class UnknownNoise(NamedTuple):
+    """What a training estimates beside the dynamics.
+
+    Attributes:
+        sizes: whether standard deviations.
+        correlation: whether a coloured part.
+        bias_sd: (M,) standard deviations of constant biases, 0 where there is none; None for none.
+    """
+
+    sizes: bool = False
+    correlation: bool = False
+    bias_sd: Tensor | None = None
+
+    @property
+    def anything(self) -> bool:
+        """Whether anything is unknown."""
+        return self.sizes or self.correlation or self.bias_sd is not None
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseEstimate:
+    """Noise of M measured numbers, in their units.
+
+    Attributes:
+        deviations: standard deviations.
+        stated: what they were said to be; empty where they were not estimated.
+        fractions: of the variance that is coloured; empty where nobody looked.
+        memories: time constants of that part.
+        bias: what readings are more than what is true; empty where nobody looked.
+        bias_sd: standard deviations of these.
+        prior_sd: standard deviations of biases before anything was measured, 0 where there is none.
+    """
+
+    deviations: list[Positive]
+    stated: list[Positive]
+    fractions: list[NonNegative]
+    memories: list[Positive]
+    bias: list[Finite]
+    bias_sd: list[NonNegative]
+    prior_sd: list[NonNegative]
+
+    def applied(self, instrument: Instrument) -> Instrument:
+        """Return the instrument with this noise, nothing of it unknown any more."""
+        deviations, *more = (
+            torch.tensor(part, dtype=torch.float64) if part else None
+            for part in (self.deviations, self.fractions, self.memories, self.bias)
+        )
+        assert deviations is not None
+        fractions, memories, bias = more
+        colour = None if fractions is None or memories is None else Colour(fractions, memories)
+        colour = colour if colour is not None and bool((colour.fractions > 0).any()) else None
+        return instrument._replace(deviations=deviations, colour=colour, bias=bias, bias_sd=None)
+
+    def about(self) -> dict[str, Any]:
+        """Return plain values."""
+        return asdict(self)
+
+    def sentences(self, names: tuple[str, ...], units: tuple[str, ...]) -> list[str]:
+        """Return in words what was found of numbers with these names and units."""
+        said = list[str]()
+        if self.stated:
+            each = [
+                f"{name} {found:.3g} {unit} ({found / stated:.2g} of what it began with)"
+                for name, unit, found, stated in zip(names, units, self.deviations, self.stated, strict=True)
+            ]
+            said.append(f"standard deviations of the noise, estimated from residuals: {', '.join(each)}")
+        if self.fractions:
+            said.append(self._colour(names))
+        if self.bias:
+            said += self._biases(names, units)
+        return said
+
+    def _colour(self, names: tuple[str, ...]) -> str:
+        found = [*zip(names, self.deviations, self.fractions, self.memories, strict=True)]
+        coloured = [one for one in found if one[2] > 0]
+        if not coloured:
+            return "no correlation of the noise in time was found"
+        each = [
+            f"{100 * part:.3g} % of that of {name} over {memory:.3g}" for name, _, part, memory in coloured
+        ]
+        white, slow = (
+            [sd * math.sqrt(part if coloured else max(1 - part, 1e-3)) for _, sd, part, _ in found]
+            for coloured in (False, True)
+        )
+        filters = zip(("sd", "bias_sd", "bias_memory"), (white, slow, [one[3] for one in found]), strict=True)
+        texts = [f"measurement.{key}=[{','.join(f'{v:.3g}' for v in values)}]" for key, values in filters]
+        said = f"the noise correlates in time: {', '.join(each)}, which the fit counts"
+        return f"{said}; in filters {' '.join(texts)}"
+
+    def _biases(self, names: tuple[str, ...], units: tuple[str, ...]) -> list[str]:
+        found = [
+            one
+            for one in zip(names, units, self.bias, self.bias_sd, self.prior_sd, strict=True)
+            if one[4] > 0
+        ]
+        told = [
+            f"{name} {bias:+.3g} ± {sd:.2g} {unit}"
+            for name, unit, bias, sd, first in found
+            if sd < TOLD * first
+        ]
+        open_ = [name for name, _, _, sd, first in found if sd >= TOLD * first]
+        said = [f"biases of the readings, estimated with the dynamics: {', '.join(told)}"] if told else []
+        if open_:
+            said.append(
+                f"the bias of {', '.join(open_)} cannot be told from the motion: the learned functions move "
+                "with it, and bands contain the standard deviation that was given"
+            )
+        return said

@@ -1,0 +1,108 @@
+"""A station as a measurement model of filters: what it should measure of a state at the time of a reading.
+
+Light meets the satellite up to a second before or after the time that a reading is tagged with. Over that
+time the state moves by the Earth's attraction as of a point, to second order: to a few micrometres, and to
+0.1 mm/s in range rates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ahnn.measurements.angles import Differing
+from ahnn.measurements.base import Time
+from ahnn.tracking.satellite_flow import SIZE
+from ahnn.tracking.tracking_data import KINDS, Kind
+from ahnn.tracking.tracking_model import PredictedTracking, TrackingModel
+from ahnn.tracking.tracking_station import EARTH_MU
+
+Array = NDArray[np.float64]
+UNITS = dict.fromkeys(KINDS, "rad") | {"range": "km", "range_rate": "km/s"}
+
+
+class NearbyStates(NamedTuple):
+    """States around their own time, one for each row of the measurements.
+
+    Attributes:
+        time: of the states.
+        at: (B, 6) km and km/s.
+    """
+
+    time: float
+    at: Array
+
+    def states(self, times: Array) -> Array:
+        """Return the states (B, 6) at times (B,), one of each."""
+        dt, (r, v) = (times - self.time)[:, None], np.split(self.at, 2, axis=1)
+        pull = -EARTH_MU * r / np.linalg.norm(r, axis=1, keepdims=True) ** 3
+        return np.concatenate((r + v * dt + 0.5 * pull * dt**2, v + pull * dt), axis=1)
+
+
+class StationMeasurement(Differing):
+    """What one station measures of states [position, velocity, ...], shape (..., D).
+
+    Args:
+        model: of all measurements, whose weather and wavelength at the station count, those nearest in time.
+        station: its place among the stations of the model.
+        kinds: what it measures.
+        biases: for each of them the component of the state that is added to it; None where it has no bias.
+    """
+
+    def __init__(
+        self, model: TrackingModel, station: int, kinds: tuple[Kind, ...], biases: tuple[int | None, ...]
+    ) -> None:
+        self.names: tuple[str, ...] = kinds
+        self.units = tuple(UNITS[kind] for kind in kinds)
+        self.station, self.biases = model.stations[station], biases
+        self._model, self._rows = model, np.flatnonzero(model.data.station == station)
+        self._kinds = [KINDS.index(kind) for kind in kinds]
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """What tells one station from another, as plain values; forces and corrections say the rest."""
+        place = [float(one) for one in self.station.position]
+        return {"station": self.station.name, "position": place, "kinds": self.names, "biases": self.biases}
+
+    def __call__(self, x: Tensor, t: Time) -> Tensor:
+        """Return the measurements (..., M) of the states x (..., D) at time t."""
+        flat = x.detach().numpy().reshape(-1, x.shape[-1])
+        values = self._predicted(flat, float(t)).values[:, self._kinds]
+        for k, place in enumerate(self.biases):
+            values[:, k] += 0.0 if place is None else flat[:, place]
+        return torch.from_numpy(values).reshape(*x.shape[:-1], len(self.names))
+
+    def slope(self, x: Tensor, t: Time) -> Tensor:
+        """Return the derivatives (B, M, D) of the measurements by the states x (B, D) at time t."""
+        states = x.detach().numpy()
+        found = self._predicted(states, float(t))
+        by = found.by_state[:, self._kinds]
+        slopes = np.zeros((*by.shape[:2], x.shape[-1]))
+        slopes[..., :SIZE] = by
+        slopes[..., 3:SIZE] += (found.bounce - float(t))[:, None, None] * by[..., :3]
+        for k, place in enumerate(self.biases):
+            if place is not None:
+                slopes[:, k, place] = 1.0
+        return torch.from_numpy(slopes)
+
+    def _predicted(self, states: Array, t: float) -> PredictedTracking:
+        """Return what should be measured of states (B, D)."""
+        data = self._model.data
+        row = self._rows[np.argmin(np.abs(data.times[self._rows] - t))]
+        rows = np.full(len(states), row)
+        now = replace(
+            data,
+            times=np.full(len(states), t),
+            values=data.values[rows],
+            stations=(self.station.name,),
+            station=np.zeros(len(states), dtype=np.int64),
+            weather=data.weather[rows],
+            wavelength=data.wavelength[rows],
+            deviations=data.deviations[rows],
+        )
+        return self._model.of((self.station,), now)(NearbyStates(t, states[:, :SIZE]))

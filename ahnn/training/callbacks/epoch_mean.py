@@ -1,0 +1,55 @@
+"""Weights averaged over the steps of an epoch: single batches scatter about the optimum of all."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import torch
+from lightning import Callback, LightningModule, Trainer
+from torch import Tensor
+from torch.nn.utils import parameters_to_vector
+
+from ahnn.arguments import Within, checked
+
+
+@checked
+class EpochMean(Callback):
+    """Ends each of the last epochs at the mean of the weights that its steps led to.
+
+    The mean of many steps about an optimum is nearer to it than each of them (Polyak & Juditsky 1992, SIAM
+    J. Control Optim. 30, 838-855). The next epoch begins there, and so do validation and checkpoints.
+
+    Args:
+        fraction: of the epochs, the last ones; 0 averages none.
+    """
+
+    def __init__(self, fraction: Annotated[float, Within(0, 1)]) -> None:
+        self.fraction = fraction
+        self.steps, self.total = 0, torch.zeros(())
+
+    @torch.no_grad()
+    def on_train_batch_end(
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
+    ) -> None:
+        """Add the weights of this step, and go to the mean after the last one."""
+        del outputs, batch, batch_idx
+        epochs = trainer.max_epochs or 1
+        if trainer.current_epoch < (1 - self.fraction) * epochs:
+            return
+        parameters = list(pl_module.parameters())
+        self.total = self.total.to(parameters[0].device) + parameters_to_vector(parameters).detach().double()
+        self.steps += 1
+        if trainer.is_last_batch:
+            parts = (self.total / self.steps).split([p.numel() for p in parameters])
+            for parameter, part in zip(parameters, parts, strict=True):
+                parameter.copy_(part.view_as(parameter))  # in place: recorded steps keep the addresses
+            self.steps, self.total = 0, torch.zeros(())
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what this epoch has added up."""
+        return {"steps": self.steps, "total": self.total}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Go on within an epoch."""
+        total: Tensor = state_dict["total"]
+        self.steps, self.total = state_dict["steps"], total.clone()

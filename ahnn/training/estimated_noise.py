@@ -1,0 +1,127 @@
+"""The last steps of a training whose noise is not known: fit, estimate the noise that is left, fit again."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ahnn.data.noise_floor import NORMAL
+from ahnn.dynamics import Dynamics
+from ahnn.dynamics.variations import own_jacobians
+from ahnn.measurements import Segment
+from ahnn.measurements.noise_estimate import NoiseEstimate, UnknownNoise
+from ahnn.shooting.initial_states import Trial, linearised
+from ahnn.shooting.robust import ROBUST, RobustName
+from ahnn.training.laplace import conclude
+from ahnn.training.maximum_posterior import whole_problem
+from ahnn.training.noise_likelihood import FoundNoise, Residuals, most_likely
+from ahnn.uncertainty import Uncertainty
+
+ROUNDS = 3
+"""Fits, at most."""
+SETTLED = 0.05
+"""Change of a standard deviation, a fraction or a memory that is not worth another fit, relative."""
+PATHS, SAMPLES = 100, 400
+"""Trajectories, and measurements of each, that noise is estimated from, at most."""
+FAR = 6.0
+"""Robust standard deviations beyond which a robust training leaves residuals out."""
+
+
+@torch.no_grad()
+def conclude_with_noise(
+    dynamics: Dynamics,
+    train: Segment,
+    held_out: Segment,
+    steps: int,
+    robust: RobustName,
+    unknown: UnknownNoise,
+) -> tuple[Uncertainty | None, NoiseEstimate | None]:
+    """Take the last steps as `conclude`, and return also the noise that was found where it was unknown."""
+    if not unknown.anything:
+        return conclude(dynamics, train, held_out, steps, robust), None
+    stated = train.instrument.deviations
+    begin = noise = FoundNoise(torch.ones_like(stated), None)
+    found: Uncertainty | None = None
+    instrument = train.instrument._replace(bias_sd=unknown.bias_sd)
+    for _ in range(ROUNDS):
+        train, held_out = (part._replace(instrument=instrument) for part in (train, held_out))
+        again = conclude(dynamics, train, held_out, steps, robust)
+        if again is None:
+            break
+        found, before, noise = again, noise, begin
+        instrument = instrument._replace(bias=biases_of(found))
+        if unknown.sizes or unknown.correlation:
+            train = train._replace(instrument=instrument._replace(deviations=stated, colour=None))
+            noise = estimated(found.taken(dynamics)[0], train, robust, found.about["determined"], unknown)
+            instrument = instrument._replace(deviations=stated * noise.scales, colour=noise.colour)
+        if alike(before, noise):
+            break
+    return found, None if found is None else written(found, noise, stated, unknown)
+
+
+def biases_of(found: Uncertainty) -> Tensor | None:
+    """Return the biases (M,) that a fit found, if any was unknown."""
+    given = found.about.get("bias")
+    return None if given is None else torch.tensor(given, dtype=torch.float64)
+
+
+def estimated(
+    dynamics: Dynamics, train: Segment, robust: RobustName, determined: float, unknown: UnknownNoise
+) -> FoundNoise:
+    """Return the most likely noise of residuals about paths of learned dynamics.
+
+    Args:
+        dynamics: float64, what all measurements were fitted by.
+        train: with the stated white noise.
+        robust: the loss of the fit.
+        determined: number of parameters that the measurements determine, which made residuals smaller.
+        unknown: what is estimated.
+    """
+    some = train.first(SAMPLES).rows(slice(None, None, -(-len(train.times) // PATHS)))
+    problem = whole_problem(dynamics, some, ROBUST[robust])
+    states, segment, steps = problem.fitted.states[problem.kept], problem.batch, problem.steps
+    now = linearised(
+        Trial(dynamics.increment, own_jacobians(dynamics), ROBUST["none"]), states, segment, steps
+    )
+    there = ~segment.values.isnan()
+    if robust != "none":
+        typical = now.residuals.abs().where(there, torch.nan).flatten(0, 1).nanmedian(0).values / NORMAL
+        there &= now.residuals.abs() <= FAR * typical
+    left = Residuals(now.residuals * there, now.of_start * there.unsqueeze(-1), segment.times, there)
+    noise = most_likely(left, sizes=unknown.sizes, correlation=unknown.correlation)
+    if unknown.sizes:
+        count = float(train.measured.sum()) - 2 * train.instrument.dof * len(train.times)
+        noise = noise._replace(scales=noise.scales * (count / max(count - determined, 1.0)) ** 0.5)
+    return noise
+
+
+def alike(one: FoundNoise, other: FoundNoise) -> bool:
+    """Return whether two estimates of noise lead to the same fit."""
+    flat = [torch.cat((noise.scales.log(), *_parts(noise))) for noise in (one, other)]
+    return float((flat[0] - flat[1]).abs().max()) < SETTLED
+
+
+def _parts(noise: FoundNoise) -> tuple[Tensor, Tensor]:
+    """Return fractions and logarithms of memories (M,), 0 where nothing is coloured."""
+    none = torch.zeros_like(noise.scales)
+    if noise.colour is None:
+        return none, none
+    return noise.colour.fractions, noise.colour.memories.log().where(noise.colour.fractions > SETTLED, 0.0)
+
+
+def written(found: Uncertainty, noise: FoundNoise, stated: Tensor, unknown: UnknownNoise) -> NoiseEstimate:
+    """Return what was found, as it is stored."""
+    colour, size = noise.colour, len(stated)
+    fractions, memories = (
+        ([0.0] * size, [1.0] * size) if colour is None else (part.tolist() for part in colour)
+    )
+    prior, about = unknown.bias_sd, found.about
+    return NoiseEstimate(
+        deviations=(stated * noise.scales).tolist(),
+        stated=stated.tolist() if unknown.sizes else [],
+        fractions=fractions if unknown.correlation else [],
+        memories=memories if unknown.correlation else [],
+        bias=about["bias"] if prior is not None else [],
+        bias_sd=about["bias_sd"] if prior is not None else [],
+        prior_sd=[] if prior is None else prior.tolist(),
+    )

@@ -1,0 +1,52 @@
+"""Segments of measurements in a fit: degrees of freedom, which converged, how much a single one counts."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ahnn.measurements import Segment
+from ahnn.shooting.initial_states import HOPELESS
+
+TIMES_TYPICAL = 5.0
+"""A segment whose chi-square is so many times the median counts with the logarithm of what is beyond."""
+
+
+def freedom(batch: Segment) -> Tensor:
+    """Return the degrees of freedom of each segment, (B,): measured numbers beyond the start's 2n."""
+    return (batch.measured - 2 * batch.instrument.dof).double()
+
+
+def near(sums: Tensor, degrees: Tensor, hopeless: float = HOPELESS) -> Tensor:
+    """Return which segments converged, (B,) bool: none beyond `hopeless`, whose derivatives mean nothing."""
+    return (sums <= hopeless * degrees) & (degrees > 0)
+
+
+class Limit(NamedTuple):
+    """How much single segments may count: where dynamics are still wrong they would outweigh all others.
+
+    Attributes:
+        most: (B,) sum of squares up to which a segment counts as it is; beyond, by its logarithm.
+    """
+
+    most: Tensor
+
+    @classmethod
+    def of(cls, sums: Tensor, degrees: Tensor) -> Limit:
+        """Return the limits of segments with these sums of squares and degrees of freedom, (B,)."""
+        typical = (sums / degrees).median().clamp(min=1.0) if len(sums) else 1.0
+        return cls(TIMES_TYPICAL * typical * degrees)
+
+    def rows(self, part: slice) -> Limit:
+        """Return the limits of some of the segments."""
+        return Limit(self.most[part])
+
+    def cost(self, sums: Tensor) -> Tensor:
+        """Return what sums of squares (B,) count."""
+        return torch.where(sums <= self.most, sums, self.most * (1 + (sums / self.most).log()))
+
+    def weight(self, sums: Tensor) -> Tensor:
+        """Return the derivative of the cost, (B,)."""
+        return (self.most / sums).clamp(max=1.0)
