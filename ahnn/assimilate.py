@@ -20,7 +20,8 @@ window=SECONDS      late measurements are merged by replay, from a buffer of at 
 measurement=NAME    sensor; with several sensors: +measurement@sensors.NAME=OPTION for each
 measurement.bias_sd=NUMBER      estimate its bias; bias_memory=TIME lets the bias drift; also sensors.NAME
 plugins=NAME        the filter; plugins.ukf.process_noise is Q
-gate=0.999999       refuses what is less probable; opens again after plugins.ukf.patience=5 refusals in a row;
+gate=0.999999       rejects less probable measurements; reopens after plugins.ukf.patience=5 consecutive
+rejections;
                     gate=none takes all
 watch=true          a live view of state, 3 sigma, innovations and NIS on standard error; or --watch
 figures=FOLDER      innovations, consistency and deviations at the end

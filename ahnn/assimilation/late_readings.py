@@ -15,7 +15,7 @@ TIME = attrgetter("time")
 
 
 class KeptReading(NamedTuple):
-    """A reading that counted, what it told, state and controls behind it, and whether the gate reopened."""
+    """Accepted reading with innovation, state and controls after it, and whether the gate reopened."""
 
     time: float
     reading: Reading

@@ -24,7 +24,7 @@ from ahnn.estimation import Belief, EstimatorState, Innovation, Status, load_not
 from ahnn.estimation.process_model import Process
 
 Outcome = Literal["taken", "reopened", "rejected", "predicted", "repeated", "late", "ahead"]
-"""What became of a reading: it counted, it counted in a wider belief, the gate refused it, it was empty, it
+"""Outcome of a reading: accepted, accepted by a wider belief, rejected by the gate, empty; or it
 was there already, it came too late, or it lies too far ahead. The last three leave the estimate as it was."""
 
 
@@ -234,7 +234,7 @@ class Assimilation:
         return window._replace(entries=(*window.entries, entry))
 
     def _updated(self, before: EstimatorState, reading: Reading) -> tuple[EstimatorState, Innovation, bool]:
-        """Return the state given a reading, what that told, and whether the gate reopened; raises BadLine."""
+        """Condition the state on a reading; return state, innovation, reopened; raises BadLine."""
         own, model = reading.deviations, self.models.seen[reading.sensor]
         factor = self._factors[reading.sensor] if own is None else self.sensors[reading.sensor].factor(own)
         y = torch.tensor([reading.values], dtype=torch.float64)

@@ -90,7 +90,7 @@ class StreamModels:
     def reopened(
         self, before: EstimatorState, y: Tensor, model: Measurement, noise: Covariance, spread: Tensor
     ) -> tuple[EstimatorState, Innovation, Tensor]:
-        """Return what readings make of beliefs that are widened for them; see `ahnn.estimation.reopening`."""
+        """Process readings with beliefs widened for them; see `ahnn.estimation.reopening`."""
         filtering = cast("MemberFilter[Any]", self.process.estimator)
         return reopened(filtering, cast(MemberState, before), y, model, noise, spread)
 

@@ -63,7 +63,7 @@ class StreamSensor(NamedTuple):
 
 
 def plain(thing: Any) -> Any:
-    """Return what determines an object, as plain values: its class and its `about`, or all that it holds."""
+    """Return the defining properties of an object as plain values: its class and `about`, or attributes."""
     if thing is None or isinstance(thing, bool | int | float | str):
         return thing
     if isinstance(thing, list | tuple):

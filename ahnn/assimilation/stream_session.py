@@ -154,7 +154,7 @@ class StreamSession:
         return text + (": it trusts them too little" if mean < low else "") + self._of_the_gate()
 
     def _of_the_gate(self) -> str:
-        """Return what a mean of what was taken does not show: how much was refused; "" where it is little."""
+        """Return a remark on the fraction of rejected measurements; "" if it is small."""
         refused, opened = self.counts["rejected"], self.counts["reopened"]
         fraction = refused / (refused + opened + self.counts["taken"])
         if not opened and fraction < MANY:

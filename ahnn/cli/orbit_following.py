@@ -18,7 +18,7 @@ from ahnn.jobs.assimilation_request import AssimilationRequest, Stream, require_
 from ahnn.jobs.orbit_stream import OrbitFollowing, orbit_stream
 
 FOREIGN = ("objects", "states", "controls", "sensors", "epoch", "frame", "center", "time_system", "time")
-"""Keys of a stream that an orbit determination says itself, or has no use for."""
+"""Stream keys that the orbit determination sets itself, or does not use."""
 DEFAULT = "plugins=ukf"
 
 

@@ -41,7 +41,7 @@ from ahnn.systems import System
 BIAS = re.compile(r"^(?=sensors\.[^.=]+\.bias_(sd|memory)=)")
 """Keys of a sensor not set by options of the group measurement."""
 GATE = 0.999999
-"""What a stream takes where nobody says otherwise: of a million good measurements one is refused."""
+"""Default gate of a stream: one of a million valid measurements is rejected."""
 FILTER, OF_MEASUREMENTS = "plugins=ukf", "plugins=ukf_parameter_error"
 """Default filters of a run without plugin; the second if least observable parameters were saved."""
 

@@ -25,7 +25,7 @@ from ahnn.types import Trajectories
 from ahnn.uncertainty import forecast_columns
 
 DRAWS, MIDDLE = 200, 0.95
-"""Draws of all causes that tell what right bands hold, and the middle fraction of these that is told."""
+"""Draws of all causes for the coverage of calibrated bands, and the central fraction reported."""
 
 
 class Forecast(NamedTuple):
@@ -201,7 +201,7 @@ def middle(shares: Tensor) -> tuple[tuple[float, float], ...]:
 
 
 def right_bands(shares: tuple[float, ...], right: tuple[tuple[float, float], ...]) -> str:
-    """Return what right bands hold and what follows, as text; where halves would do, nothing follows."""
+    """Format the coverage of calibrated bands and the conclusion; where halves would do, nothing follows."""
     if right[1][0] <= NORMAL[0]:
         return "too few independent directions to tell"
     ends = ", ".join(f"{100 * low:.3g} to {100 * high:.3g}" for low, high in right)

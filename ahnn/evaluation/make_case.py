@@ -48,7 +48,7 @@ def make_case(
         uncertainty: covariance of the parameters, if available.
         domain: representative training states, if available.
         robust: robust loss of single residuals in the training.
-        noise: of the measurements, where the training estimated any, as it stands beside the weights.
+        noise: measurement noise from the metadata of the weights, if the training estimated it.
         remark: remark on the data, for the table.
     """
     source, truth = data.source, data.source.truth
@@ -102,7 +102,7 @@ def measured_test(data: SplitData, noise: NoiseEstimate | None) -> Segment | Non
 
 
 def instrument_of(data: SplitData, noise: NoiseEstimate | None) -> Instrument:
-    """Return what measured, with the noise that a training found.
+    """Return the instrument, with the noise estimated by the training.
 
     Raises:
         UserError: the noise is that of another number of columns.

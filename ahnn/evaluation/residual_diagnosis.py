@@ -20,7 +20,7 @@ EXPLAINED = 0.05
 are uncorrelated, for example a quarter of a period apart.
 """
 COLOURED, BIASED = 0.15, 0.2
-"""Minimum reported neighbour correlation, and constant part in standard deviations."""
+"""Minimum reported neighbour correlation, and constant offset in standard deviations."""
 OFF = 1.4
 """Minimum reported factor between data.noise and the actual noise: bands are off by the same factor."""
 FEW = 1e-3

@@ -72,7 +72,7 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
 
 
 def add_plugin(case: Case, name: str, plugin: EvaluationPlugin, findings: Findings, *, figures: bool) -> None:
-    """Add what a plugin finds; remarks on its filters from perturbed starts are faults."""
+    """Add the findings of a plugin; remarks on its filters from perturbed starts are faults."""
     more = plugin(case)
     findings.rows += distinct(more.rows, findings.rows, name)
     findings.numbers[name] = more.numbers
@@ -86,7 +86,7 @@ def add_plugin(case: Case, name: str, plugin: EvaluationPlugin, findings: Findin
 
 
 def add_worth(case: Case, findings: Findings) -> Worth:
-    """Add the value of the prediction beside baselines, and whether the data conserve what the model does."""
+    """Add the comparison of the prediction with baselines, and the conservation tests."""
     found = worth(case, findings.arrays[f"{case.start}_start"])
     findings.tell(found.sentence())
     findings.numbers["worth"] = found.numbers()

@@ -40,7 +40,7 @@ def show(content: RenderableType) -> None:
 
 
 def writable(text: str, encoding: str | None) -> str:
-    """Return a text with characters missing in an encoding replaced."""
+    """Replace characters of a text that are missing in an encoding."""
     encoding = encoding or "ascii"
     try:
         text.encode(encoding)

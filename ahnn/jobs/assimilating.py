@@ -72,7 +72,7 @@ def assimilate(stream: Stream) -> None:
 
 
 def told_to(watchers: Sequence[Watcher]) -> Watcher:
-    """Return a watcher that tells several."""
+    """Return a watcher that notifies several watchers."""
 
     def tell(*told: Any) -> None:
         for one in watchers:

@@ -32,7 +32,7 @@ def fit(prepared: Prepared) -> float:
 
 
 def calibrate(prepared: Prepared) -> None:
-    """Fit a model's scalings to the training split, and note what it is."""
+    """Fit a model's scalings to the training split, and record its metadata."""
     data, model, trainer = prepared.data, prepared.model, prepared.trainer
     statistics = data.statistics()
     model.calibrate(statistics)

@@ -55,7 +55,7 @@ class Locating(Protocol):
 
 @runtime_checkable
 class Sloped(Protocol):
-    """A measurement model that knows its derivatives, and need not be differentiable by torch."""
+    """Measurement model with its own derivatives, which need not be differentiable by torch."""
 
     def slope(self, x: Tensor, t: Time) -> Tensor:
         """Return the derivatives (B, M, D) by the states x (B, D) at time t."""

@@ -1,10 +1,10 @@
-"""First-order coloured noise beside white noise: what whitens it, at whatever times measurements come.
+"""Whitening of first-order coloured plus white noise, for measurements at arbitrary times.
 
-The noise of a component, in its standard deviations, is w + c: white noise of variance 1 - f, and a process
-of variance f with the correlation exp(-t / memory) (first-order Gauss-Markov; Tapley, Schutz & Born 2004, section
-4.9), which filters have as the states of `ahnn.estimation.sensor_error`. A scalar Kalman filter of c in each
-row makes white residuals of coloured ones: innovations over their standard deviations. Its gains depend on
-times alone, so that whitening is a linear map, lower triangular in time.
+The noise of a component, in standard deviations, is w + c: white noise of variance 1 - f, and a process of
+variance f with correlation exp(-t / memory) (first-order Gauss-Markov; Tapley, Schutz & Born 2004, section
+4.9), represented in filters by the states of `ahnn.estimation.sensor_error`. A scalar Kalman filter of c in
+each row makes white residuals of coloured ones: innovations over their standard deviations. Its gains depend
+on times alone, so that whitening is a linear map, lower triangular in time.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Whitening(NamedTuple):
         return cls(kept, torch.stack(gains, dim=1), torch.stack(scales, dim=1))
 
     def __call__(self, rows: Tensor) -> Tensor:
-        """Return whitened rows (B, T, M, ...); what was not measured becomes 0."""
+        """Return whitened rows (B, T, M, ...); missing values become 0."""
         kept, gain, scale = (_widened(part, rows) for part in self)
         coloured, found = torch.zeros_like(rows[:, 0]), []
         for k, row in enumerate(rows.unbind(1)):

@@ -22,8 +22,8 @@ class Instrument(NamedTuple):
         dof: degrees of freedom n of the motion.
         inertia: factor m of p = m dq/dt, for momenta from measured positions.
         width: number of samples on either side within which the motion is cubic up to the noise.
-        bias: (M,) what readings are more than what is true; None for nothing.
-        bias_sd: (M,) standard deviations of what is not known of that, 0 where all is; None for zeros.
+        bias: (M,) offset of readings from the truth; None for zeros.
+        bias_sd: (M,) standard deviations of the offset, 0 if known; None for zeros.
         colour: of the noise; None for white noise.
     """
 
@@ -80,7 +80,7 @@ class Segment(NamedTuple):
 
     @property
     def whitening(self) -> Whitening | None:
-        """What makes white residuals of coloured ones; None where they are white."""
+        """Whitening of coloured residuals; None for white ones."""
         colour = self.instrument.colour
         return None if colour is None else Whitening.of(colour, self.times, ~self.values.isnan())
 

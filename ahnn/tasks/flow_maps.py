@@ -83,7 +83,7 @@ def draw(k: int, *, sampling: Sampling) -> Draw:
 
 
 def models(epochs: int, *fields: str, **more: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
-    """Return the models of the field at one budget.
+    """Return the benchmark models for a common budget.
 
     Args:
         epochs: number of training epochs, on all windows.

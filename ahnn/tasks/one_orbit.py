@@ -36,7 +36,7 @@ def begin(draw: int) -> Tensor:
 
 
 def true_motion(x: Tensor, steps: int, dt: float) -> Tensor:
-    """Return the exact motion (B, steps + 1, 4) from states (B, 4)."""
+    """Propagate states (B, 4) exactly; return (B, steps + 1, 4)."""
     return rollout(exact_flow(SYSTEM), COUPLING * x, dt, steps + 1) / COUPLING
 
 

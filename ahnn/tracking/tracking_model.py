@@ -48,7 +48,7 @@ class Corrections:
 
 
 class Path(Protocol):
-    """Where a satellite is."""
+    """Position of a satellite, for the measurement model."""
 
     def states(self, times: Array) -> Array:
         """Return its states (T, 6) in GCRF, km and km/s, at times (T,)."""

@@ -93,7 +93,7 @@ def _concluded(
 
 
 def with_biases(found: Uncertainty, problem: WideProblem) -> Uncertainty:
-    """Return what was found with the biases of the sensor and their standard deviations, where unknown."""
+    """Add the sensor biases and their standard deviations to the result, if they are unknown."""
     if problem.shared is None:
         return found
     size = len(problem.batch.instrument.deviations)

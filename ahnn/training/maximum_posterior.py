@@ -69,7 +69,7 @@ class WideProblem(ShootingProblem):
         return pull_of(rows * weight, self.batch)
 
     def reduced(self, gradient: Tensor) -> Tensor:
-        """Return what biases leave of a gradient (P,) at the parameters of the dynamics."""
+        """Return the gradient (P,) in the parameters of the dynamics, with biases eliminated."""
         if self.shared is None:
             return gradient
         return self.shared.gradient(gradient, self.pull(self.fitted.rows(self.kept)))

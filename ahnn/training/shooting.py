@@ -225,7 +225,7 @@ class ShootingProblem:
         return ResidualRows(limit.cost(here.sums).sum(), (rows * weight[:, None]).flatten(), jacobian)
 
     def with_more(self, of_theta: Tensor, here: Fitted, part: slice) -> Tensor:
-        """Return derivatives of residuals (B, K + 1, M, P) with columns of unknowns beside the parameters."""
+        """Return derivatives of residuals (B, K + 1, M, P) with columns of further unknowns."""
         del here, part
         return of_theta
 

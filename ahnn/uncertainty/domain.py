@@ -32,7 +32,7 @@ reliable slightly outside them.
 BEYOND = 1.5
 """Novelty above which a state is flagged: unseen trajectories similar to the training reach 1.3."""
 RATE = 500.0
-"""Times the square of novelty - 1: what the error of a learned force grows by (docs/novelty.md)."""
+"""Growth rate of a learned force's error with the square of novelty - 1 (docs/novelty.md)."""
 
 
 class Domain(NamedTuple):

@@ -19,7 +19,7 @@ class Record:
 
     Args:
         path: path of the file; its folder must exist.
-        group: runs of different groups (another system, say) are never compared.
+        group: runs of different groups (for example systems) are never compared.
     """
 
     def __init__(self, path: Path, group: str) -> None:

@@ -1,4 +1,4 @@
-"""Where a study is kept: a journal file, SQLite, PostgreSQL or a proxy of Optuna; and one lock per storage.
+"""Storage of a study: a journal file, SQLite, PostgreSQL or a proxy of Optuna; with one lock per storage.
 
 The lock makes the creation of a study and the allotment of trials atomic over all processes and machines:
 without it, two processes that create the same empty database crash (SQLite "table already exists", PostgreSQL
